@@ -184,6 +184,14 @@ class Guard:
             return not self.has_accounts()
         return not self._revocations.is_revoked(caller)
 
+    def is_valid_owner(self, caller: Caller) -> bool:
+        """Return whether the grants of `caller`, who may be absent now, are those of no later revocation."""
+        return not self._revocations.is_revoked(caller)
+
+    def has_all_revocations(self) -> bool:
+        """Return whether no revocation can have been missed."""
+        return self._revocations.is_current()
+
     def require(self, caller: Caller, permission: Permission, resource: str = ANY_RESOURCE) -> None:
         """Raise `Problem` unless `caller` has `permission` for `resource` (an entity id; `*`: for
         everything).

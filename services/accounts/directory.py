@@ -384,12 +384,39 @@ class Directory:
             "expiresInS": SERVICE_TOKEN_S,
         }
 
+    async def look_up(self, subject: str) -> dict[str, Any]:
+        """Return the present grants of a user or a token; not active if there is none any more."""
+        return await self.read(lambda connection: _looked_up(connection, subject))
+
     async def introspect(self, token: str) -> dict[str, Any]:
         """Return what is known of a secret token."""
         found = await self.read(lambda connection: secret_token_store.introspected(connection, token))
         if found["active"]:
             self._uses.setdefault(tables.tokens.c.used_s, {})[found["subject"]] = time.time()
         return found
+
+
+def _looked_up(connection: Connection, subject: str) -> dict[str, Any]:
+    revision = revision_of(connection)  # first, so that the grants are never older
+    found = secret_token_store.find_subject(connection, subject)
+    if found is None:
+        query = select(tables.users.c.name, tables.users.c.person).where(tables.users.c.subject == subject)
+        row = connection.execute(query).mappings().first()
+        if row is None:
+            return {"active": False, "revision": revision}
+        found = {"kind": CallerKind.USER.value, **row}
+    is_service = found["kind"] == CallerKind.SERVICE
+    given = (Grant(Role.SERVICE),) if is_service else grants_of(connection, subject)
+    return {
+        "active": True,
+        "kind": found["kind"],
+        "subject": subject,
+        "name": found["name"],
+        "grants": [{"role": one.role, "resource": one.resource} for one in given],
+        "person": found.get("person"),
+        "session": None,
+        "revision": revision,
+    }
 
 
 def _revoked_after(connection: Connection, position: int) -> dict[str, Any]:

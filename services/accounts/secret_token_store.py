@@ -70,6 +70,14 @@ def find_token(connection: Connection, token: str) -> dict[str, Any] | None:
     return dict(row)
 
 
+def find_subject(connection: Connection, subject: str) -> dict[str, Any] | None:
+    """Return the active token of a subject; None if it is unknown or expired."""
+    row = connection.execute(select(tokens).where(tokens.c.subject == subject)).mappings().first()
+    if row is None or (row["expires_s"] is not None and row["expires_s"] <= time.time()):
+        return None
+    return dict(row)
+
+
 def introspected(connection: Connection, token: str) -> dict[str, Any]:
     """Return what `POST /introspection` answers."""
     revision = revision_of(connection)

@@ -69,9 +69,10 @@ class Broker:
         self.guard = Guard(settings, "context-broker")
         self.authorization = Authorization(self.guard, settings)
         self.journal = journal
-        self.tenants = Tenants(journal, settings)
+        self.tenants = Tenants(journal, settings, self.authorization.receivers)
         self.access_log = AccessLog(settings, self.tenants, self.authorization.health_types)
         self.audit = self.access_log.trail
+        self.authorization.receivers.record_in(self.access_log)
         policy, ca_files = settings.outbound_policy(), settings.ca_files
         self.contexts = ContextResolver(
             self._keep_documents,
@@ -203,7 +204,7 @@ class Broker:
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
             visible = self.authorization.tenant_for(caller, operation, request, names, tenant, record)
-            context = RequestContext(request, names, self.contexts, visible)
+            context = RequestContext(request, names, self.contexts, visible, caller)
             if request.parameters:
                 context.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:

@@ -9,6 +9,7 @@ from typing import Final
 from uuid import uuid4
 
 from handover.http_client import PooledHttpClient
+from services.context_broker.delivery.disclosure import Receivers
 from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.delivery.notifier import Notifier
 from services.context_broker.delivery.outbound import Outbound
@@ -35,7 +36,7 @@ class Tenant:
         self.active_requests = 0
         self._tenants = tenants
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
-        self.notifier = Notifier(name, self.commits, tenants.outbound)
+        self.notifier = Notifier(name, self.commits, tenants.outbound, tenants.receivers)
         self.store = Store(
             name,
             self.commits,
@@ -53,6 +54,11 @@ class Tenant:
     def alias(self) -> str:
         """Return the name of this broker in Via when it asks on behalf of the tenant (clause 5.2.40)."""
         return self._tenants.alias_of(outside(self.name)[0])
+
+    @property
+    def receivers(self) -> Receivers:
+        """The owners of subscriptions and registrations, to whom the broker sends on its own."""
+        return self._tenants.receivers
 
     @property
     def is_kept(self) -> bool:
@@ -93,7 +99,8 @@ class _TenantCommits:
 class Tenants:
     """All tenants, and what they share."""
 
-    def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
+    def __init__(self, journal: Journal, settings: BrokerSettings, receivers: Receivers) -> None:
+        self.receivers = receivers
         self.ends = ExpiryQueue()
         self.commits = CommitQueue(journal, self._forget_staged)
         self.places: Iterator[int]

@@ -23,6 +23,12 @@ class TokenBody(_Body):
     token: Annotated[str, Field(max_length=200)]
 
 
+class SubjectBody(_Body):
+    """A user or a token of which a service asks for the present grants."""
+
+    subject: Id
+
+
 class Place(_Body):
     """Where a person is, as the page server sees it."""
 

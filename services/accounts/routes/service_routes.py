@@ -25,6 +25,7 @@ from services.accounts.routes.bodies import (
     PasswordChange,
     SessionBody,
     SignIn,
+    SubjectBody,
     TokenBody,
 )
 from services.accounts.routes.views import (
@@ -63,6 +64,15 @@ def add_service_routes(app: FastAPI, directory: Directory) -> None:
     async def introspection(body: TokenBody) -> Introspection:
         """Return whose secret token it is (RFC 7662)."""
         return cast("Introspection", await directory.introspect(body.token))
+
+    @app.post("/subjects/lookups", tags=["services"], dependencies=[require(Permission.VERIFY_CALLERS)])
+    @max_body(MAX_BODY_BYTES)
+    async def look_up(body: SubjectBody) -> Introspection:
+        """Return the present grants of a user or a token, for what a service does in its name later.
+
+        `active` is false for one that does not exist any more; `revision` is there always.
+        """
+        return cast("Introspection", await directory.look_up(body.subject))
 
     @app.get("/revocations", tags=["services"], dependencies=[require(Permission.VERIFY_CALLERS)])
     async def revocations(

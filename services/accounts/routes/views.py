@@ -233,7 +233,7 @@ class ServiceToken(TypedDict):
 
 
 class Introspection(TypedDict):
-    """Whose a token is; only `active` for an unknown one."""
+    """Whose a token is; only `active`, and `revision` if a subject was asked for, for an unknown one."""
 
     active: bool
     kind: NotRequired[str]

@@ -10,7 +10,7 @@ stays verifiable. Aliases without an entity are searched at each start, since a 
 """
 
 import asyncio
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -24,9 +24,10 @@ from handover.security.caller import LOCAL_OWNER, Caller
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.settings import Settings
 from handover.telemetry import get_logger
-from services.context_broker.access.authorization import PERSON, Rights, is_of, resource_prefix, short_name
 from services.context_broker.access.operation_access import OperationAccess, access_of
+from services.context_broker.access.rights import PERSON, Rights, resource_prefix
 from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.personal_data import is_of, person_of, short_name, type_in
 from services.context_broker.request.request_context import Request
 from services.context_broker.request.routing import Operation
 from services.context_broker.tenants import Tenants
@@ -37,8 +38,6 @@ SERVICE: Final = "context-broker"
 MAX_NAMED: Final = 50
 """Entities of one request that are named; the record of the others names everything."""
 _READING_METHODS: Final = frozenset({"GET", "HEAD"})
-_REF_PERSON: Final = "refPerson"
-_URN_TYPE: Final = 2
 
 
 class AccessRecord:
@@ -62,7 +61,7 @@ class AccessRecord:
     def note_read(self, entities: Iterable[Entity]) -> None:
         """Note the entities about the body of a person."""
         for entity in entities:
-            if is_of(entity, self._rights.health_types):
+            if self._rights.is_private(entity.id, entity.types):
                 self._read[self._personal(entity)] = None
 
     def note_change(self, event: Event, *, is_refused: bool) -> None:
@@ -70,7 +69,7 @@ class AccessRecord:
         entity = event.after or event.before
         assert entity is not None  # noqa: S101 - a change has at least one end
         noted = self._refused if is_refused else self._changed
-        if is_of(entity, self._rights.health_types):
+        if self._rights.is_private(entity.id, entity.types):
             noted[self._personal(entity)] = True
         else:
             noted[self._rights.prefix + entity.id] = is_of(entity, frozenset({PERSON}))
@@ -108,8 +107,7 @@ class AccessRecord:
         entity_id = self._names[0] if self._names else _first_id(self._request.body)
         if entity_id is None:
             return self._entry(self._rights.everything, outcome, is_personal=False)
-        parts = entity_id.split(":")
-        kind = parts[_URN_TYPE] if len(parts) > _URN_TYPE else ""
+        kind = type_in(entity_id)
         is_personal = kind == PERSON or kind in self._rights.health_types
         return self._entry(self._rights.prefix + entity_id, outcome, is_personal=is_personal)
 
@@ -125,15 +123,6 @@ class AccessRecord:
 
     def _personal(self, entity: Entity) -> str:
         return self._rights.prefix + (person_of(entity) or entity.id)
-
-
-def person_of(entity: Entity) -> str | None:
-    """Return the Person that an entity is about, if it names one in `refPerson`."""
-    for name, instances in entity.attributes.items():
-        if short_name(name) == _REF_PERSON and instances:
-            found = instances[0].get("object")
-            return found if isinstance(found, str) else None
-    return None
 
 
 def _first_id(body: bytes) -> str | None:
@@ -184,6 +173,11 @@ class AccessLog:
     def has_records_of(caller: Caller) -> bool:
         """Return whether the requests of a caller are recorded."""
         return caller is not LOCAL_OWNER and is_recorded(caller)
+
+    async def record_sent(self, entries: Sequence[AuditEntry]) -> None:
+        """Record what was sent to an owner, once in a while for each person. Raises `Problem` 503."""
+        await self.start()
+        await self.trail.store_once(entries)
 
     async def finish(self, record: AccessRecord, status: int) -> None:
         """Record what a request has done. Raises `Problem` 503 if that is not possible."""

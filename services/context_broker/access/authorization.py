@@ -10,103 +10,29 @@ says who answered a Task is written by our services only (`task_evidence`).
 
 import copy
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
 import orjson
 
-from handover.errors import Problem
-from handover.security.authentication import Guard, not_allowed
+from handover.security.authentication import Guard
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from services.context_broker.access.operation_access import OperationAccess, access_of
+from services.context_broker.access.receivers import OwnerReceivers
 from services.context_broker.access.restricted_store import Recording, RestrictedStore
-from services.context_broker.access.task_evidence import TASK, task_refusal
-from services.context_broker.model.entity import Entity, Event
+from services.context_broker.access.rights import Rights, resource_prefix
+from services.context_broker.model.personal_data import short_name
 from services.context_broker.request.request_context import Request
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.tenants import Tenant
 
-PERSON: Final = "Person"
-_PEOPLE: Final = frozenset({PERSON})
-_TASKS: Final = frozenset({TASK})
 _SUBSCRIBING: Final = frozenset({"createSubscription", "updateSubscription"})
 _NAME: Final = re.compile(r"[^\s()|,;]+")
 """A name in a type selection such as `(Robot|Device);Task`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rights:
-    """The rights of a caller in one tenant, whose resources begin with `prefix`."""
-
-    caller: Caller
-    prefix: str
-    health_types: frozenset[str]
-
-    @property
-    def everything(self) -> str:
-        """The resource for all entities of the tenant."""
-        return f"{self.prefix}{ANY_RESOURCE}"
-
-    def may(self, permission: Permission, entity_id: str) -> bool:
-        """Return whether the caller has `permission` for an entity."""
-        return self.caller.may(permission, self.prefix + entity_id)
-
-    def may_everywhere(self, permission: Permission) -> bool:
-        """Return whether the caller has `permission` for all entities of the tenant."""
-        return self.caller.may(permission, self.everything)
-
-    def shows(self, entity: Entity) -> bool:
-        """Return whether the caller may see `entity`."""
-        if not self.may(Permission.READ, entity.id):
-            return False
-        return not is_of(entity, self.health_types) or self.may(Permission.READ_HEALTH_DATA, entity.id)
-
-    def refusal(self, find: Callable[[str], Entity | None], event: Event) -> Problem | None:
-        """Return why the caller may not make a change; None if it may. `find` returns other entities."""
-        entity = event.after or event.before
-        assert entity is not None  # noqa: S101 - a change has at least one end
-        if not self.may(Permission.WRITE_ENTITIES, entity.id):
-            return self.denied(Permission.WRITE_ENTITIES, entity.id)
-        ends = [one for one in (event.before, event.after) if one is not None]
-        is_service = self.caller.kind is CallerKind.SERVICE
-        if not is_service and any(is_of(one, _PEOPLE) for one in ends):
-            return (
-                None
-                if self.may(Permission.MANAGE_PEOPLE, entity.id)
-                else self.denied(Permission.MANAGE_PEOPLE, entity.id)
-            )
-        if any(is_of(one, self.health_types) for one in ends) and not self.may(
-            Permission.READ_HEALTH_DATA, entity.id
-        ):
-            return self.denied(Permission.READ_HEALTH_DATA, entity.id)
-        if not is_service and any(is_of(one, _TASKS) for one in ends):
-            return task_refusal(event, find)
-        return None
-
-    def denied(self, permission: Permission, entity_id: str = ANY_RESOURCE) -> Problem:
-        """The caller lacks a permission."""
-        return not_allowed(self.caller, permission, self.prefix + entity_id)
-
-    def is_unrestricted(self) -> bool:
-        """Return whether the caller may see and change every entity of the tenant."""
-        return (
-            self.may_everywhere(Permission.READ)
-            and self.may_everywhere(Permission.WRITE_ENTITIES)
-            and self.may_everywhere(Permission.READ_HEALTH_DATA)
-            and (self.caller.kind is CallerKind.SERVICE or self.may_everywhere(Permission.MANAGE_PEOPLE))
-        )
-
-
-def resource_prefix(tenant: str, own_tenant: str) -> str:
-    """Return what the resources of a tenant begin with; `own_tenant` is that of our own services."""
-    if tenant == "" and own_tenant:
-        return "default/"
-    return "" if tenant in {"", own_tenant} else f"{tenant}/"
 
 
 class Authorization:
@@ -116,6 +42,7 @@ class Authorization:
         self._guard = guard
         self._own_tenant = settings.broker_tenant or ""
         self.health_types = frozenset(settings.broker_health_types)
+        self.receivers = OwnerReceivers(guard, self.health_types, self._own_tenant)
 
     def tenant_for(  # noqa: PLR0917 - internal
         self,
@@ -143,7 +70,7 @@ class Authorization:
             raise rights.denied(Permission.WRITE_ENTITIES)
         restricted = copy.copy(tenant)
         refusal = partial(rights.refusal, tenant.store.latest)
-        restricted.store = RestrictedStore(tenant.store, rights.shows, refusal, recording)
+        restricted.store = RestrictedStore(tenant.store, rights, refusal, recording)
         return restricted
 
     def rights_of(self, caller: Caller, tenant: str) -> Rights:
@@ -224,13 +151,3 @@ def _ids_in(body: bytes) -> tuple[str, ...]:
             return ()
         found.append(given)
     return tuple(found)
-
-
-def is_of(entity: Entity, kinds: frozenset[str]) -> bool:
-    """Return whether one of the types of an entity (IRIs) has a name of `kinds`, in any vocabulary."""
-    return any(short_name(kind) in kinds for kind in entity.types)
-
-
-def short_name(kind: str) -> str:
-    """Return the last part of a type, which may be an IRI of any vocabulary."""
-    return kind.rpartition("/")[2].rpartition("#")[2]

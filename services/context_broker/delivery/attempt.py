@@ -51,11 +51,13 @@ class DeliveryContext(Protocol):
     def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
         """Return the first of the notifications (by entity, at least one) that fit into one message."""
 
-    def notification_of(
+    async def release(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
-        """Return one message for entities (by id) that changed while throttled; None if there is nothing
-        to send."""
+        """Return the message that may be sent now for notices (by entity); None if nothing may.
+
+        Raises `Unverified` to try again later.
+        """
 
     def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
         """Delete notifications from the outbox by number, and write the counts of the subscription."""

@@ -16,6 +16,7 @@ from prometheus_client import Counter
 from handover.telemetry import get_logger
 from services.context_broker.delivery.attempt import DeliveryContext, attempt
 from services.context_broker.delivery.backlog import Backlog
+from services.context_broker.delivery.disclosure import Unverified
 from services.context_broker.delivery.endpoint_queue import (
     INITIAL_BACKOFF_S,
     SHED,
@@ -29,6 +30,9 @@ from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import NotStored
 
 log = get_logger(__name__)
+
+RIGHTS_RETRY_S: Final = 2.0
+"""Pause before the rights of an owner are verified again."""
 
 RETRIES: Final = Counter("handover_broker_notification_retries_total", "Attempts after one that failed")
 DROPPED: Final = Counter(
@@ -49,7 +53,7 @@ class DeliveryWorker:
         self._endpoint_queue.join(self)
         self._queue: deque[PendingNotification] = deque()
         self._throttled: dict[str, PendingNotification] = {}
-        self._periodic: deque[bytes] = deque()
+        self._periodic: deque[PendingNotification] = deque()
         self._last_sent_s = float("-inf")
         self._failures = 0
         self._backoff_until_s = 0.0
@@ -59,6 +63,7 @@ class DeliveryWorker:
         self._sending: PendingNotification | None = None
         self._was_tried = False
         self._is_uncounted = False
+        self._is_unverified = False
         self._something_new = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
@@ -99,11 +104,11 @@ class DeliveryWorker:
             self._enqueue(notice)
         self._ensure_running()
 
-    def offer(self, bodies: Iterable[bytes]) -> None:
+    def offer(self, notices: Iterable[PendingNotification]) -> None:
         """Accept the notifications of a period; those left of the period before are dropped."""
         if self._periodic:
             self._count_dropped("outdated", "the next period has begun", len(self._periodic))
-        self._periodic = deque(bodies)
+        self._periodic = deque(notices)
         self._ensure_running()
 
     def stop(self) -> None:
@@ -218,7 +223,7 @@ class DeliveryWorker:
         assert notice.body is not None  # noqa: S101 - those without one wait apart
         self._sending = notice
         try:
-            is_done = await self._send(notice.body, notice.headers, notice.at)
+            is_done = await self._send_released({notice.entity: notice}, notice)
         finally:
             self._sending = None
         if is_done and self._queue and self._queue[0] is notice:
@@ -226,23 +231,45 @@ class DeliveryWorker:
             self._endpoint_queue.release(notice.size)
             self._settle([notice])
 
-    async def _send_periodic(self, body: bytes) -> None:
+    async def _send_periodic(self, notice: PendingNotification) -> None:
         """Try to send a notification of a period."""
-        if await self._send(body, None, time.time()):
-            if self._periodic and self._periodic[0] is body:
+        if await self._send_released({notice.entity: notice}, notice):
+            if self._periodic and self._periodic[0] is notice:
                 self._periodic.popleft()
             self._context.settle(self.subscription, ())
 
     async def _send_throttled(self) -> None:
         """Send one notification with the present state of everything that changed while throttled."""
         some = self._context.together(self._throttled)
-        body = self._context.notification_of(self.subscription, some)
-        taken = next(reversed(some.values())).headers
-        if body is None or await self._send(body, taken, time.time()):
+        if await self._send_released(some, next(reversed(some.values()))):
             sent = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
             for notice in sent:
                 del self._throttled[notice.entity]
             self._settle(sent)
+
+    async def _send_released(
+        self, notices: Mapping[str, PendingNotification], latest: PendingNotification
+    ) -> bool:
+        """Send what the owner may see now, once; return whether it is finished.
+
+        `latest` has the headers and the time of the message.
+        """
+        try:
+            body = await self._context.release(self.subscription, notices)
+        except Unverified as error:
+            if time.time() - latest.at > self._context.keep_s:
+                self._count_dropped("unverified", str(error), len(notices))
+                return True
+            if not self._is_unverified:
+                log.warning("notifications wait", subscription=self.subscription.id, reason=str(error))
+            self._is_unverified = True
+            await self._pause(RIGHTS_RETRY_S)
+            return False
+        self._is_unverified = False
+        if body is None:
+            return True
+        at = time.time() if latest.waits_for_throttling else latest.at
+        return await self._send(body, latest.headers, at)
 
     async def _send(self, body: bytes, taken: bytes | None, at: float) -> bool:
         """Send when it is due, once; return whether it is finished: delivered, refused or too old."""

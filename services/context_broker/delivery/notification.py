@@ -13,6 +13,7 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from services.context_broker.delivery.disclosure import taken_headers
 from services.context_broker.delivery.endpoint import GEO_JSON, JSON_LD
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.triggers import (
@@ -90,10 +91,10 @@ def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup
 
 
 def headers(subscription: Subscription, tenant: str, taken: bytes | None = None) -> list[tuple[str, str]]:
-    """Return the headers of a notification; `taken` (JSON) are copied from the request that made the
-    change."""
+    """Return the headers of a notification; those in `taken` (JSON) are copied from the request that made
+    the change."""
     endpoint = subscription.endpoint
-    own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
+    own = [*endpoint.headers, *taken_headers(taken)]
     own_names = {name.lower() for name, _ in own}
     result = [("Content-Type", endpoint.accept)]
     if tenant:

@@ -8,12 +8,15 @@ import asyncio
 import time
 from collections.abc import Iterable, Mapping
 from contextvars import ContextVar
+from dataclasses import replace
 from itertools import islice
 from typing import Final
 
 import orjson
 
+from handover.security.resource_patterns import ANY_RESOURCE
 from handover.telemetry import get_logger
+from services.context_broker.delivery.disclosure import Disclosure, Receivers, private_in
 from services.context_broker.delivery.notification import change_data, entity_data, notification
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import PeriodicNotifications
@@ -24,6 +27,7 @@ from services.context_broker.delivery.subscription_dispatcher import (
 )
 from services.context_broker.delivery.triggers import EntityChange, entity_change
 from services.context_broker.model.entity import Entity, Event
+from services.context_broker.query.q_match import Lookup
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import PendingNotification
@@ -42,8 +46,10 @@ class Notifier(SubscriptionDispatcher):
 
     store: Store
 
-    def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound, receivers: Receivers) -> None:
         super().__init__(tenant, commits, outbound)
+        self._receivers = receivers
+        self._faulty: set[str] = set()
         self.passes_headers_on = False
         self._by_type: dict[str | None, list[Subscription]] = {}
         self._by_id: dict[str, list[Subscription]] = {}
@@ -59,6 +65,7 @@ class Notifier(SubscriptionDispatcher):
         """Update the indexes after a subscription was added, changed or deleted; without an id, after all
         changed."""
         self._is_sorted = False
+        self._faulty.discard(changed or "")
         subscription = None if changed is None else self.get(changed)
         if subscription is not None and subscription.endpoint.taken:
             self.passes_headers_on = True
@@ -108,33 +115,81 @@ class Notifier(SubscriptionDispatcher):
         if named is not None or len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
         change, now_s = entity_change(event), time.time()
-        notices = [
-            self._notice(one, change, now_s)
-            for one in interested
-            if one.wants(change, now_s, self.store.latest)
-        ]
+        notices = [self._notice(one, change, now_s) for one in interested]
         return [one for one in notices if one is not None]
 
-    def notification_of(
+    def disclosure(self, subscription: Subscription) -> Disclosure | None:
+        """Return the selection for a notification that is composed now; None if its owner sees everything."""
+        receiver = self._receivers.known(subscription.owner, self.tenant)
+        return None if receiver is None else Disclosure(receiver)
+
+    async def release(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
+        """Return the message of what the owner may see now; see `disclosure`."""
+        receiver = await self._receivers.verified(subscription.owner, self.tenant)
+        if receiver is None:
+            return await super().release(subscription, notices)
+        disclosure = Disclosure(receiver)
+        usable: dict[str, PendingNotification] = {}
+        for entity_id, notice in notices.items():
+            note = private_in(notice.headers)
+            if notice.body is None:
+                usable[entity_id] = notice
+            elif (
+                note is not None
+                and receiver.may_see(notice.entity, is_private=False)
+                and all(receiver.may_see(one, is_private=True) for one in note)
+            ):
+                usable[entity_id] = notice
+                disclosure.private.update(note)
+            else:
+                usable[entity_id] = replace(notice, body=None)
+        first, *others = usable.values()
+        if first.body is not None and not others and not first.waits_for_throttling:
+            body: bytes | None = first.body
+        else:
+            body = self.notification_of(subscription, usable, disclosure)
+        if body is not None and disclosure.private:
+            address = subscription.endpoint.shown
+            await self._receivers.record(
+                subscription.owner, "notification", address, disclosure.private.values()
+            )
+        return body
+
+    def notification_of(
+        self,
+        subscription: Subscription,
+        notices: Mapping[str, PendingNotification],
+        disclosure: Disclosure | None = None,
     ) -> bytes | None:
         """Return one message for entities (by id) that changed while throttled; None if there is nothing
         to send."""
+        lookup = self.store.get if disclosure is None else disclosure.lookup(self.store.get)
         data: list[bytes] = []
         for entity_id, notice in notices.items():
             if notice.body is not None:
                 data.append(notice.body[1:-1])
                 continue
-            entity = self.store.get(entity_id)
-            if entity is not None and subscription.admits(entity, self.store.get):
-                data.append(entity_data(subscription, entity, self.store.get))
+            entity = lookup(entity_id)
+            if entity is not None and subscription.admits(entity, lookup):
+                data.append(entity_data(subscription, entity, lookup))
         return notification(subscription, data) if data else None
 
     def _notice(
         self, subscription: Subscription, change: EntityChange, now_s: float
     ) -> PendingNotification | None:
-        entity_id, lookup = change.entity.id, self.store.latest
+        """Return the notification of a change; None if it is not to be notified."""
+        entity_id = change.entity.id
+        lookup: Lookup = self.store.latest
         try:
+            disclosure = self.disclosure(subscription)
+            if disclosure is not None:
+                if not (disclosure.admits(change.before) and disclosure.admits(change.after)):
+                    return None
+                lookup = disclosure.lookup(lookup)
+            if not subscription.wants(change, now_s, lookup):
+                return None
             body: bytes | None
             if not subscription.throttling_s:
                 body = notification(subscription, [change_data(subscription, change, lookup)])
@@ -143,8 +198,12 @@ class Notifier(SubscriptionDispatcher):
             else:
                 body = None
             taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
+            if disclosure is not None:
+                taken = disclosure.note(taken)
         except Exception:  # a faulty subscription must not fail a write of another client
-            log.exception("notification failed", subscription=subscription.id, entity=entity_id)
+            if subscription.id not in self._faulty:
+                self._faulty.add(subscription.id)
+                log.exception("notification failed", subscription=subscription.id, entity=entity_id)
             return None
         return PendingNotification(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
 
@@ -154,22 +213,32 @@ class Notifier(SubscriptionDispatcher):
         """Send the present state of all entities of a subscription, in chunks; nothing if there are none."""
         worker = self._workers.get(subscription.id)
         data: list[bytes] = []
-        bodies: list[bytes] = []
+        notices: list[PendingNotification] = []
+        disclosure = self.disclosure(subscription)
+        lookup = self.store.get if disclosure is None else disclosure.lookup(self.store.get)
+
+        def notice() -> PendingNotification:
+            note = None if disclosure is None else disclosure.note(None)
+            body = notification(subscription, data)
+            return PendingNotification(
+                self.tenant, subscription.id, ANY_RESOURCE, time.time(), body, headers=note
+            )
+
         candidates = iter(self._candidates(subscription))
         while some := list(islice(candidates, CHUNK)):
             data += [
-                entity_data(subscription, one, self.store.get)
+                entity_data(subscription, one, lookup)
                 for one in some
-                if subscription.selects(one, self.store.get)
+                if (disclosure is None or disclosure.admits(one)) and subscription.selects(one, lookup)
             ]
             if len(data) >= MAX_ITEMS_PER_NOTIFICATION:
-                bodies.append(notification(subscription, data))
+                notices.append(notice())
                 data = []
             await asyncio.sleep(0)
         if data:
-            bodies.append(notification(subscription, data))
-        if worker is not None and bodies:
-            worker.offer(bodies)
+            notices.append(notice())
+        if worker is not None and notices:
+            worker.offer(notices)
 
     def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
         """Return entities among which all entities of a subscription are."""

@@ -17,6 +17,7 @@ from services.context_broker.model.entity import Entity
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.language import preferences
 from services.context_broker.model.negotiation import Version, version_of
+from services.context_broker.model.owner import Owner
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.projection import Projection, read_projection
 from services.context_broker.model.rendering import Form, View
@@ -104,7 +105,8 @@ class Subscription:
 
     Notifications use `context`; the names that the subscriber wrote are those of `names`. `interval_s` is set
     for a periodic subscription, `expires_s` (seconds since 1970) for one that expires. `join` adds linked
-    entities, `version` makes notifications conform to an earlier version of the standard.
+    entities, `version` makes notifications conform to an earlier version of the standard. The right of the
+    `owner` decides what is sent; it is None in subscriptions that were stored before owners were recorded.
     """
 
     id: str
@@ -125,6 +127,7 @@ class Subscription:
     shows_changes: bool = False
     join: Join | None = None
     version: Version | None = None
+    owner: Owner | None = None
     counts: Counts = field(default_factory=Counts)
 
     def is_active(self, now_s: float) -> bool:
@@ -210,6 +213,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         shows_changes=shows_changes,
         join=join,
         version=_version(document.get("ngsildConformance")),
+        owner=Owner.restored(document),
     )
 
 

@@ -105,6 +105,18 @@ class SubscriptionDispatcher:
         """Return the first of the notifications (by entity) that fit into one message."""
         return dict(islice(notices.items(), MAX_ITEMS_PER_NOTIFICATION))
 
+    async def release(
+        self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
+        """Return the message that may be sent now for notices (by entity); None if nothing may.
+
+        A notice that was throttled is composed now. Raises `Unverified` to try again later.
+        """
+        first, *others = notices.values()
+        if first.body is not None and not others and not first.waits_for_throttling:
+            return first.body
+        return self.notification_of(subscription, notices)
+
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:

@@ -7,6 +7,7 @@ from typing import Any, Final
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import moment, require_name, shown
 from services.context_broker.query.parameters import Use, members_for
@@ -99,6 +100,7 @@ def shown_document(
     context_document = document.pop("context")
     document.pop(NAMES_IN, None)
     document.pop(CAME_BY, None)
+    document.pop(OWNER, None)
     if not sys_attrs:
         document.pop("createdAt", None)
         document.pop("modifiedAt", None)

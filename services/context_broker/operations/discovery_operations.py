@@ -59,7 +59,7 @@ class DiscoveryOperations:
         """GET types; with details=true the attributes of each (clauses 5.7.5 and 5.7.6)."""
         context = await request.reader_context()
         registered = list(_registered(request))
-        stored = request.tenant.store.type_statistics.types()
+        stored = request.tenant.store.statistics().types()
         types = sorted({*stored, *(kind for _, types in registered for kind in types)})
         return _list(request, context, TYPES, types, lambda kind: _attributes_of(request, kind, registered))
 
@@ -67,7 +67,7 @@ class DiscoveryOperations:
         """GET attributes; with details=true the types that have each (clauses 5.7.8 and 5.7.9)."""
         context = await request.reader_context()
         registered = list(_registered(request))
-        stored = request.tenant.store.type_statistics.attributes()
+        stored = request.tenant.store.statistics().attributes()
         names = sorted({*stored, *(name for names, _ in registered for name in names)})
         return _list(request, context, ATTRIBUTES, names, lambda name: _types_with(request, name, registered))
 
@@ -75,7 +75,7 @@ class DiscoveryOperations:
         """GET types/{type} (clause 5.7.7)."""
         context = await request.reader_context()
         kind = context.terms.expand(require_name(request.names[0], "the type in the path"))
-        type_statistics = request.tenant.store.type_statistics
+        type_statistics = request.tenant.store.statistics()
         registered = [one for one in _registered(request) if kind in one[1]]
         count = type_statistics.entities_of(kind)
         if not count and not registered:
@@ -91,7 +91,7 @@ class DiscoveryOperations:
         """GET attributes/{attrId} (clause 5.7.10)."""
         context = await request.reader_context()
         name = context.terms.expand(require_name(request.names[0], "the attribute in the path"))
-        kinds = request.tenant.store.type_statistics.kinds_of(name)
+        kinds = request.tenant.store.statistics().kinds_of(name)
         registered = [one for one in _registered(request) if name in one[0]]
         if not kinds and not registered:
             raise not_found(f"no entity has the attribute {shown(request.names[0])} ({name})")
@@ -131,17 +131,26 @@ def _registered(request: RequestContext) -> Iterator[Announced]:
     """Yield what sources have registered for the tenant; nothing for a local request."""
     if request.flag("local"):
         return
-    yield from request.tenant.federation.announced()
+    for names, types in request.tenant.federation.announced():
+        visible = {kind for kind in types if is_listed(request, kind)}
+        if visible or not types:
+            yield names, visible
+
+
+def is_listed(request: RequestContext, kind: str) -> bool:
+    """Return whether the client may know of entities of a type (an IRI)."""
+    tenant = request.tenant
+    return tenant.store.may_see_private(somewhere=False) or not tenant.receivers.is_private("", (kind,))
 
 
 def _attributes_of(request: RequestContext, kind: str, registered: list[Announced]) -> list[str]:
     """Return the attributes of a type, stored ones first."""
-    stored = request.tenant.store.type_statistics.attributes_of(kind)
+    stored = request.tenant.store.statistics().attributes_of(kind)
     others = (name for names, types in registered if kind in types for name in sorted(names))
     return list(dict.fromkeys((*stored, *others)))
 
 
 def _types_with(request: RequestContext, name: str, registered: list[Announced]) -> list[str]:
     """Return the types that have an attribute."""
-    stored = request.tenant.store.type_statistics.types_with(name)
+    stored = request.tenant.store.statistics().types_with(name)
     return sorted({*stored, *(kind for names, types in registered if name in names for kind in types)})

@@ -24,9 +24,11 @@ from services.context_broker.delivery.subscription_documents import (
     updated_document,
 )
 from services.context_broker.model.context import Context
+from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import already_exists, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
+from services.context_broker.request.ownership import owner_of, require_changeable, require_deletable
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     json_headers,
@@ -128,6 +130,7 @@ class SubscriptionOperations:
             document["localOnly"] = True
         if via := request.headers.get(b"via"):
             document[CAME_BY] = via.decode("latin-1")
+        document[OWNER] = owner_of(request)
         at = timestamp_now()
         created = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
         await self._require_open(request.tenant, created)
@@ -149,7 +152,12 @@ class SubscriptionOperations:
         async with self._one_at_a_time:
             before = self._existing(request)
             names = context if names_things(change) else before.names
-            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            require_changeable(request, before.id, before.owner, "subscription")
+            document = {
+                **updated_document(before.document, change),
+                OWNER: owner_of(request),
+                "modifiedAt": timestamp_now(),
+            }
             updated = await self._made(document, names)
             if "notification" in change:
                 await self._require_open(request.tenant, updated)
@@ -161,6 +169,7 @@ class SubscriptionOperations:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
             before = self._existing(request)
+            require_deletable(request, before.id, before.owner, "subscription")
             gone = (self.KIND, request.tenant.name, before.id)
             counts = (DocumentKind.COUNTS, request.tenant.name, before.id)
             await self.write(request.tenant, Entries(documents={gone: None, counts: None}))

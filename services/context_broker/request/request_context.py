@@ -14,6 +14,7 @@ import orjson
 from starlette.types import Receive, Scope, Send
 
 from handover.errors import Problem
+from handover.security.caller import LOCAL_OWNER, Caller
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.model.context import Context
 from services.context_broker.model.negotiation import (
@@ -143,11 +144,17 @@ def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
 class RequestContext:
     """A request while it is executed; `names` are the variable parts of its path."""
 
-    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
+    __slots__ = ("caller", "contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
 
     def __init__(
-        self, request: Request, names: tuple[str, ...], contexts: ContextResolver, tenant: Tenant
+        self,
+        request: Request,
+        names: tuple[str, ...],
+        contexts: ContextResolver,
+        tenant: Tenant,
+        caller: Caller = LOCAL_OWNER,
     ) -> None:
+        self.caller = caller
         self.method = _ANSWERED_AS.get(request.method, request.method)
         self.path = request.path
         self.parameters = request.parameters

@@ -125,6 +125,28 @@ class Store:
         """Return whether the reader of this store may see `entity`."""
         return True
 
+    def may_see_private(self, *, somewhere: bool = True) -> bool:  # noqa: ARG002 - likewise
+        """Return whether the reader may see entities about the body of some person, or else of every
+        person.
+        """
+        return True
+
+    def types_of(self, entity_id: str) -> tuple[str, ...]:
+        """Return the types of an entity as the last write left it, visible or not, to decide on rights."""
+        entity = self.latest(entity_id)
+        return () if entity is None else entity.types
+
+    def hides(self, entity_id: str, types: Iterable[str] = ()) -> bool:  # noqa: ARG002 - likewise
+        """Return whether the reader may not see an entity that has these types at a context source."""
+        return False
+
+    def require_shown(self, entity: Entity) -> None:
+        """Raise a problem (403) if the caller may not see an entity that it is about to change."""
+
+    def statistics(self) -> TypeStatistics:
+        """Return the counts of the types and attributes that the reader may see."""
+        return self.type_statistics
+
     def note_read(self, entities: Iterable[Entity]) -> None:
         """Note that a response contains `entities`; a recording store does."""
 

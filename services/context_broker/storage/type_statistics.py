@@ -4,7 +4,7 @@ So discovery (clauses 5.7.5 to 5.7.10) costs as much as its result, independent 
 Writing an attribute with the same kind as before costs one look-up.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from services.context_broker.model.entity import Attributes, Entity, Instance
@@ -51,6 +51,14 @@ class TypeStatistics:
             group.entities += 1
             for name, instances in after.attributes.items():
                 _add(group.attributes, name, instances)
+
+    def without(self, is_hidden: Callable[[str], bool]) -> "TypeStatistics":
+        """Return the present counts without the entities that have a hidden type (an IRI); read-only."""
+        visible = TypeStatistics()
+        visible._groups = {
+            types: group for types, group in self._groups.items() if not any(map(is_hidden, types))
+        }
+        return visible
 
     def types(self) -> list[str]:
         """Return the types that entities have."""

@@ -113,7 +113,7 @@ class TemporalOperations:
             subjects = [
                 one
                 for one in subjects_of(() if live is None else (live,), temporal_only)
-                if shows(one.as_entity())
+                if shows(one.with_all_types())
             ]
             if not subjects:
                 return None
@@ -182,7 +182,9 @@ class TemporalOperations:
             known = subjects_of(
                 live, chain.from_iterable(self._archive.temporal_only_entities(name, one) for one in ids)
             )
-            wanted = [one for one in known if narrowing.wants(one.as_entity()) and shows(one.as_entity())]
+            wanted = [
+                one for one in known if narrowing.wants(one.as_entity()) and shows(one.with_all_types())
+            ]
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(one.as_entity()))
             found = read_evolutions(

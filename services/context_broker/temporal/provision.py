@@ -14,7 +14,15 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.model.completion import completed_part
-from services.context_broker.model.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
+from services.context_broker.model.entity import (
+    NULL,
+    Attributes,
+    Entity,
+    Instance,
+    Terms,
+    dataset_of,
+    is_deletion,
+)
 from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand, read_attribute
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
 from services.context_broker.model.validation import moment, require_name, require_uri, shown, timestamp_now
@@ -246,6 +254,7 @@ class TemporalProvision:
                 scopes=provided.scopes or known.scopes,
                 expires_at=provided.expires_at or known.expires_at,
             )
+            tenant.store.require_shown(Entity(entity_id, known.types, {}, at, at))
             entries.temporal_only[entity_seq] = TemporalOnlyRow(tenant.name, entity_id, known.stored())
         try:
             if overwrites and subject is not None:
@@ -300,6 +309,8 @@ class TemporalProvision:
         )
         live = tenant.store.latest(entity_id)
         found = subjects_of(() if live is None else (live,), temporal_only)
+        if found:
+            tenant.store.require_shown(found[0].with_all_types())
         return found[0] if found else None
 
     async def _existing(self, tenant: Tenant, entity_id: str) -> Subject:

@@ -5,7 +5,7 @@ An entity that was deleted and created again is one subject with several sequenc
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from services.context_broker.model.entity import Entity
 from services.context_broker.temporal.history import TemporalOnlyEntity
@@ -27,6 +27,12 @@ class Subject:
     entity_seqs: tuple[int, ...]
     expires_at: str | None = None
     was_never_current: bool = False
+    earlier_types: tuple[str, ...] = ()
+    """Types that the subject had before its present creation; rights count for all of them."""
+
+    def with_all_types(self) -> Entity:
+        """Return the entity with all types that it ever had, for decisions on rights."""
+        return replace(self.as_entity(), types=tuple(dict.fromkeys((*self.types, *self.earlier_types))))
 
     def as_entity(self) -> Entity:
         """Return the current or last entity without its attributes."""
@@ -73,6 +79,7 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             entity_seqs,
             stored.expires_at,
             was_never_current=stored.deleted_at is None,
+            earlier_types=() if known is None else (*known.earlier_types, *known.types),
         )
     for entity in entities:
         known = found.get(entity.id)
@@ -90,5 +97,6 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             None,
             (*earlier, entity.seq),
             entity.expires_at,
+            earlier_types=() if known is None else (*known.earlier_types, *known.types),
         )
     return sorted(found.values(), key=lambda subject: subject.entity_seqs[0])

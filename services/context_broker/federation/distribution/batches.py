@@ -216,6 +216,7 @@ class _Batch:
         path = f"entityOperations/{self._operation.removesuffix('Batch')}"
         source_request = SourceRequest("POST", path, dialect, self._parameters, documents)
         try:
+            await self._sources.record(registration, [item.entity_id for item, _ in routing])
             response, _ = await self._sources.forwarder.send(
                 registration, source_request, self._sources.origin
             )
@@ -267,6 +268,7 @@ class _Batch:
         where = path.replace("{id}", quoted(item.entity_id))
         source_request = SourceRequest(method, where, dialect, options, document)
         try:
+            await self._sources.record(registration, [item.entity_id])
             response, _ = await self._sources.forwarder.send(
                 registration, source_request, self._sources.origin
             )

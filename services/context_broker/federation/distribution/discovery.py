@@ -27,6 +27,7 @@ from services.context_broker.federation.distribution.forwarding import (
 from services.context_broker.federation.distribution.source_responses import query_source
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.model.context import Context
+from services.context_broker.operations.discovery_operations import is_listed
 from services.context_broker.request.discovery_documents import (
     ATTRIBUTES,
     TYPES,
@@ -72,6 +73,8 @@ async def type_details(sources: Sources, request: RequestContext, perform: Perfo
     """GET types/{type}."""
     context = await request.reader_context()
     kind = context.terms.expand(request.names[0])
+    if not is_listed(request, kind):
+        return await perform(request)
     target = EntityTarget(types=frozenset({kind}))
     documents = await _query_sources(
         sources,
@@ -116,6 +119,10 @@ async def attribute_details(sources: Sources, request: RequestContext, perform: 
     if not documents or not isinstance(body, dict):
         return response
     for registration, dialect, document in documents:
+        if not all(
+            is_listed(request, dialect.context.terms.expand(one)) for one in _texts(document.get("typeNames"))
+        ):
+            continue  # it counts entities that the client may not see
         body["attributeCount"] += _count(document, "attributeCount")
         body["attributeTypes"] = _union(body["attributeTypes"], document.get("attributeTypes"))
         kinds = [dialect.context.terms.expand(one) for one in _texts(document.get("typeNames"))]
@@ -127,18 +134,47 @@ async def attribute_details(sources: Sources, request: RequestContext, perform: 
 async def _list(
     sources: Sources, request: RequestContext, perform: Perform, listed: _SourceListing
 ) -> Response:
-    has_details = request.parameter("details") == "true"
+    shows_details = request.parameter("details") == "true"
+    # Only details show which attributes belong to types that the client may see.
+    has_details = shows_details or not request.tenant.store.may_see_private(somewhere=False)
     operation = listed.details_operation if has_details else listed.operation
     context = await request.reader_context()
     documents = await _query_sources(
         sources, operation, _EVERYTHING, context, lambda _: listed.path, details=has_details
     )
     response = await perform(request)
+    documents = [_visible(request, listed, one) for one in documents] if has_details else documents
     if not documents:
         return response
-    if has_details:
+    if shows_details:
         return _add_entries(response, listed, documents, context)
+    if has_details:
+        documents = [_as_list(listed, one) for one in documents]
     return _add_names(response, listed, documents, context)
+
+
+def _visible(request: RequestContext, listed: _SourceListing, given: SourceDocument) -> SourceDocument:
+    """Return the entries of a source (with details) without the types that the client may not see."""
+    registration, dialect, document = given
+    if request.tenant.store.may_see_private(somewhere=False):
+        return given
+    expand, names = dialect.context.terms.expand, listed.names
+    if names is TYPES:
+        entries = [one for one in document if is_listed(request, _iri(one, names.name, dialect) or "")]
+        return registration, dialect, entries
+    entries = []
+    for entry in document:
+        there = _texts(entry.get(names.related))
+        some = [one for one in there if is_listed(request, expand(one))]
+        if some:
+            entries.append({**entry, names.related: some})
+    return registration, dialect, entries
+
+
+def _as_list(listed: _SourceListing, given: SourceDocument) -> SourceDocument:
+    """Return the plain list of names in the entries of a source."""
+    registration, dialect, entries = given
+    return registration, dialect, {listed.names.member: [one.get(listed.names.name) for one in entries]}
 
 
 async def _query_sources(

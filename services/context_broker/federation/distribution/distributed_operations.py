@@ -12,9 +12,16 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from handover.errors import Problem
-from services.context_broker.federation.distribution.forwarding import Forwarder, RequestOrigin, SourceError
+from services.context_broker.delivery.disclosure import Unverified
+from services.context_broker.federation.distribution.forwarding import (
+    SILENT,
+    Forwarder,
+    RequestOrigin,
+    SourceError,
+)
 from services.context_broker.federation.distribution.via import MAX_CHAIN_LENGTH, chain
 from services.context_broker.federation.entity_maps.mapped_request import entity_map_of
+from services.context_broker.federation.registrations.admission import Admission
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import ERRORS
@@ -47,15 +54,25 @@ class Sources:
         self.origin = RequestOrigin(request.headers, request.tenant.alias, self.registry)
         self.warnings: dict[tuple[int, str], None] = {}
         self.source_errors: list[SourceError] = []
+        self.admission = Admission(request.tenant.receivers, request.tenant.name, request.tenant.store)
         self._passed = frozenset(chain(request.headers.get(b"via", b"")))
 
-    def unvisited(self, matches: Iterable[Match], *, uses_map: bool = True) -> list[Match]:
+    def unvisited(
+        self, matches: Iterable[Match], *, uses_map: bool = True, changes: bool = False
+    ) -> list[Match]:
         """Return the matches whose sources are not in the Via header of the request (clause 4.3.6.4).
+
+        They are narrowed to what the owners of the registrations and the client may see (`Admission`).
 
         If an entity map answers the request, each match is narrowed to the entities that the map lists for
         its source (clause 5.7.2.4).
         """
-        found = [one for one in matches if not self.has_visited(one.registration)]
+        found = [
+            some
+            for one in matches
+            if not self.has_visited(one.registration)
+            and (some := self.admission.narrowed(one, changes=changes)) is not None
+        ]
         entity_map = entity_map_of(self.request) if uses_map else None
         if entity_map is None:
             return found
@@ -80,6 +97,14 @@ class Sources:
         part.
         """
         return status == 508 and self.has_visited(registration)
+
+    async def record(self, registration: Registration, ids: Iterable[str]) -> None:
+        """Record which entities about bodies of persons are sent to a source. Raises `SourceError`."""
+        try:
+            for entity_id in ids:
+                await self.admission.record(registration, entity_id)
+        except Unverified as error:
+            raise SourceError(registration, SILENT, 502, str(error)) from None
 
     def add_warning(self, code: int, why: str) -> None:
         """Add a warning for the client."""
@@ -121,6 +146,7 @@ class DistributedOperations:
         try:
             if name in passed or len(passed) > MAX_CHAIN_LENGTH:
                 raise loop_detected(name)
+            await sources.admission.prepare(sources.registry)
             answer = await handler(sources, request, operation.answer)
         except Problem as problem:
             answer = problem_response(problem)

@@ -5,7 +5,7 @@ requested by the linked map, so that the source need not repeat its search. If f
 the entities are read as well.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import orjson
@@ -28,6 +28,7 @@ from services.context_broker.federation.distribution.forwarding import (
     SourceRequest,
 )
 from services.context_broker.federation.distribution.fragment_collector import FragmentCollector
+from services.context_broker.federation.distribution.instances import types_in
 from services.context_broker.federation.distribution.query_targets import (
     refuse_order,
     selector_parameters,
@@ -118,7 +119,7 @@ class EntityMapCollector:
             return False
         self.listed.linked[registration.id] = map_id
         for entity_id in entities:
-            if _may_have(registration, entity_id):
+            if _may_have(registration, entity_id) and self._is_visible(registration, entity_id, ()):
                 self.listed.entities.setdefault(entity_id, []).append(registration.id)
         return True
 
@@ -159,12 +160,24 @@ class EntityMapCollector:
             if not isinstance(documents, list):
                 why = f"{registration.endpoint} returns no temporal entities"
                 raise SourceError(registration, INVALID, 502, why)
-            ids = {one.get("id") for one in documents if isinstance(one, dict)}
+            names = source_request.dialect.context
+            ids = {
+                one.get("id")
+                for one in documents
+                if isinstance(one, dict)
+                and self._is_visible(registration, str(one.get("id")), types_in(one, names) or ())
+            }
             fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
             for entity_id in sorted(fresh):
                 self.listed.entities.setdefault(entity_id, []).append(registration.id)
             if not fresh or len(documents) < _PAGE:
                 return
+
+    def _is_visible(self, registration: Registration, entity_id: str, types: Iterable[str]) -> bool:
+        """Return whether the answer of a source about an entity counts and the client may see the entity."""
+        return self._sources.admission.admits(registration, entity_id, types) and not (
+            self._sources.request.tenant.store.hides(entity_id, types)
+        )
 
     def _is_new(self, entity_id: str, registration: Registration) -> bool:
         return registration.id not in self.listed.entities.get(entity_id, ())

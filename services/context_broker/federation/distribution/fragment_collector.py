@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from services.context_broker.federation.distribution.fragments import Fragment, merged
+from services.context_broker.federation.registrations.admission import Admission
 from services.context_broker.federation.registrations.coverage import may_hold
 from services.context_broker.federation.registrations.registration import Mode, Registration
 from services.context_broker.model.attribute_selection import select_attributes
@@ -17,15 +18,16 @@ from services.context_broker.storage.store import Store
 
 @dataclass(slots=True)
 class FragmentCollector:
-    """Fragments by entity id."""
+    """Fragments by entity id; `admission` decides which count."""
 
+    admission: Admission
     fragments: dict[str, list[Fragment]] = field(default_factory=dict)
 
     def add(self, registration: Registration, entities: Iterable[Entity]) -> None:
         """Add the entities of a source, as far as its registration covers them."""
         for entity in entities:
             part = about(registration, entity)
-            if part is not None:
+            if part is not None and self.admission.admits(registration, entity.id, entity.types):
                 rank = (int(registration.mode) + 1, registration.id)
                 fills_gaps = registration.mode is Mode.AUXILIARY
                 self.fragments.setdefault(entity.id, []).append(Fragment(part, rank, fills_gaps))
@@ -47,6 +49,8 @@ class FragmentCollector:
         fragments = list(self.fragments.get(entity_id, ()))
         if own is not None:
             fragments.append(Fragment(own, (0, "")))
+        if own is not None:
+            proxied = [one for one in proxied if self.admission.admits(one, own.id, own.types)]
         if proxied:
             fragments = [
                 Fragment(left, one.rank, one.fills_gaps)

@@ -43,7 +43,7 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
     """DELETE entities: the broker's own first, then those of all sources at the same time."""
     context = await request.reader_context()
     target, where = target_of(request.parameters, context, None)
-    matches = sources.unvisited(sources.registry.matching("purgeEntity", target, where))
+    matches = sources.unvisited(sources.registry.matching("purgeEntity", target, where), changes=True)
     conditions = any(name in request.parameters for name in (*FILTERS, "attrs"))
     if conditions and may_be_split(request.parameters, matches):
         hits = await _whole_hits(sources, request, context)
@@ -52,7 +52,7 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
         gone = {name: request.parameters[name] for name in ("drop", "keep") if name in request.parameters}
         request = derived(request, parameters={**gone, "id": ",".join(hits), "local": "true"})
         named = EntityTarget(tuple(hits), None, target.types)
-        matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where))
+        matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where), changes=True)
     own = await perform(request)
     pieces = [piece for one in matches for piece in one.split_by_ids(MAX_IDS)]
     found: list[Outcome] = []

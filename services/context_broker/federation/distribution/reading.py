@@ -73,7 +73,7 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
     )
     if not matches and (own is None or not _wants_links(request)):
         return await perform(request)
-    collector = FragmentCollector()
+    collector = FragmentCollector(sources.admission)
     await gather_all(*(fetch_entity(sources, one, entity_id, context, collector) for one in matches))
     if (listed := listed_of(request)) is not None:
         listed.entities = collector.origins(request.tenant.store)
@@ -128,7 +128,7 @@ async def _query(
     *,
     map_collector: EntityMapCollector | None = None,
 ) -> Response:
-    collector = FragmentCollector()
+    collector = FragmentCollector(sources.admission)
     matched: list[tuple[Match, dict[str, str], bool]] = []
     wanted: list[EntityTarget] = []
     for parameters in questions:
@@ -194,7 +194,7 @@ async def _add_linked(
         ids = [one for one in dict.fromkeys(_objects(edge)) if one not in others]
         if not ids:
             return
-        collector = FragmentCollector()
+        collector = FragmentCollector(sources.admission)
         target = EntityTarget(ids=tuple(ids))
         matches = queryable_matches(sources, target, uses_map=False)
         await gather_all(

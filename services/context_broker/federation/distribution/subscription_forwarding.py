@@ -21,6 +21,7 @@ from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.delivery.notification import change_data, notification
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_documents import CAME_BY
+from services.context_broker.delivery.triggers import EntityChange
 from services.context_broker.federation.distribution.distributed_operations import (
     Handler,
     Perform,
@@ -47,6 +48,7 @@ from services.context_broker.federation.distribution.forwarding import (
 from services.context_broker.federation.distribution.query_targets import source_filter
 from services.context_broker.federation.distribution.source_notifications import change_of_notification
 from services.context_broker.federation.distribution.via import chain
+from services.context_broker.federation.registrations.admission import Admission
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.federation.tenant_state import federated
@@ -221,9 +223,12 @@ class SubscriptionForwarder:
         where = source_filter(subscription.document.get("csf"), subscription.names, coverage)
         passed = frozenset(chain(_came_by(subscription)))
         sources: dict[str, Registration] = {}
+        admission = Admission(tenant.receivers, tenant.name, tenant.store)
         for target in questions(subscription):
             for match in federated(tenant).registry.matching("createSubscription", target, where):
                 source = match.registration
+                if admission.narrowed(match) is None:
+                    continue
                 if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
                     source, federated(tenant).registry, tenant.alias
                 ):
@@ -317,17 +322,26 @@ class SubscriptionForwarder:
         if not isinstance(data, list):
             raise bad_request_data(f'a notification has "data", a list of entities, not {shown(data)}')
         tenant = self._tenants.kept(forwarded.tenant)
+        admission = Admission(tenant.receivers, tenant.name, tenant.store)
+        await admission.prepare((forwarded.registration,))
         subscription = tenant.notifier.get(forwarded.subscription)
         if subscription is None or not subscription.is_active(time.time()):
             return Response(200)
-        entities = [
-            (entity_id, body)
-            for entity in data
-            if (body := self._notification_entity(entity, forwarded, subscription, tenant, context))
-            is not None
-            and (entity_id := str(entity.get("id")))
-        ]
-        notifications = list(_notifications(tenant.name, subscription, entities))
+        disclosure = tenant.notifier.disclosure(subscription)
+        entities = []
+        for entity in data:
+            change = _change_of(entity, forwarded, subscription, tenant, context)
+            if (
+                change is not None
+                and admission.admits(forwarded.registration, change.entity.id, change.entity.types)
+                and (
+                    disclosure is None
+                    or (disclosure.admits(change.before) and disclosure.admits(change.after))
+                )
+            ):
+                entities.append((change.entity.id, change_data(subscription, change)))
+        note = None if disclosure is None else disclosure.note(None)
+        notifications = list(_notifications(tenant.name, subscription, entities, note))
         if notifications:
             try:
                 await tenant.commits.store(Entries(pending=notifications))
@@ -336,23 +350,23 @@ class SubscriptionForwarder:
             tenant.notifier.deliver(notifications)
         return Response(200)
 
-    @staticmethod
-    def _notification_entity(
-        given: Any,
-        forwarded: ForwardedSubscription,
-        subscription: Subscription,
-        tenant: Tenant,
-        context: Context,
-    ) -> bytes | None:
-        """Return the entity for the subscriber's notification; None if the subscription does not match."""
-        if not isinstance(given, dict):
-            raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
-        entity_id = given.get("id")
-        own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
-        change = change_of_notification(given, forwarded.registration, own, context.terms)
-        if change is None or (change.after is not None and not subscription.selects(change.after)):
-            return None
-        return change_data(subscription, change)
+
+def _change_of(
+    given: Any,
+    forwarded: ForwardedSubscription,
+    subscription: Subscription,
+    tenant: Tenant,
+    context: Context,
+) -> EntityChange | None:
+    """Return the change of an entity in a notification; None if the subscription does not match."""
+    if not isinstance(given, dict):
+        raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
+    entity_id = given.get("id")
+    own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
+    change = change_of_notification(given, forwarded.registration, own, context.terms)
+    if change is None or (change.after is not None and not subscription.selects(change.after)):
+        return None
+    return change
 
 
 def _refusal(source: Registration, response: HttpResponse) -> str:
@@ -365,12 +379,14 @@ def _came_by(subscription: Subscription) -> bytes:
 
 
 def _notifications(
-    tenant: str, subscription: Subscription, entities: list[tuple[str, bytes]]
+    tenant: str, subscription: Subscription, entities: list[tuple[str, bytes]], note: bytes | None
 ) -> Iterable[PendingNotification]:
     now_s = time.time()
     if subscription.throttling_s:
         for entity_id, body in entities:
-            yield PendingNotification(tenant, subscription.id, entity_id, now_s, b"[" + body + b"]")
+            yield PendingNotification(
+                tenant, subscription.id, entity_id, now_s, b"[" + body + b"]", headers=note
+            )
     elif entities:
         document = notification(subscription, [body for _, body in entities])
-        yield PendingNotification(tenant, subscription.id, entities[0][0], now_s, document)
+        yield PendingNotification(tenant, subscription.id, entities[0][0], now_s, document, headers=note)

@@ -27,11 +27,13 @@ from services.context_broker.federation.distribution.forwarding import (
     SourceError,
     SourceRequest,
 )
+from services.context_broker.federation.distribution.instances import types_in
 from services.context_broker.federation.distribution.source_responses import answered_context, query_source
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.distribution.translation import translated
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.request.derived_request import derived
 from services.context_broker.request.request_context import RequestContext, Response
@@ -246,9 +248,23 @@ async def _fetch_once(
     except Problem as problem:
         sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         return _NOTHING
-    in_ours = (translated(without_context(one), there.terms, context.terms) for one in documents)
+    in_ours = (
+        translated(without_context(one), there.terms, context.terms)
+        for one in documents
+        if _is_admitted(sources, registration, one, there)
+    )
     edge = temporal_merge.edge_in(response.headers.get("content-range")) if response.status == 206 else None
     return TemporalPart([_limited(one, match.attributes, context) for one in in_ours], edge)
+
+
+def _is_admitted(sources: Sources, registration: Registration, document: Evolution, there: Context) -> bool:
+    """Return whether an evolution of a source counts and the client may see it; note that it is read."""
+    types = types_in(document, there) or frozenset()
+    entity_id, store = document["id"], sources.request.tenant.store
+    if not sources.admission.admits(registration, entity_id, types) or store.hides(entity_id, types):
+        return False
+    store.note_read((store.get(entity_id) or Entity(entity_id, tuple(types), {}, "", ""),))
+    return True
 
 
 def temporal_parameters_of(

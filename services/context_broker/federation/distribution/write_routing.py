@@ -20,6 +20,7 @@ from services.context_broker.federation.registrations.registration import (
     Registration,
     SourceFilter,
 )
+from services.context_broker.model.entity import Entity
 
 Names = frozenset[str]
 
@@ -65,6 +66,7 @@ def route_write(
 
     `operations` are the names under which a source may take it, the preferred first. `instances` are those
     that are written, None for a write of the entity as a whole (a deletion). `where` filters the sources.
+    Raises a problem (403) if the client may not see the entity.
     """
     found = _matching_sources(sources, operations, target, where)
     remaining, is_elsewhere, others = instances or frozenset(), False, list[WriteRoute]()
@@ -93,8 +95,14 @@ def _matching_sources(
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
     """Return the matching sources with their attributes (None: all) and the operation that they take."""
     found = []
+    (entity_id,), types = target.ids or (), target.types or frozenset()
+    store = sources.request.tenant.store
+    store.latest(entity_id)  # it refuses a change of what the client may not see
+    store.require_shown(Entity(entity_id, tuple(types), {}, "", ""))
     for match in sources.registry.matching_any((target,), where):
         if match.mode is Mode.AUXILIARY or sources.has_visited(match):
+            continue
+        if not sources.admission.admits(match, entity_id, types):
             continue
         names: set[str] | None = set()
         for part in match.parts(target):

@@ -167,6 +167,7 @@ class DistributedWrite:
         self._names = names
         self._operation = operation
         self._path = path
+        self._entity_id = request.names[0] if request.names else str((document or {}).get("id", ""))
         given = request.parameters
         self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
 
@@ -265,6 +266,7 @@ class DistributedWrite:
                 part.pop("@context", None)
                 document = in_dialect(part, self._context, dialect)
             source_request = SourceRequest(self._request.method, path, dialect, self._parameters, document)
+            await self._sources.record(registration, [self._entity_id])
             response, _ = await self._sources.forwarder.send(
                 registration, source_request, self._sources.origin
             )

@@ -15,6 +15,7 @@ from uuid import uuid4
 
 import orjson
 
+from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data, not_found, too_many_results
 from services.context_broker.model.validation import (
     duration_s,
@@ -53,7 +54,8 @@ class EntityMap:
     """The ids of the entities that match a query, in order, each with its sources.
 
     `linked` has the ids of the maps that sources created for the same query, by registration. `query` is the
-    digest of the query.
+    digest of the query. `is_private`: its `creator` (a subject) may see entities about the bodies of persons,
+    so that the map is visible to those who may see them all, and to the creator.
     """
 
     id: str
@@ -61,6 +63,8 @@ class EntityMap:
     expires_at: str
     linked: Mapping[str, str] = field(default_factory=dict)
     query: str = ""
+    creator: str = ""
+    is_private: bool = True
 
     def has_expired_at(self, now_s: float) -> bool:
         """Return whether it has expired."""
@@ -78,7 +82,14 @@ class EntityMap:
 
     def stored(self) -> bytes:
         """Return the map for the journal."""
-        return orjson.dumps({**self.document(), "query": self.query})
+        return orjson.dumps(
+            {
+                **self.document(),
+                "query": self.query,
+                "creator": self.creator,
+                "isPrivate": self.is_private,
+            }
+        )
 
 
 class EntityMaps:
@@ -102,6 +113,8 @@ class EntityMaps:
             document["expiresAt"],
             document.get("linkedMaps", {}),
             document.get("query", ""),
+            document.get("creator", ""),
+            document.get("isPrivate", True),
         )
 
     def find(self, map_id: str) -> EntityMap | None:
@@ -114,13 +127,25 @@ class EntityMaps:
         """Return a map; raise a problem (404) if it does not exist or has expired."""
         found = self.find(map_id)
         if found is None:
-            raise not_found(
-                f"there is no entity map {map_id}, or it has expired; make another with GET entityMaps"
-            )
+            raise self.absent(map_id)
         return found
 
+    @staticmethod
+    def absent(map_id: str) -> Problem:
+        """Return the problem of a map that does not exist, or that the client may not see."""
+        return not_found(
+            f"there is no entity map {map_id}, or it has expired; make another with GET entityMaps"
+        )
+
     async def make(
-        self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str], query: str
+        self,
+        entities: Mapping[str, list[str]],
+        lifetime: str | None,
+        linked: Mapping[str, str],
+        query: str,
+        creator: str,
+        *,
+        is_private: bool,
     ) -> EntityMap:
         """Store a new map; raises a problem (403) if it has too many entities, `NotStored` if the disk
         refuses."""
@@ -135,6 +160,8 @@ class EntityMaps:
             timestamp(datetime.fromtimestamp(expires_s, UTC)),
             linked,
             query,
+            creator,
+            is_private,
         )
         entries = self._entries(created)
         for gone in self._in_excess_of(len(entities)):

@@ -62,11 +62,12 @@ class EntityMapOperations:
 
     async def retrieve(self, request: RequestContext) -> Response:
         """GET entityMaps/{id}."""
-        return await _map_response(request, federated(request.tenant).entity_maps.get(request.names[0]), 200)
+        return await _map_response(request, _visible_map(request), 200)
 
     async def update(self, request: RequestContext) -> Response:
         """PATCH entityMaps/{id}."""
         document, _ = await request.body()
+        _visible_map(request)
         try:
             await federated(request.tenant).entity_maps.update(request.names[0], document)
         except NotStored as error:
@@ -75,6 +76,7 @@ class EntityMapOperations:
 
     async def delete(self, request: RequestContext) -> Response:
         """DELETE entityMaps/{id}."""
+        _visible_map(request)
         try:
             await federated(request.tenant).entity_maps.delete(request.names[0])
         except NotStored as error:
@@ -166,7 +168,12 @@ class EntityMapOperations:
         try:
             query = query_mark(request)
             return await federated(request.tenant).entity_maps.make(
-                entities, lifetime, elsewhere.linked, query
+                entities,
+                lifetime,
+                elsewhere.linked,
+                query,
+                request.caller.subject,
+                is_private=request.tenant.store.may_see_private(),
             )
         except NotStored as error:
             raise not_stored(str(error)) from error
@@ -192,7 +199,25 @@ def _named(request: RequestContext) -> EntityMap | None:
     if named is None:
         return None
     map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
-    return federated(request.tenant).entity_maps.find(map_id)
+    entity_map = federated(request.tenant).entity_maps.find(map_id)
+    return entity_map if entity_map is not None and _is_visible(request, entity_map) else None
+
+
+def _visible_map(request: RequestContext) -> EntityMap:
+    """Return the map in the path; raise a problem (404) if the client may not see it."""
+    maps = federated(request.tenant).entity_maps
+    entity_map = maps.get(request.names[0])
+    if not _is_visible(request, entity_map):
+        raise maps.absent(entity_map.id)
+    return entity_map
+
+
+def _is_visible(request: RequestContext, entity_map: EntityMap) -> bool:
+    return (
+        not entity_map.is_private
+        or entity_map.creator == request.caller.subject
+        or request.tenant.store.may_see_private(somewhere=False)
+    )
 
 
 def _location(entity_map: EntityMap) -> tuple[bytes, bytes]:

@@ -14,6 +14,8 @@ from uuid import uuid4
 import orjson
 
 from handover.errors import Problem
+from handover.security.authentication import not_allowed
+from handover.security.permissions import Permission
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
 from services.context_broker.federation.registrations.registration_parser import (
@@ -26,11 +28,13 @@ from services.context_broker.federation.registrations.registration_search import
 from services.context_broker.federation.registrations.registry import claims
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
 from services.context_broker.federation.tenant_state import federated
+from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.request.document_responses import document_response, in_media_type
+from services.context_broker.request.ownership import owner_of, require_changeable, require_deletable
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     options_of,
@@ -106,10 +110,12 @@ class RegistrationOperations:
                 "createdAt": at,
                 "modifiedAt": at,
                 "context": context.document,
+                OWNER: owner_of(request),
             },
             context,
         )
         refuse_past(created.document)
+        _require_types(request, created)
         await _require_open(request.tenant, created)
         async with self._lock:
             if federated(request.tenant).registry.get(created.id) is not None:
@@ -127,8 +133,14 @@ class RegistrationOperations:
         change = kept_document(given, context)
         async with self._lock:
             before = _existing(request)
-            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            require_changeable(request, before.id, before.owner, "registration")
+            document = {
+                **updated_document(before.document, change),
+                OWNER: owner_of(request),
+                "modifiedAt": timestamp_now(),
+            }
             updated = registration(document, before.context).with_attempts_of(before)
+            _require_types(request, updated)
             if "expiresAt" in change:
                 refuse_past(document)
             if "endpoint" in change:
@@ -142,6 +154,7 @@ class RegistrationOperations:
         """DELETE csourceRegistrations/{id}."""
         async with self._lock:
             before, tenant = _existing(request), request.tenant
+            require_deletable(request, before.id, before.owner, "registration")
             gone = _deletion_of(tenant, before)
             await _write(tenant, gone)
             federated(tenant).registry.remove(before.id)
@@ -205,6 +218,17 @@ class RegistrationOperations:
 async def _require_open(tenant: Tenant, candidate: Registration) -> None:
     """Raise a problem (400) if the outbound policy refuses the address of the source."""
     await require_allowed(tenant.notifier.outbound.policy, candidate.endpoint, '"endpoint"')
+
+
+def _require_types(request: RequestContext, candidate: Registration) -> None:
+    """Raise a problem (403) for a source of data about bodies of persons that the caller may not read.
+
+    A registration without types is accepted: its source receives what its owner may see.
+    """
+    types = {kind for piece in candidate.information for one in piece.entities for kind in one.types}
+    store = request.tenant.store
+    if not store.may_see_private(somewhere=False) and request.tenant.receivers.is_private("", types):
+        raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
 
 
 def _existing(request: RequestContext) -> Registration:

@@ -11,6 +11,8 @@ from typing import Any, Final
 from services.context_broker.federation.registrations.operation_names import DEFAULT_GROUP, TEMPORAL
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
+from services.context_broker.model.owner import OWNER, Owner
+from services.context_broker.model.secrets import without_secrets
 from services.context_broker.query.patterns import Pattern, fits
 
 API_ROOT: Final = "/ngsi-ld/v1"
@@ -175,7 +177,8 @@ class Registration:
     `source_info` has the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
     and operationSpace to geometries. `described` is the registration as an entity, for filters. `datasets`
     are the datasetIds of the source, None for default instances; None as a whole if it may have any.
-    `attempts` is the only mutable part.
+    The right of the `owner` decides what the source receives, and which of its answers count. `attempts` is
+    the only mutable part.
     """
 
     id: str
@@ -197,6 +200,7 @@ class Registration:
     expires_at_s: float
     described: Entity
     attempts: Attempts = field(default_factory=Attempts)
+    owner: Owner | None = None
 
     def with_attempts_of(self, before: "Registration | None") -> "Registration":
         """Return the changed registration with the counts of the one before; its cooldown ends.
@@ -207,6 +211,11 @@ class Registration:
             return self
         before.attempts.cooldown_until_s = float("-inf")
         return replace(self, attempts=before.attempts)
+
+    @property
+    def shown(self) -> str:
+        """The address of the source without secrets, for logs, warnings and records."""
+        return without_secrets(self.endpoint)
 
     def url(self, path: str) -> str:
         """Return the URL of a path (such as "entities/urn:x:1") at the source.
@@ -324,6 +333,7 @@ def shown_document(
     compact = context.terms.compact
     document: dict[str, Any] = {"id": registration.id, "type": TYPE, **registration.document}
     document.pop("context", None)
+    document.pop(OWNER, None)
     properties = document.pop(PROPERTIES, {})
     if not sys_attrs:
         document.pop("createdAt", None)

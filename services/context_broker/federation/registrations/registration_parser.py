@@ -23,6 +23,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand, read_attribute
 from services.context_broker.model.geometry import fault_of
+from services.context_broker.model.owner import Owner
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import (
     TENANT,
@@ -120,6 +121,7 @@ def registration(document: Mapping[str, Any], context: Context) -> Registration:
         management=_management(document.get("management", {})),
         expires_at_s=_expiry(document.get("expiresAt")),
         described=_described(document, context),
+        owner=Owner.restored(document),
     )
 
 

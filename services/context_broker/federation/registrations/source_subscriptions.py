@@ -84,7 +84,7 @@ class SourceNotifier(SubscriptionDispatcher):
         worker = self._workers.get(subscription.id)
         notices = notices_of_all(self, self._registry, subscription)
         if worker is not None and notices:
-            worker.offer([one.body for one in notices if one.body is not None])
+            worker.offer(notices)
 
 
 def search_of(subscription: Subscription) -> Search:

@@ -1,0 +1,48 @@
+"""Ownership: who may change and delete a subscription or a registration.
+
+What a service of the cell has created is changed by that service alone, because its keys and its work depend
+on it. Others delete it with the permission `manageSettings`, for a service that is no more; a service that is
+there creates it again. What anybody else has created is changed and deleted by everybody with
+`writeEntities`, and belongs to the one who changed it last: from then on that one's rights decide what is
+sent. Without accounts everybody is the owner of the installation.
+"""
+
+from handover.errors import Problem
+from handover.security.caller import CallerKind
+from handover.security.permissions import Permission
+from services.context_broker.model.owner import Owner
+from services.context_broker.request.request_context import RequestContext
+
+
+def owner_of(request: RequestContext) -> dict[str, str]:
+    """Return the caller as the owner in the document to store, and remember its grants."""
+    request.tenant.receivers.note(request.caller)
+    return Owner.of(request.caller).stored()
+
+
+def require_changeable(request: RequestContext, document_id: str, owner: Owner | None, what: str) -> None:
+    """Raise a problem (403) if the caller may not change a document of `owner`."""
+    if _is_free(request, owner):
+        return
+    raise _refused(owner, what, document_id, "changed by that service alone; create another one")
+
+
+def require_deletable(request: RequestContext, document_id: str, owner: Owner | None, what: str) -> None:
+    """Raise a problem (403) if the caller may not delete a document of `owner`."""
+    if _is_free(request, owner) or (
+        request.caller.kind is not CallerKind.SERVICE and request.caller.may(Permission.MANAGE_SETTINGS)
+    ):
+        return
+    raise _refused(
+        owner, what, document_id, "deleted by that service, or by an admin if the service is no more"
+    )
+
+
+def _is_free(request: RequestContext, owner: Owner | None) -> bool:
+    is_local = request.caller.kind is CallerKind.LOCAL
+    return is_local or owner is None or not owner.is_service or owner.is_same(Owner.of(request.caller))
+
+
+def _refused(owner: Owner | None, what: str, document_id: str, rule: str) -> Problem:
+    name = "" if owner is None else owner.name
+    return Problem(403, "Not allowed", f"{what} {document_id} belongs to the service {name}: it is {rule}")
