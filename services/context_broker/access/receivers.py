@@ -81,6 +81,9 @@ class OwnerReceivers:
         # The end of one session does not end what the person has subscribed to.
         self._callers[caller.subject] = replace(caller, session=None, expires_s=None), time.monotonic()
 
+    def passes_credentials_on(self) -> bool:
+        return not self._guard.has_accounts()
+
     def known(self, owner: Owner | None, tenant: str) -> OwnerRights | None:
         if not self._is_restricted(owner):
             return None

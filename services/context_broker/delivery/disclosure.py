@@ -52,6 +52,9 @@ class Receivers(Protocol):
     def note(self, caller: Caller) -> None:
         """Remember the grants of a caller that changes a subscription or a registration."""
 
+    def passes_credentials_on(self) -> bool:
+        """Return whether headers with credentials may be copied from a request: only without accounts."""
+
     def known(self, owner: Owner | None, tenant: str) -> Receiver | None:
         """Return an owner as far as its rights are known; with unknown rights it may see everything, and
         `verified` decides before anything is sent.

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from handover.settings import PASSWORD_IN_URL, STARS
 from services.context_broker.delivery.mqtt_address import MQTT_SCHEMES, MqttAddress, mqtt_address
 from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.secrets import without_secrets
 from services.context_broker.model.validation import require_uri, shown
 
 JSON: Final = "application/json"
@@ -15,6 +15,8 @@ JSON_LD: Final = "application/ld+json"
 GEO_JSON: Final = "application/geo+json"
 FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
 """The value of a header that is copied from the request that made the change."""
+CREDENTIALS: Final = frozenset({"authorization", "proxy-authorization", "cookie", "x-csrf-token"})
+"""Headers of requests that are passed on to nobody while accounts exist: they are keys of the client."""
 MAX_PAIRS: Final = 50
 """Headers that a subscriber may request."""
 
@@ -52,7 +54,7 @@ class Endpoint:
     @property
     def shown(self) -> str:
         """The address without secrets, for logs."""
-        return PASSWORD_IN_URL.sub(rf"\1{STARS}@", self.uri)
+        return without_secrets(self.uri)
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -17,6 +17,7 @@ import orjson
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.telemetry import get_logger
 from services.context_broker.delivery.disclosure import Disclosure, Receivers, private_in
+from services.context_broker.delivery.endpoint import CREDENTIALS
 from services.context_broker.delivery.notification import change_data, entity_data, notification
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import PeriodicNotifications
@@ -197,7 +198,7 @@ class Notifier(SubscriptionDispatcher):
                 body = b"[" + change_data(subscription, change, lookup) + b"]"
             else:
                 body = None
-            taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
+            taken = self._taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
             if disclosure is not None:
                 taken = disclosure.note(taken)
         except Exception:  # a faulty subscription must not fail a write of another client
@@ -206,6 +207,17 @@ class Notifier(SubscriptionDispatcher):
                 log.exception("notification failed", subscription=subscription.id, entity=entity_id)
             return None
         return PendingNotification(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
+
+    def _taken(self, names: Iterable[str]) -> bytes | None:
+        """Return the named headers of the current request as JSON; None if it has none of them."""
+        sent, passes_credentials_on = REQUEST_HEADERS.get({}), self._receivers.passes_credentials_on()
+        found = [
+            (name, value.decode("latin-1"))
+            for name in names
+            if (value := sent.get(name.lower().encode())) is not None
+            and (passes_credentials_on or name.lower() not in CREDENTIALS)
+        ]
+        return orjson.dumps(found) if found else None
 
     # Periodic notifications
 
@@ -256,14 +268,3 @@ class Notifier(SubscriptionDispatcher):
         by_id = self.store.candidates(ids) if ids else []
         by_type = self.store.candidates(types=of_types(kinds)) if kinds else []
         return dict.fromkeys([*by_id, *by_type])
-
-
-def _taken(names: Iterable[str]) -> bytes | None:
-    """Return the named headers of the current request as JSON; None if it has none of them."""
-    sent = REQUEST_HEADERS.get({})
-    found = [
-        (name, value.decode("latin-1"))
-        for name in names
-        if (value := sent.get(name.lower().encode())) is not None
-    ]
-    return orjson.dumps(found) if found else None

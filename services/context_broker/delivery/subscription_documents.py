@@ -9,6 +9,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.secrets import hidden_members, kept_members
 from services.context_broker.model.validation import moment, require_name, shown
 from services.context_broker.query.parameters import Use, members_for
 from services.context_broker.query.type_selection import type_selection
@@ -33,6 +34,8 @@ _COUNTED: Final = frozenset(
 )
 _FROM_THE_BROKER: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"}) | _COUNTED
 """Members that only the broker writes; a subscriber may send them back."""
+_ENDPOINT: Final = ("uri", "receiverInfo", "notifierInfo")
+"""Where an endpoint has secrets: its address first."""
 
 
 def kept_document(given: Any, context: Context, extra: frozenset[str] = frozenset()) -> dict[str, Any]:
@@ -67,6 +70,14 @@ def kept_document(given: Any, context: Context, extra: frozenset[str] = frozense
     return document
 
 
+def refuse_hidden(document: Mapping[str, Any]) -> None:
+    """Raise a problem (400) for a new subscription with a placeholder in place of a secret."""
+    notification = document.get("notification")
+    endpoint = notification.get("endpoint") if isinstance(notification, dict) else None
+    if isinstance(endpoint, dict):
+        kept_members(endpoint, {}, *_ENDPOINT)
+
+
 def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document after a change: members are replaced, null deletes (clause 5.5.8).
 
@@ -80,7 +91,11 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
             raise bad_request_data(
                 'a change of "notification" replaces all of it and has an "endpoint"; send it complete'
             )
-        after["notification"] = _without_null(notification)
+        known = before["notification"].get("endpoint")
+        endpoint = kept_members(
+            notification["endpoint"], known if isinstance(known, dict) else {}, *_ENDPOINT
+        )
+        after["notification"] = _without_null({**notification, "endpoint": _without_null(endpoint)})
     return _without_null(after)
 
 
@@ -115,6 +130,8 @@ def shown_document(
     if "watchedAttributes" in document:
         document["watchedAttributes"] = [compact(name) for name in document["watchedAttributes"]]
     notification = {**document["notification"], **subscription.counts.members()}
+    if isinstance(notification.get("endpoint"), dict):
+        notification["endpoint"] = hidden_members(notification["endpoint"], *_ENDPOINT)
     if "attributes" in notification:
         notification["attributes"] = [compact(name) for name in notification["attributes"]]
     if (status := subscription.counts.status()) is not None:

@@ -1,60 +1,102 @@
 """Secrets in subscriptions, registrations and snapshots: what a client writes and nobody reads.
 
 They are the values of `receiverInfo`, `notifierInfo` and `contextSourceInfo`, and in addresses the user
-information and the values of the query. Responses, notifications about registrations, logs and audit records
-show `HIDDEN` instead. A client that sends `HIDDEN` back keeps the stored value, as long as the address is the
-same: so a document that was read can be changed and written, and no secret follows a change of the address.
+information, the values of the query, and parts of the path that look like a key. Responses, notifications
+about registrations, logs and audit records show `HIDDEN` instead.
+
+A client that sends `HIDDEN` back keeps the stored value, so that it can change a document that it has read.
+No secret follows a change of the address: then the values are to be given again.
 """
 
 import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from handover.settings import PASSWORD_IN_URL, STARS
+from handover.settings import STARS
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import shown
 
 HIDDEN: Final = STARS
-PAIRS: Final = ("receiverInfo", "notifierInfo", "contextSourceInfo")
+_USER_INFORMATION: Final = re.compile(r"(://)[^/?#]*@")
 _QUERY_VALUE: Final = re.compile(r"([?&;][^=&;#]*=)[^&;#]+")
-_PLAIN_VALUES: Final = frozenset({"urn:ngsi-ld:request"})
+_KEY_IN_PATH: Final = re.compile(
+    r"(?<=/)(?=[^/?#]*[0-9])(?=[^/?#]*[A-Za-z])[A-Za-z0-9_.~=%-]{20,}(?=[/?#]|$)"
+)
+_FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
 _PLAIN_KEYS: Final = frozenset(
-    {
-        "jsonldcontext",
-        "accept",
-        "contenttype",
-        "content-type",
-        "ngsildconformance",
-        "mqtt-qos",
-        "mqtt-version",
-    }
+    {"jsonldcontext", "accept", "contenttype", "ngsildconformance", "mqtt-qos", "mqtt-version", "prefer"}
 )
 """Keys whose values the broker itself evaluates; they are no secrets."""
 
 
 def without_secrets(uri: str) -> str:
-    """Return an address without passwords and values of its query."""
-    return _QUERY_VALUE.sub(rf"\1{HIDDEN}", PASSWORD_IN_URL.sub(rf"\1{HIDDEN}@", uri))
+    """Return an address without user information, values of its query and keys in its path."""
+    path = _KEY_IN_PATH.sub(HIDDEN, _USER_INFORMATION.sub(rf"\1{HIDDEN}@", uri))
+    return _QUERY_VALUE.sub(rf"\1{HIDDEN}", path)
 
 
-def shown_pairs(pairs: Any) -> Any:
-    """Return a list of keys and values with the secret values hidden."""
+def hidden_members(document: Mapping[str, Any], address: str, *pairs: str) -> dict[str, Any]:
+    """Return an object with its secrets hidden: in the member `address`, and in lists of keys and values."""
+    found = {name: _hidden_pairs(value) if name in pairs else value for name, value in document.items()}
+    if isinstance(found.get(address), str):
+        found[address] = without_secrets(found[address])
+    return found
+
+
+def kept_members(
+    given: Mapping[str, Any], before: Mapping[str, Any], address: str, *pairs: str
+) -> dict[str, Any]:
+    """Return an object that replaces `before`, with the stored values where it has `HIDDEN`.
+
+    Raises a problem (400) if there is no such value, or the address is another one.
+    """
+    after, stored = dict(given), before.get(address)
+    uri = given.get(address)
+    if isinstance(uri, str) and HIDDEN in uri:
+        if not isinstance(stored, str) or without_secrets(stored) != uri:
+            raise bad_request_data(
+                f'"{address}" {shown(uri)} has {HIDDEN} in place of a secret; give the whole address'
+            )
+        after[address] = stored
+    for name in pairs:
+        if isinstance(given.get(name), list):
+            known = before.get(name) if after.get(address) == stored else None
+            after[name] = [_kept_pair(pair, known, name) for pair in given[name]]
+    return after
+
+
+def require_secrets_again(
+    after: Mapping[str, Any], before: Mapping[str, Any], change: Mapping[str, Any], address: str, name: str
+) -> None:
+    """Raise a problem (400) if a change of the address would send stored secrets to the new one."""
+    secrets = [pair for pair in before.get(name) or () if isinstance(pair, Mapping) and _is_secret(pair)]
+    if secrets and name not in change and after.get(address) != before.get(address):
+        raise bad_request_data(
+            f'a change of "{address}" needs "{name}" as well, because its values are not sent to another '
+            "address; give them again, or null to delete them"
+        )
+
+
+def _kept_pair(pair: Any, known: Any, name: str) -> Any:
+    if not isinstance(pair, Mapping) or pair.get("value") != HIDDEN:
+        return pair
+    for other in known if isinstance(known, list) else ():
+        if isinstance(other, Mapping) and other.get("key") == pair.get("key"):
+            return {**pair, "value": other.get("value")}
+    raise bad_request_data(
+        f"{name} {shown(pair.get('key'))} has {HIDDEN} in place of its value, and there is no stored value "
+        "for this address; give the value"
+    )
+
+
+def _hidden_pairs(pairs: Any) -> Any:
     if not isinstance(pairs, list):
         return pairs
     return [
-        {**pair, "value": HIDDEN}
-        if isinstance(pair, Mapping) and "value" in pair and _is_secret(pair)
-        else pair
-        for pair in pairs
+        {**one, "value": HIDDEN} if isinstance(one, Mapping) and _is_secret(one) else one for one in pairs
     ]
-
-
-def shown_members(document: Mapping[str, Any], address: str) -> dict[str, Any]:
-    """Return an object with its secrets hidden; `address` is the member with the address."""
-    shown = {name: shown_pairs(value) if name in PAIRS else value for name, value in document.items()}
-    if isinstance(shown.get(address), str):
-        shown[address] = without_secrets(shown[address])
-    return shown
 
 
 def _is_secret(pair: Mapping[str, Any]) -> bool:
     key, value = pair.get("key"), pair.get("value")
-    return value not in _PLAIN_VALUES and not (isinstance(key, str) and key.lower() in _PLAIN_KEYS)
+    return value != _FROM_THE_REQUEST and not (isinstance(key, str) and key.lower() in _PLAIN_KEYS)

@@ -20,6 +20,7 @@ from services.context_broker.delivery.subscription_documents import (
     NAMES_IN,
     kept_document,
     names_things,
+    refuse_hidden,
     shown_document,
     updated_document,
 )
@@ -87,7 +88,7 @@ class SubscriptionOperations:
             try:
                 restored = await self._restored(body)
             except Problem as problem:  # a subscription that is not valid any more must not prevent the start
-                log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
+                log.exception("a subscription cannot be used", why=problem.detail)
                 continue
             if counts is not None:
                 restored.counts = Counts.restored(counts)
@@ -130,6 +131,7 @@ class SubscriptionOperations:
             document["localOnly"] = True
         if via := request.headers.get(b"via"):
             document[CAME_BY] = via.decode("latin-1")
+        refuse_hidden(document)
         document[OWNER] = owner_of(request)
         at = timestamp_now()
         created = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)

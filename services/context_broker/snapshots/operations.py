@@ -26,6 +26,7 @@ from uuid import uuid4
 
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import already_exists, not_found
+from services.context_broker.model.secrets import kept_members, require_secrets_again
 from services.context_broker.model.validation import inside, moment, outside, require_uri
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.document_responses import document_response, in_media_type
@@ -39,6 +40,7 @@ from services.context_broker.snapshots.history_copy import PerformByName
 from services.context_broker.snapshots.purge import purge_filter
 from services.context_broker.snapshots.snapshot import (
     QUERIES,
+    SECRETS,
     Snapshot,
     expiry_of,
     new_snapshot,
@@ -156,9 +158,12 @@ class BrokerSnapshots:
         """PATCH snapshots/{id}: priority, lifetime and notification endpoint."""
         change = require_valid_change((await request.body())[0])
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
-        await self._require_open(request.tenant, members)
         async with self._snapshots.lock:
             before = self._existing(request.tenant, request.names[0])
+            members = kept_members(members, before.document, *SECRETS)
+            require_secrets_again({**before.document, **members}, before.document, members, *SECRETS)
+            if "endpoint" in members:
+                await self._require_open(request.tenant, members)
             if "snapshotLifetime" in members:
                 created_s = moment(before.document["createdAt"]) or time.time()
                 start = datetime.fromtimestamp(created_s, UTC)
@@ -218,4 +223,4 @@ def _created(snapshot: Snapshot) -> Response:
 
 async def _snapshot_response(request: RequestContext, snapshot: Snapshot) -> Response:
     media_type, context = request.accept(), await request.reader_context()
-    return document_response(in_media_type(snapshot.document, media_type, context), media_type, context)
+    return document_response(in_media_type(snapshot.shown(), media_type, context), media_type, context)

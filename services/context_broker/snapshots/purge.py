@@ -1,7 +1,7 @@
 """Selects the snapshots to purge by a query on their members (clause 5.16.7)."""
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Final
 
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Attributes, Entity
@@ -9,7 +9,10 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 from services.context_broker.query.q_grammar import parse
 from services.context_broker.query.selection import Selection, compiled
-from services.context_broker.snapshots.snapshot import MEMBERS, TYPE, Snapshot
+from services.context_broker.snapshots.snapshot import MEMBERS, SECRETS, TYPE, Snapshot
+
+_MEMBERS: Final = MEMBERS - frozenset(SECRETS)
+"""A purge must not find out secrets."""
 
 
 def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
@@ -17,9 +20,9 @@ def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
     if not q:
         raise bad_request_data("a purge of snapshots has a q, for example q=snapshotPriority<5; add it")
     for name in _names(parse(q)):
-        if name not in MEMBERS:
+        if name not in _MEMBERS:
             raise bad_request_data(
-                f"a snapshot has no {shown(name)} to purge by; its members are {', '.join(sorted(MEMBERS))}"
+                f"a snapshot has no {shown(name)} to purge by; its members are {', '.join(sorted(_MEMBERS))}"
             )
     selection = Selection(query=compiled(q, context))
     expand = context.terms.expand

@@ -11,6 +11,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.secrets import hidden_members, kept_members
 from services.context_broker.model.validation import (
     duration_s,
     moment,
@@ -41,6 +42,10 @@ MEMBERS: Final = SETTABLE | {
 }  # fmt: skip
 
 
+SECRETS: Final = ("endpoint", "receiverInfo")
+"""Where a snapshot has secrets: its address first."""
+
+
 class Status(StrEnum):
     """The progress of a snapshot, or the result of one of its queries."""
 
@@ -68,6 +73,10 @@ class Snapshot:
     def expires_s(self) -> float:
         """Return the expiry in seconds since 1970."""
         return moment(self.document["expiresAt"]) or 0.0
+
+    def shown(self) -> dict[str, Any]:
+        """Return the snapshot for a reader, without its secrets."""
+        return hidden_members(self.document, *SECRETS)
 
     def stored(self) -> bytes:
         """Return the document for the journal."""
@@ -135,7 +144,7 @@ def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
     _check_members(given, allowed)
     if has_queries:
         _check_queries(given)
-    return given
+    return kept_members(given, {}, *SECRETS)
 
 
 def require_valid_change(given: Any) -> Mapping[str, Any]:

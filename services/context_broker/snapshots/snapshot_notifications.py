@@ -18,6 +18,7 @@ from handover.http_client import SendError
 from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.context_broker.delivery.delivery_worker import DROPPED
+from services.context_broker.model.secrets import without_secrets
 from services.context_broker.model.validation import tenant_headers, timestamp_now
 from services.context_broker.snapshots.snapshot import Snapshot
 from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries
@@ -130,7 +131,9 @@ class SnapshotNotifier:
         if self._tasks.get(endpoint) is task:
             del self._tasks[endpoint]
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("snapshot notification worker failed", endpoint=endpoint, exc_info=error)
+            log.error(
+                "snapshot notification worker failed", endpoint=without_secrets(endpoint), exc_info=error
+            )
 
     async def _work(self, endpoint: str) -> None:
         waiting, backoff = self._waiting[endpoint], Backoff(INITIAL_BACKOFF_S, MAX_BACKOFF_S)
@@ -159,12 +162,18 @@ class SnapshotNotifier:
                 notification.endpoint, notification.headers, notification.body, outbound.timeout_s
             )
         except SendError as error:
-            log.info("snapshot notification failed", endpoint=notification.endpoint, error=str(error))
+            log.info(
+                "snapshot notification failed",
+                endpoint=without_secrets(notification.endpoint),
+                error=str(error),
+            )
             return None
 
     def _drop(self, notification: SnapshotNotification, why: str) -> None:
         DROPPED.labels(why).inc()
-        log.warning("snapshot notification dropped", endpoint=notification.endpoint, reason=why)
+        log.warning(
+            "snapshot notification dropped", endpoint=without_secrets(notification.endpoint), reason=why
+        )
         self._delete(notification)
 
     def _delete(self, notification: SnapshotNotification) -> None:

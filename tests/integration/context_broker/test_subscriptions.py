@@ -69,7 +69,8 @@ def test_a_subscription_is_read_back_as_it_was(http: httpx.Client) -> None:
     kept = http.get(f"/subscriptions/{given['id']}").json()
     assert kept.pop("status") == "active"
     kept.pop("jsonldContext")
-    assert kept == given
+    given["notification"]["endpoint"]["receiverInfo"] = [{"key": "X-Cell", "value": "********"}]
+    assert kept == given, "the values of headers are write-only"
 
 
 def test_periodic_and_picked_subscriptions_are_read_back(http: httpx.Client) -> None:

@@ -200,18 +200,14 @@ async def _query_sources(
             sources.add_error(error)
         except orjson.JSONDecodeError as error:
             sources.add_error(
-                SourceError(
-                    registration, INVALID, 502, f"{registration.endpoint} returns invalid JSON: {error}"
-                )
+                SourceError(registration, INVALID, 502, f"{registration.shown} returns invalid JSON: {error}")
             )
         except Problem as problem:
             sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         else:
             if _has_expected_shape(document, details=details):
                 return registration, dialect, document
-            sources.add_warning(
-                INVALID, f"{registration.endpoint} returns something other than was requested"
-            )
+            sources.add_warning(INVALID, f"{registration.shown} returns something other than was requested")
         return None
 
     matches = sources.unvisited(sources.registry.matching(operation, target))

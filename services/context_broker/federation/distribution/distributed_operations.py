@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from handover.errors import Problem
 from services.context_broker.delivery.disclosure import Unverified
+from services.context_broker.delivery.endpoint import CREDENTIALS
 from services.context_broker.federation.distribution.forwarding import (
     SILENT,
     Forwarder,
@@ -51,7 +52,12 @@ class Sources:
         self.request = request
         self.forwarder = forwarder
         self.registry = federated(request.tenant).registry
-        self.origin = RequestOrigin(request.headers, request.tenant.alias, self.registry)
+        headers = request.headers
+        if not request.tenant.receivers.passes_credentials_on():
+            headers = {
+                name: value for name, value in headers.items() if name.decode("latin-1") not in CREDENTIALS
+            }
+        self.origin = RequestOrigin(headers, request.tenant.alias, self.registry)
         self.warnings: dict[tuple[int, str], None] = {}
         self.source_errors: list[SourceError] = []
         self.admission = Admission(request.tenant.receivers, request.tenant.name, request.tenant.store)

@@ -145,7 +145,7 @@ async def _pages(
     until_s = time.monotonic() + MAX_TIMEOUTS * sources.forwarder.patience_s(registration)
     while offset < MAX_ENTITIES:
         if time.monotonic() > until_s:
-            sources.add_warning(SILENT, f"{registration.endpoint} takes too long to return all its entities")
+            sources.add_warning(SILENT, f"{registration.shown} takes too long to return all its entities")
             return
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
@@ -168,7 +168,7 @@ async def _pages(
         if len(entities) < limit and not _NEXT.search(response.headers.get("link", "")):
             return
         offset += len(entities)
-    sources.add_warning(SILENT, f"{registration.endpoint} has more than {MAX_ENTITIES} matching entities")
+    sources.add_warning(SILENT, f"{registration.shown} has more than {MAX_ENTITIES} matching entities")
 
 
 def narrowed(

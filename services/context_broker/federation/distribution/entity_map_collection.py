@@ -114,7 +114,7 @@ class EntityMapCollector:
         map_id = document.get("id") if isinstance(document, dict) else None
         if not isinstance(entities, dict) or not isinstance(map_id, str):
             self._sources.add_warning(
-                INVALID, f"{registration.endpoint} returns something other than an entity map"
+                INVALID, f"{registration.shown} returns something other than an entity map"
             )
             return False
         self.listed.linked[registration.id] = map_id
@@ -158,7 +158,7 @@ class EntityMapCollector:
             except orjson.JSONDecodeError:
                 documents = None
             if not isinstance(documents, list):
-                why = f"{registration.endpoint} returns no temporal entities"
+                why = f"{registration.shown} returns no temporal entities"
                 raise SourceError(registration, INVALID, 502, why)
             names = source_request.dialect.context
             ids = {

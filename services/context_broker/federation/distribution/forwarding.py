@@ -206,7 +206,7 @@ class Forwarder:
                 origin.timed_out.add(registration.id)
             registry.record_attempt(registration, succeeded=False)
             warning = INVALID if isinstance(error, ResponseTooLarge) else SILENT
-            why = f"{registration.endpoint}: {error}"
+            why = f"{registration.shown}: {error}"
             log.info("context source failed", registration=registration.id, why=why)
             raise SourceError(
                 registration, warning, 504 if isinstance(error, ResponseTimeout) else 502, why
@@ -227,10 +227,10 @@ class Forwarder:
 
 def _refuse_at_rest(registration: Registration, origin: RequestOrigin) -> None:
     if registration.id in origin.timed_out:
-        why = f"{registration.endpoint} did not answer another part of this request in time"
+        why = f"{registration.shown} did not answer another part of this request in time"
         raise SourceError(registration, SILENT, 504, why)
     if origin.registry.is_cooling_down(registration):
-        why = f"{registration.endpoint} failed within the cooldown that its registration sets"
+        why = f"{registration.shown} failed within the cooldown that its registration sets"
         raise SourceError(registration, SILENT, 504, why)
 
 

@@ -54,11 +54,9 @@ def problem_in(response: HttpResponse, registration: Registration) -> dict[str, 
         document = None
     if isinstance(document, dict) and isinstance(document.get("title"), str):
         return {**document, "status": response.status}
-    detail = f"{registration.endpoint} returns {response.status}"
+    detail = f"{registration.shown} returns {response.status}"
     if response.status == 207:
-        detail = (
-            f"{registration.endpoint} succeeded in part: {response.body[:500].decode('utf-8', 'replace')}"
-        )
+        detail = f"{registration.shown} succeeded in part: {response.body[:500].decode('utf-8', 'replace')}"
     return Problem(response.status, "Context source failed", detail, ERRORS + "InternalError").body()
 
 
@@ -113,7 +111,7 @@ def failure(failed: list[Outcome]) -> Response | None:
     assert first.problem is not None  # noqa: S101 - it is a failure
     if first.registration is None or first.status in _PASSED_ON or first.status in {504, 508}:
         return _problem_answer(first.status, first.problem, first.registration)
-    detail = f"{first.registration.endpoint} failed: {first.problem.get('detail') or first.status}"
+    detail = f"{first.registration.shown} failed: {first.problem.get('detail') or first.status}"
     problem = Problem(502, "Bad gateway", detail, ERRORS + "InternalError").body()
     return _problem_answer(502, problem, first.registration)
 

@@ -40,16 +40,14 @@ async def query_source(
     """Return the response of a source, None if it has nothing; raises `SourceError`."""
     response, was_kept = await sources.forwarder.send(registration, source_request, sources.origin)
     if was_kept:
-        sources.add_warning(STALE, f"the response of {registration.endpoint} comes from the cache")
+        sources.add_warning(STALE, f"the response of {registration.shown} comes from the cache")
     if response.status == 404 or sources.is_loop_answer(registration, response.status):
         return None
     if response.status == 508:
-        raise SourceError(
-            registration, SILENT, 508, f"{registration.endpoint} detected a loop of registrations"
-        )
+        raise SourceError(registration, SILENT, 508, f"{registration.shown} detected a loop of registrations")
     if not 200 <= response.status < 300:
         raise SourceError(
-            registration, REFUSED, 502, f"{registration.endpoint} returns {response.status}", response.status
+            registration, REFUSED, 502, f"{registration.shown} returns {response.status}", response.status
         )
     return response
 
@@ -81,7 +79,7 @@ async def read_entities(
             entities.append(read_fragment(document, terms, place_of(document)))
     except (orjson.JSONDecodeError, TypeError, Problem) as error:
         why = error.detail if isinstance(error, Problem) else str(error)
-        invalid = f"{registration.endpoint} returns invalid NGSI-LD: {why}"
+        invalid = f"{registration.shown} returns invalid NGSI-LD: {why}"
         raise SourceError(registration, INVALID, 502, invalid) from None
     return entities
 

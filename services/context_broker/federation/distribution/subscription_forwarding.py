@@ -262,7 +262,7 @@ class SubscriptionForwarder:
             await self._store(tenant, forwarded.confirmed())
             return None
         if response.status >= 500 and response.status != 508:
-            return f"{source.endpoint} returns {response.status} for a subscription"
+            return f"{source.shown} returns {response.status} for a subscription"
         log.warning("source refused a subscription", registration=source.id, status=response.status)
         self._refused[(tenant.name, *key)] = wanted.digest
         await self._remove(tenant, forwarded)
@@ -284,7 +284,7 @@ class SubscriptionForwarder:
             origin = RequestOrigin({}, tenant.alias, federated(tenant).registry)
             response, _ = await self._forwarder.send(forwarded.registration, source_request, origin)
             if response.status >= 500:
-                return f"{forwarded.registration.endpoint} returns {response.status}"
+                return f"{forwarded.registration.shown} returns {response.status}"
             await self._remove(tenant, forwarded)
         except SourceError as error:
             return error.why
@@ -370,7 +370,7 @@ def _change_of(
 
 
 def _refusal(source: Registration, response: HttpResponse) -> str:
-    return f"{source.endpoint} does not take the subscription ({response.status})"
+    return f"{source.shown} does not take the subscription ({response.status})"
 
 
 def _came_by(subscription: Subscription) -> bytes:

@@ -303,7 +303,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     try:
         found = orjson.loads(response.body) if response.body else ({} if single else [])
     except orjson.JSONDecodeError as error:
-        why = f"{registration.endpoint} returns invalid JSON: {error}"
+        why = f"{registration.shown} returns invalid JSON: {error}"
         raise SourceError(registration, INVALID, 502, why) from None
     documents = [found] if single and found else found
     if documents == {} and single:
@@ -311,7 +311,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     if not isinstance(documents, list) or not all(
         isinstance(one, dict) and isinstance(one.get("id"), str) for one in documents
     ):
-        raise SourceError(registration, INVALID, 502, f"{registration.endpoint} returns no temporal entities")
+        raise SourceError(registration, INVALID, 502, f"{registration.shown} returns no temporal entities")
     return documents
 
 

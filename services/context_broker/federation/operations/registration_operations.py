@@ -17,7 +17,12 @@ from handover.errors import Problem
 from handover.security.authentication import not_allowed
 from handover.security.permissions import Permission
 from services.context_broker.contexts.context_resolver import ContextResolver
-from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
+from services.context_broker.federation.registrations.registration import (
+    SECRETS,
+    Mode,
+    Registration,
+    shown_document,
+)
 from services.context_broker.federation.registrations.registration_parser import (
     kept_document,
     refuse_past,
@@ -30,6 +35,7 @@ from services.context_broker.federation.registrations.source_subscriptions impor
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
+from services.context_broker.model.secrets import kept_members
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.query.type_selection import of_types
@@ -100,7 +106,7 @@ class RegistrationOperations:
     async def create(self, request: RequestContext) -> Response:
         """POST csourceRegistrations."""
         given, context = await request.body()
-        document = kept_document(given, context)
+        document = kept_members(kept_document(given, context), {}, *SECRETS)
         named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
         at = timestamp_now()
         created = registration(

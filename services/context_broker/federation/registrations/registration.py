@@ -12,11 +12,13 @@ from services.context_broker.federation.registrations.operation_names import DEF
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.owner import OWNER, Owner
-from services.context_broker.model.secrets import without_secrets
+from services.context_broker.model.secrets import hidden_members, without_secrets
 from services.context_broker.query.patterns import Pattern, fits
 
 API_ROOT: Final = "/ngsi-ld/v1"
 TYPE: Final = "ContextSourceRegistration"
+SECRETS: Final = ("endpoint", "contextSourceInfo")
+"""Where a registration has secrets: its address first."""
 PROPERTIES: Final = "properties"
 """The member of the stored document with the registration's own properties, by IRI."""
 
@@ -331,7 +333,11 @@ def shown_document(
     `pieces` (indexes into its information) limits it to what matched a query; None shows all.
     """
     compact = context.terms.compact
-    document: dict[str, Any] = {"id": registration.id, "type": TYPE, **registration.document}
+    document: dict[str, Any] = {
+        "id": registration.id,
+        "type": TYPE,
+        **hidden_members(registration.document, *SECRETS),
+    }
     document.pop("context", None)
     document.pop(OWNER, None)
     properties = document.pop(PROPERTIES, {})

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 from services.context_broker.federation.registrations import operation_names as names
 from services.context_broker.federation.registrations.registration import (
     PROPERTIES,
+    SECRETS,
     TYPE,
     EntityInfo,
     Information,
@@ -25,6 +26,7 @@ from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand
 from services.context_broker.model.geometry import fault_of
 from services.context_broker.model.owner import Owner
 from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.secrets import kept_members, require_secrets_again, without_secrets
 from services.context_broker.model.validation import (
     TENANT,
     duration_s,
@@ -82,7 +84,9 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
         raise bad_request_data(
             f"the id of a registration cannot be changed; leave it out or say {before['id']}"
         )
+    change = kept_members(change, before, *SECRETS)
     after = {**before, **change, "id": before["id"]}
+    require_secrets_again(after, before, change, *SECRETS)
     after[PROPERTIES] = _without_null({**before.get(PROPERTIES, {}), **change.get(PROPERTIES, {})})
     return _without_null(after)
 
@@ -378,7 +382,8 @@ def _described(document: Mapping[str, Any], context: Context) -> Entity:
             attributes[expand(name, terms)] = [{"type": "GeoProperty", "value": place}]
     for name in (*_TEXTS, "endpoint", "mode"):
         if isinstance(document.get(name), str):
-            attributes.setdefault(expand(name, terms), [{"type": "Property", "value": document[name]}])
+            text = without_secrets(document[name]) if name == "endpoint" else document[name]
+            attributes.setdefault(expand(name, terms), [{"type": "Property", "value": text}])
     return Entity(
         document["id"],
         (expand(TYPE, terms),),
