@@ -163,6 +163,14 @@ CERTIFICATE_NOT_LOADED: Final = AlertType(
     "The file of a server's certificate has changed and cannot be used; the former certificate stays in use.",
     "Correct the certificate and its key; servers load them by themselves.",
 )
+SUBSCRIPTION_CHANGED: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "subscriptionChanged",
+    Severity.HIGH,
+    "Device",
+    "Somebody changed or deleted a subscription of a service; the service has restored it.",
+    "Find out who or what did: the audit log of the broker names accounts.",
+)
 ROS_PROBLEM: Final = AlertType(
     AlertCategory.ROS,
     None,

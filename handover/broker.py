@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from http import HTTPStatus
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Final, Protocol, Self, TypeVar
 from urllib.parse import quote, urlencode
 
 import httpx
@@ -30,6 +30,12 @@ MAX_RESPONSE_BYTES = 256 * 1024 * 1024
 
 AnEntity = TypeVar("AnEntity", bound=Entity)
 NgsiLd = Mapping[str, Any]
+
+
+_OF_THE_BROKER: Final = frozenset(
+    {"id", "type", "@context", "jsonldContext", "status", "origin", "createdAt", "modifiedAt"}
+)
+"""Members of a subscription that brokers add by themselves."""
 
 
 class BrokerError(Problem):
@@ -202,12 +208,24 @@ class BrokerClient:
             _require_all_done(answer, "errors", _batch_error, is_ignored=_is_not_found)
 
     async def ensure_subscription(self, subscription: NgsiLd) -> None:
-        """Create this subscription (with its `id`), or update the existing one; idempotent."""
+        """Create this subscription (with its `id`), or update the existing one; idempotent.
+
+        One that has members which this one does not have, as an end or a filter that somebody added, is
+        deleted and created again, since an update would keep them.
+        """
+        subscription_id = str(subscription["id"])
         try:
             await self._call("POST", "/subscriptions", body=subscription)
         except AlreadyExists:
+            present = await self.subscription(subscription_id)
+            added = present.keys() - subscription.keys() - _OF_THE_BROKER
+            if added - {name for name in added if (name, present[name]) == ("isActive", True)}:
+                with suppress(NotFound):
+                    await self.delete_subscription(subscription_id)
+                await self._call("POST", "/subscriptions", body=subscription)
+                return
             change = {key: value for key, value in subscription.items() if key not in {"id", "@context"}}
-            await self._call("PATCH", f"/subscriptions/{_in_path(subscription['id'])}", body=change)
+            await self._call("PATCH", f"/subscriptions/{_in_path(subscription_id)}", body=change)
 
     async def types(self) -> list[str]:
         """Return the types of all entities."""
@@ -215,8 +233,16 @@ class BrokerClient:
         return [str(name) for name in orjson.loads(response.body).get("typeList", [])]
 
     async def subscriptions(self) -> list[dict[str, Any]]:
-        """Return all subscriptions."""
-        return [subscription async for page in self._pages({}, "/subscriptions") for subscription in page]
+        """Return all subscriptions, with the times of their changes."""
+        pages = self._pages({"options": "sysAttrs"}, "/subscriptions")
+        return [subscription async for page in pages for subscription in page]
+
+    async def subscription(self, subscription_id: str) -> dict[str, Any]:
+        """Return a subscription, with the times of its changes; raise `NotFound` if there is none."""
+        path = f"/subscriptions/{_in_path(subscription_id)}"
+        response = await self._call("GET", path, params={"options": "sysAttrs"})
+        document: dict[str, Any] = orjson.loads(response.body)
+        return document
 
     async def delete_subscription(self, subscription_id: str) -> None:
         """Delete a subscription; raise `NotFound` if there is none."""

@@ -36,6 +36,7 @@ from handover.finished_tasks import End, FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.messages import with_code
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.retry import retry
 from handover.settings import Settings
@@ -91,6 +92,7 @@ class Performer(ABC):
         self.broker = broker
         self.notify_url = notify_url
         self._receiver = NotificationReceiver(name, settings, broker)
+        self._subscriptions = OwnSubscriptions(name, settings, broker)
         self._queues: dict[str, ResourceQueue] = {}
         self._jobs: dict[str, Job] = {}
         self._ended: OrderedDict[str, None] = OrderedDict()
@@ -188,9 +190,8 @@ class Performer(ABC):
         return True
 
     async def _reconcile(self) -> None:
-        if not self._subscribed:
-            await self.broker.ensure_subscription(self._subscription())
-            self._subscribed = True
+        await self._subscriptions.keep(self._subscription())
+        self._subscribed = True
         await self._announce([resource for resource in self._queues if resource not in self._announced])
         known = set(self._jobs)
         unfinished = await self._unfinished()

@@ -84,7 +84,9 @@ class Bridge:
             lambda rule, key, words: self._alert(f"{key} {rule}", words, active=True),
         )
         receiver = NotificationReceiver(name, settings, broker)
-        self.listeners = Listeners(settings, broker, receiver, f"{url}/notifications", f"{name}-rule-")
+        self.listeners = Listeners(
+            settings, broker, receiver, f"{url}/notifications", prefix=f"{name}-rule-", service=name
+        )
         self.tasks = RosTaskPerformer(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
         self.alerts = AlertPublisher(broker, settings)
         self._disabled_rules = DisabledRules(settings.data_dir / f"{name}.json")

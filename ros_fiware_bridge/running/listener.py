@@ -16,6 +16,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import NotificationReceiver, ids_of
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -143,13 +144,16 @@ class Listeners:
         broker: BrokerClient,
         receiver: NotificationReceiver,
         notify_url: str,
+        *,
         prefix: str = "ros-bridge-rule-",
+        service: str = "ros-bridge",
     ) -> None:
         self.watched: frozenset[str] = frozenset()
         self.subscribed = False
         self._settings = settings
         self._broker = broker
         self._receiver = receiver
+        self._subscriptions = OwnSubscriptions(service, settings, broker)
         self._notify_url = notify_url
         self._prefix = prefix
         self._listeners: dict[str, Listener] = {}
@@ -216,7 +220,7 @@ class Listeners:
 
     async def _synchronize(self) -> bool:
         try:
-            there = {str(one.get("id")) for one in await self._broker.subscriptions()}
+            there = {str(one.get("id")): one for one in await self._broker.subscriptions()}
             await self._delete_unused(there)
             for name, listener in self._listeners.items():
                 if listener.enabled:
@@ -228,19 +232,19 @@ class Listeners:
         self.subscribed = True
         return True
 
-    async def _delete_unused(self, there: set[str]) -> None:
+    async def _delete_unused(self, there: Iterable[str]) -> None:
         """Delete the subscriptions of disabled rules and of earlier mappings."""
         wanted = {self._id(name) for name, one in self._listeners.items() if one.enabled}
         for subscription_id in {one for one in there if one.startswith(self._id(""))} - wanted:
-            with suppress(NotFound):
-                await self._broker.delete_subscription(subscription_id)
+            await self._subscriptions.drop(subscription_id)
 
-    async def _listen(self, subscription_id: str, listener: Listener, there: set[str]) -> None:
-        """Create the subscription if it is missing, and poll for changes that were missed."""
+    async def _listen(
+        self, subscription_id: str, listener: Listener, there: Mapping[str, Mapping[str, Any]]
+    ) -> None:
+        """Create or restore the subscription, and poll for changes that were missed."""
         try:
-            if subscription_id not in there or not self.subscribed:
-                endpoint = self._receiver.endpoint(f"{self._notify_url}/{listener.name}")
-                await self._broker.ensure_subscription(listener.subscription(subscription_id, endpoint))
+            endpoint = self._receiver.endpoint(f"{self._notify_url}/{listener.name}")
+            await self._subscriptions.keep(listener.subscription(subscription_id, endpoint), there)
             await listener.poll(self._broker)
         except BrokerUnavailable:
             raise

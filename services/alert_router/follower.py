@@ -17,6 +17,7 @@ from datamodels.entities import Alert, AlertState, DataModelError, Severity
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.notifications import NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.alert_router import metrics
@@ -48,6 +49,7 @@ class Follower:
         on_message: Callable[[], None],
     ) -> None:
         self.receiver = NotificationReceiver(SUBSCRIPTION, settings, broker)
+        self._subscriptions = OwnSubscriptions(SUBSCRIPTION, settings, broker)
         self.resync = Resync(self._reconcile, settings.reconcile_s)
         self._settings = settings
         self._broker = broker
@@ -86,9 +88,8 @@ class Follower:
 
     async def _reconcile(self) -> bool:
         try:
-            if not self._is_subscribed:
-                await self._broker.ensure_subscription(self._subscription())
-                self._is_subscribed = True
+            await self._subscriptions.keep(self._subscription())
+            self._is_subscribed = True
             entities = await self._broker.query(type="Alert")
             found = {}
             for entity in entities:

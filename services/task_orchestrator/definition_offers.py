@@ -19,6 +19,7 @@ from handover.content_digest import is_ours
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.notifications import NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.task_orchestrator.downloads import Downloader, DownloadFailed
@@ -55,8 +56,8 @@ class DefinitionOffers:
         self._reconciler = reconciler
         self._settings = orchestrator.settings
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
+        self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s * RECONCILE_FACTOR)
-        self._is_subscribed = False
         self._last: dict[str, str] = {}
         """The content of each entity that was seen last, as the id of its offer."""
         self._retry_at_s: dict[str, float] = {}
@@ -88,9 +89,7 @@ class DefinitionOffers:
 
     async def reconcile(self) -> None:
         """Query all definitions once, and offer those of other systems."""
-        if not self._is_subscribed:
-            await self._broker.ensure_subscription(self._subscription())
-            self._is_subscribed = True
+        await self._subscriptions.keep(self._subscription())
         entities = [each for type_ in OFFERED_TYPES for each in await self._broker.query(type=type_)]
         await self._receive(entities)
         present = {entity.get("id") for entity in entities}
@@ -234,7 +233,6 @@ class DefinitionOffers:
             await self.reconcile()
         except BrokerError as error:
             log.warning("definitions not reconciled", error=str(error))
-            self._is_subscribed = False
             return False
         except Problem as problem:
             log.warning("offers not stored", error=str(problem))

@@ -19,10 +19,11 @@ from fastapi import Request
 from handover.alert_catalogue import ENTITY_FILTER_REFUSED
 from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.task_orchestrator.entity_delivery import Watched
@@ -48,6 +49,7 @@ class EntityEvents:
         self._settings = orchestrator.settings
         self._delivery = orchestrator.state.entities
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
+        self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._subscribed: set[str] | None = None
         """The filters with a subscription; None: unknown, since the broker was not reachable."""
@@ -264,20 +266,14 @@ class EntityEvents:
         if not watched and self._subscribed == set():
             return
         prefix = self._subscription_id("")
-        registered = {
-            str(each.get("id")).removeprefix(prefix)
-            for each in await self._broker.subscriptions()
-            if str(each.get("id")).startswith(prefix)
-        }
+        listed = {str(each.get("id")): each for each in await self._broker.subscriptions()}
+        registered = {one.removeprefix(prefix) for one in listed if one.startswith(prefix)}
         for key in registered - set(watched):
+            await self._subscriptions.drop(self._subscription_id(key))
+        known: set[str] = set()
+        for key in watched:
             try:
-                await self._broker.delete_subscription(self._subscription_id(key))
-            except NotFound:
-                log.info("subscription was removed already", filter=key)
-        known = registered & (self._subscribed or set())  # an earlier run may have had another address
-        for key in set(watched) - known:
-            try:
-                await self._broker.ensure_subscription(self._subscription(key, watched[key]))
+                await self._subscriptions.keep(self._subscription(key, watched[key]), listed)
             except BrokerUnavailable:
                 raise
             except BrokerError as error:

@@ -16,6 +16,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.retry import MAX_DELAY_S, Backoff
 from handover.task_life import UNFINISHED_QUERY
@@ -44,6 +45,7 @@ class Reconciler:
         self._broker = broker
         self._settings = orchestrator.settings
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
+        self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._registered = self._was_unavailable = False
@@ -71,6 +73,8 @@ class Reconciler:
     async def reconcile(self) -> None:
         """Query the broker once for the open Tasks and apply their state."""
         await self._orchestrator.writer.recover()
+        await self._subscriptions.keep(self._subscription())
+        await self._subscriptions.keep(self._agents_subscription())
         if not self._registered:
             await self._register()
         awaited = self._orchestrator.broker_changes.awaited()
@@ -119,12 +123,10 @@ class Reconciler:
         await self._orchestrator.broker_changes.receive(entities)
 
     async def _register(self) -> None:
-        """Create the subscriptions and the definitions in the broker, which may have lost them.
+        """Create the definitions in the broker, which may have lost them.
 
         Those of running processes are written before their Tasks are compared, the others afterwards.
         """
-        await self._broker.ensure_subscription(self._subscription())
-        await self._broker.ensure_subscription(self._agents_subscription())
         await self._write_definitions(are_running=True)
         self._registered = True
         self._definitions_missing.set()

@@ -32,6 +32,7 @@ from handover.broker import BrokerClient, BrokerError
 from handover.errors import UsageError
 from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.trajectory_tool.cycles import Cycles
@@ -499,6 +500,7 @@ class _GripperOrders:
         self._broker = broker
         self._notify_path = f"/notifications/{robot}/arm"
         self._receiver = NotificationReceiver(f"trajectory-tool-{robot}-arm", settings, broker)
+        self._subscriptions = OwnSubscriptions("trajectory-tool", settings, broker)
         self._orders = Orders(robot, arm, settings, broker)
         endpoint = self._receiver.endpoint(f"{settings.service_url}{self._notify_path}")
         self._subscription: Mapping[str, Any] = self._orders.subscription(endpoint)
@@ -570,7 +572,7 @@ class _GripperOrders:
 
     async def _try_reconcile(self) -> bool:
         try:
-            await self._broker.ensure_subscription(self._subscription)
+            await self._subscriptions.keep(self._subscription)
             if not self._is_clean:
                 await self._orders.end_old()
                 self._is_clean = True

@@ -15,6 +15,7 @@ from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from webui.settings import BROKER, WebuiSettings
@@ -64,8 +65,10 @@ class BrokerEntities(Source):
         self._handlers = {handler.ngsi_type: handler for handler in handlers}
         self._services = services
         self._receiver = NotificationReceiver("webui", settings, broker)
+        self._subscriptions = OwnSubscriptions("webui", settings, broker)
         self._is_subscribed = self._is_unreachable = False
         self._renew_s = 0.0
+        self._subscription: dict[str, Any] = {}
         self._notified: set[str] = set()
         self._resync = Resync(self._reconcile_round, settings.reconcile_s)
 
@@ -113,10 +116,13 @@ class BrokerEntities(Source):
 
     async def _reconcile(self) -> None:
         if not self._is_subscribed or time.monotonic() >= self._renew_s:
-            await self._broker.ensure_subscription(self._subscription())
+            self._subscription = self._new_subscription()
+            await self._subscriptions.keep(self._subscription)
             self._is_subscribed, self._is_unreachable = True, False
             self._renew_s = time.monotonic() + REPLICA_SUBSCRIPTION_S / 2
             self._services.check_now()
+        else:
+            await self._subscriptions.keep(self._subscription)
         for handler in self._handlers.values():
             try:
                 await self._query(handler)
@@ -156,7 +162,7 @@ class BrokerEntities(Source):
         except ValueError as error:
             log.warning("invalid entity", entity=entity.get("id"), error=str(error))
 
-    def _subscription(self) -> dict[str, Any]:
+    def _new_subscription(self) -> dict[str, Any]:
         """Return the subscription; that of a replica expires, since its name may not return."""
         instance = self._settings.instance
         expiry = datetime.now(UTC) + timedelta(seconds=REPLICA_SUBSCRIPTION_S)

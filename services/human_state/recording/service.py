@@ -52,6 +52,7 @@ class RecordingService:
         self.recordings.on_deleted = self.entities.deleted
         self._tasks.start(self.recordings.recover)
         self._tasks.start_restarting(self.recordings.run)
+        self._tasks.start_restarting(self._markers.run)
         self._writer.put("sessions", self.entities.synchronize)
         self._markers.apply()
 

@@ -4,18 +4,20 @@ The broker notifies of Tasks only while something is recorded. A gesture that an
 marker of its status. A notification is a hint: the Task is read from the broker before it is marked.
 """
 
+import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from typing import Any, Final
 
 from fastapi import FastAPI, Request, Response
 
 from datamodels import Task
-from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.broker import BrokerClient, BrokerError
 from handover.latest_value_writer import LatestValueWriter
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver, ids_of
+from handover.own_subscriptions import OwnSubscriptions
+from handover.retry import with_jitter
 from handover.telemetry import get_logger
 from services.human_state.formats.json_messages import Marker
 from services.human_state.recording.recordings import Recordings
@@ -44,6 +46,7 @@ class TaskMarkers:
         self._broker = broker
         self._writer = writer
         self._receiver = NotificationReceiver(NAME, settings, broker)
+        self._subscriptions = OwnSubscriptions(NAME, settings, broker)
         self._seen: OrderedDict[tuple[str, str], str] = OrderedDict()
         """The status that was marked, by person and Task."""
         self._id = settings.entity_id("Subscription", f"{NAME}-tasks")
@@ -65,13 +68,18 @@ class TaskMarkers:
         """Subscribe or unsubscribe, as soon as the broker answers."""
         self._writer.put(self._id, self._synchronize)
 
+    async def run(self) -> None:
+        """Check the subscription regularly until cancelled."""
+        while True:
+            await asyncio.sleep(with_jitter(self._settings.reconcile_s))
+            self.apply()
+
     async def _synchronize(self) -> None:
         if self._recordings.recorded():
-            await self._broker.ensure_subscription(self._subscription())
+            await self._subscriptions.keep(self._subscription())
         else:
             self._seen.clear()
-            with suppress(NotFound):
-                await self._broker.delete_subscription(self._id)
+            await self._subscriptions.drop(self._id)
 
     def _subscription(self) -> dict[str, Any]:
         return {

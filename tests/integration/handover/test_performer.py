@@ -15,6 +15,7 @@ from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled
+from handover.notifications import KEY_HEADER
 from handover.settings import Settings
 from handover.task_life import UNFINISHED_QUERY
 from tests.kit.cell import Cell
@@ -236,7 +237,7 @@ async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
 ) -> None:
     notifications = f"{cell.url('lamp')}/notifications"
     async with httpx.AsyncClient(timeout=120) as http:
-        keyed = await key_of(broker)
+        keyed = key_of(cell)
         for body in (b"not JSON", b"[]", b'{"data": 3}', b"\xff\xfe", b'{"data": [3]}'):
             headers = keyed | {"Content-Type": "application/json"}
             answer = await http.post(notifications, content=body, headers=headers)
@@ -250,11 +251,18 @@ async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
     await comes_to(broker, task, TaskStatus.COMPLETED)
 
 
-async def key_of(broker: BrokerClient) -> dict[str, str]:
-    """The header that the lamp's subscription has the broker send."""
+def key_of(cell: Cell) -> dict[str, str]:
+    """The header that the lamp's subscription has the broker send; no answer of the broker shows it."""
+    (file,) = cell.data_dir.glob("*.notification-key")
+    return {KEY_HEADER: file.read_text()}
+
+
+async def shown_key(broker: BrokerClient) -> str | None:
+    """What the broker shows instead of the key; None if the subscription has none."""
     (subscription,) = await broker.subscriptions()
-    (pair,) = subscription["notification"]["endpoint"]["receiverInfo"]
-    return {pair["key"]: pair["value"]}
+    pairs = subscription["notification"]["endpoint"].get("receiverInfo", [{"value": None}])
+    value: str | None = pairs[0]["value"]
+    return value
 
 
 async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
@@ -272,7 +280,7 @@ async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
         notifications = f"{cell.url('lamp')}/notifications"
         forged = {"data": [invented, cancelled]}
         assert (await http.post(notifications, json=forged)).status_code == 403
-        answer = await http.post(notifications, json=forged, headers=await key_of(broker))
+        answer = await http.post(notifications, json=forged, headers=key_of(cell))
         assert answer.status_code == 204
     await comes_to(broker, running, TaskStatus.COMPLETED)
     with pytest.raises(NotFound):
@@ -282,9 +290,9 @@ async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
 async def test_the_key_is_kept_and_a_subscription_with_another_gets_it(
     broker: BrokerClient, cell: Cell, lamp: LampProcess
 ) -> None:
-    keyed = await key_of(broker)
+    keyed = key_of(cell)
     (file,) = cell.data_dir.glob("*.notification-key")
-    assert file.read_text() in keyed.values()
+    assert await shown_key(broker) == "********"
     assert file.stat().st_mode & 0o777 == 0o600
     lamp.kill()
     (subscription,) = await broker.subscriptions()
@@ -292,9 +300,9 @@ async def test_the_key_is_kept_and_a_subscription_with_another_gets_it(
     names = ("id", "type", "entities", "watchedAttributes")
     made = {name: subscription[name] for name in names} | {"notification": {"endpoint": old}}
     await broker.ensure_subscription(made)
-    assert "receiverInfo" not in (await broker.subscriptions())[0]["notification"]["endpoint"]
+    assert await shown_key(broker) is None
     lamp.start()
-    assert await key_of(broker) == keyed
+    assert (await shown_key(broker), key_of(cell)) == ("********", keyed)
     task = a_task("after-the-key", steps=1)
     await broker.create(task)
     await comes_to(broker, task, TaskStatus.COMPLETED)
@@ -355,3 +363,44 @@ async def test_the_broker_selects_the_unfinished_tasks_of_a_resource(broker: Bro
     await broker.upsert([other, both])
     q = f'{UNFINISHED_QUERY};(involves[object]=="urn:ngsi-ld:Device:demo:b"|involves[object]=="urn:x:none")'
     assert [entity["id"] for entity in await broker.query(type="Task", q=q)] == [both["id"]]
+
+
+async def test_a_subscription_that_others_change_is_restored_with_an_alert(
+    broker: BrokerClient, cell: Cell
+) -> None:
+    subscription_id = (await broker.subscriptions())[0]["id"]
+    path = f"{cell.url('context_broker')}/ngsi-ld/v1/subscriptions/{subscription_id}"
+
+    async def alert() -> dict[str, Any] | None:
+        found = await broker.query(type="Alert")
+        return next((one for one in found if "subscriptionChanged" in str(one.get("subCategory"))), None)
+
+    async def is_restored_after(method: str, change: dict[str, Any] | None) -> None:
+        async def is_restored() -> bool:
+            present = {one["id"]: one for one in await broker.subscriptions()}.get(subscription_id, {})
+            endpoint = present.get("notification", {}).get("endpoint", {})
+            is_ours = endpoint.get("uri") == f"{cell.url('lamp')}/notifications"
+            is_like_ours = present.get("isActive") is not False and "q" not in present
+            return is_ours and "receiverInfo" in endpoint and is_like_ours and await alert() is not None
+
+        async with httpx.AsyncClient(timeout=120) as http:
+            assert (await http.request(method, path, json=change)).status_code == 204
+        await until(is_restored, why=f"the lamp restores its subscription after {method} {change}")
+
+        async def is_over() -> bool:
+            raised = await alert()
+            return raised is not None and "validTo" in raised
+
+        await until(is_over, why="the Alert returns to normal")
+        found = await alert()
+        assert found is not None
+        await broker.delete(found["id"])
+
+    thief = {"notification": {"endpoint": {"uri": "http://127.0.0.1:9/thief"}}}
+    keyless = {"notification": {"endpoint": {"uri": f"{cell.url('lamp')}/notifications"}}}
+    for change in (thief, keyless, {"isActive": False}, {"q": "status==1"}):
+        await is_restored_after("PATCH", change)
+    await is_restored_after("DELETE", None)
+    task = a_task("after-the-restored", steps=1)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.COMPLETED)
