@@ -26,6 +26,7 @@ from services.context_broker.delivery.notifier import REQUEST_HEADERS
 from services.context_broker.extensions.federation import Federation, LocalOnly, wants_map
 from services.context_broker.extensions.snapshots import NoSnapshots, Snapshots, is_inside_snapshot
 from services.context_broker.model.problems import not_stored
+from services.context_broker.model.stored_documents import isolated
 from services.context_broker.operations.batch_operations import BatchOperations
 from services.context_broker.operations.context_operations import ContextOperations
 from services.context_broker.operations.discovery_operations import DiscoveryOperations
@@ -113,9 +114,11 @@ class Broker:
         """Load the journal, and start to notify."""
         await self.guard.__aenter__()
         for tenant, key, stored in self.journal.documents(DocumentKind.CONTEXT):
-            self.contexts.remember(tenant, key, stored)
+            with isolated(DocumentKind.CONTEXT.value, tenant, key, {}):
+                self.contexts.remember(tenant, key, stored)
         for _, key, stored in self.journal.documents(DocumentKind.CONTEXT_USAGE):
-            self.contexts.usage.remember(key, stored)
+            with isolated(DocumentKind.CONTEXT_USAGE.value, "", key, {}):
+                self.contexts.usage.remember(key, stored)
         self.tenants.load()
         self.tenants.commits.start()
         await self.tenants.keep_identity()

@@ -27,6 +27,8 @@ class SubscriptionDispatcher:
         self.outbound = outbound
         self._commits = commits
         self._workers: dict[str, DeliveryWorker] = {}
+        self.unusable: dict[str, str] = {}
+        """Stored subscriptions that cannot be used, with the reasons."""
 
     # Subscriptions
 

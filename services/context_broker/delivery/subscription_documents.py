@@ -10,6 +10,7 @@ from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.secrets import hidden_members, kept_members
+from services.context_broker.model.stored_documents import refuse_null, without_null
 from services.context_broker.model.validation import moment, require_name, shown
 from services.context_broker.query.parameters import Use, members_for
 from services.context_broker.query.type_selection import type_selection
@@ -38,15 +39,18 @@ _ENDPOINT: Final = ("uri", "receiverInfo", "notifierInfo")
 """Where an endpoint has secrets: its address first."""
 
 
-def kept_document(given: Any, context: Context, extra: frozenset[str] = frozenset()) -> dict[str, Any]:
+def kept_document(
+    given: Any, context: Context, extra: frozenset[str] = frozenset(), *, is_change: bool = False
+) -> dict[str, Any]:
     """Return the document to store for a subscription, or a part of one: its names are expanded.
 
-    `extra` are additional members that are allowed.
+    `extra` are additional members that are allowed. A change may have null, which deletes a member.
     """
     if not isinstance(given, dict):
         raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
     if given.get("type", "Subscription") != "Subscription":
         raise bad_request_data(f'the type of a subscription is "Subscription", not {shown(given["type"])}')
+    refuse_null(given, "a subscription", deleting=2 if is_change else 0)
     known = _KNOWN | extra
     if "temporalQ" in given and "temporalQ" not in extra:
         raise bad_request_data(
@@ -95,8 +99,8 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
         endpoint = kept_members(
             notification["endpoint"], known if isinstance(known, dict) else {}, *_ENDPOINT
         )
-        after["notification"] = _without_null({**notification, "endpoint": _without_null(endpoint)})
-    return _without_null(after)
+        after["notification"] = {**notification, "endpoint": endpoint}
+    return without_null(after)
 
 
 def names_things(change: Mapping[str, Any]) -> bool:
@@ -173,7 +177,3 @@ def _names(given: Any, what: str, context: Context) -> list[str]:
     if not isinstance(given, list) or not given:
         raise bad_request_data(f"{what} is a list with at least one attribute name, not {shown(given)}")
     return [expand(require_name(name, f"a name in {what}"), context.terms) for name in given]
-
-
-def _without_null(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in document.items() if value is not None}

@@ -24,6 +24,7 @@ from services.context_broker.federation.operations.source_subscription_operation
     SourceSubscriptionOperations,
 )
 from services.context_broker.federation.tenant_state import FederatedTenant, federated
+from services.context_broker.model.stored_documents import isolated
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
@@ -68,8 +69,9 @@ class BrokerFederation:
         return state
 
     async def restore(self, journal: Journal) -> None:
-        for name, _, body in journal.documents(DocumentKind.ENTITY_MAP):
-            federated(self._tenants.kept(name)).entity_maps.load(body)
+        for name, map_id, body in journal.documents(DocumentKind.ENTITY_MAP):
+            with isolated(DocumentKind.ENTITY_MAP.value, name, map_id, {}):
+                federated(self._tenants.kept(name)).entity_maps.load(body)
         registrations = documents_with_counts(journal, DocumentKind.REGISTRATION, DocumentKind.ATTEMPTS)
         subscriptions = documents_with_counts(journal, DocumentKind.SOURCE_SUBSCRIPTION, DocumentKind.COUNTS)
         for tenant in self._tenants:

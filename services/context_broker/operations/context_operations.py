@@ -36,7 +36,7 @@ class ContextOperations:
         """POST jsonldContexts: the @context is in the body, with any media type."""
         request.content_type()
         document = request.document()
-        if not isinstance(document, Mapping) or "@context" not in document:
+        if not isinstance(document, Mapping) or document.get("@context") is None:
             raise invalid_request('the body is an object with an "@context"; put the context there')
         added = await self._contexts.add(request.tenant.name, document["@context"])
         # Absolute, because the client uses it as the @context of its requests.

@@ -26,7 +26,14 @@ from services.context_broker.delivery.subscription_documents import (
 )
 from services.context_broker.model.context import Context
 from services.context_broker.model.owner import OWNER
-from services.context_broker.model.problems import already_exists, not_found, not_stored
+from services.context_broker.model.problems import already_exists, bad_request_data, not_found, not_stored
+from services.context_broker.model.stored_documents import (
+    is_unusable,
+    isolated,
+    require_id,
+    unusable_document,
+    without_null,
+)
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.ownership import owner_of, require_changeable, require_deletable
@@ -81,22 +88,21 @@ class SubscriptionOperations:
         """Return the dispatcher of a tenant's subscriptions."""
         return tenant.notifier
 
-    async def restore(self, tenant: Tenant, stored: Iterable[tuple[bytes, bytes | None]]) -> None:
+    async def restore(self, tenant: Tenant, stored: Iterable[tuple[str, bytes, bytes | None]]) -> None:
         """Load the stored subscriptions, each with its counts; their contexts are kept."""
         found: list[Subscription] = []
-        for body, counts in stored:
-            try:
+        for subscription_id, body, counts in stored:
+            with isolated(self.KIND.value, tenant.name, subscription_id, self.dispatcher(tenant).unusable):
                 restored = await self._restored(body)
-            except Problem as problem:  # a subscription that is not valid any more must not prevent the start
-                log.exception("a subscription cannot be used", why=problem.detail)
-                continue
-            if counts is not None:
-                restored.counts = Counts.restored(counts)
-            found.append(restored)
+                _require_readable(restored)
+                require_id(restored.id, subscription_id)
+                if counts is not None:
+                    restored.counts = Counts.restored(counts)
+                found.append(restored)
         self.dispatcher(tenant).start(found)
 
     async def _restored(self, body: bytes) -> Subscription:
-        document = orjson.loads(body)
+        document = without_null(orjson.loads(body))  # an earlier version stored null
         names = document.get(NAMES_IN)
         return subscription(
             document,
@@ -115,10 +121,8 @@ class SubscriptionOperations:
                 if before.context.is_made_of(context_id) or before.names.is_made_of(context_id):
                     try:
                         dispatcher.put(await self._restored(orjson.dumps(before.document)))
-                    except Problem as problem:  # it continues with its present context
-                        log.warning(
-                            "a subscription keeps its context", subscription=before.id, why=problem.detail
-                        )
+                    except Exception:  # it continues with its present context
+                        log.exception("a subscription keeps its context", subscription=before.id)
 
     async def create(self, request: RequestContext) -> Response:
         """POST subscriptions."""
@@ -139,7 +143,12 @@ class SubscriptionOperations:
         created = await self._with_link(request, created)
         async with self._one_at_a_time:
             tenant = request.tenant
-            if tenant.notifier.get(created.id) is not None or tenant.federation.has_subscription(created.id):
+            is_known = created.id in self.dispatcher(tenant).unusable
+            if (
+                is_known
+                or tenant.notifier.get(created.id) is not None
+                or tenant.federation.has_subscription(created.id)
+            ):
                 raise already_exists(
                     f"there is a subscription {created.id} already; update it, or choose another id"
                 )
@@ -150,7 +159,7 @@ class SubscriptionOperations:
     async def update(self, request: RequestContext) -> Response:
         """PATCH subscriptions/{id}."""
         given, context = await request.body()
-        change = kept_document(given, context, self.EXTRA_MEMBERS)
+        change = kept_document(given, context, self.EXTRA_MEMBERS, is_change=True)
         async with self._one_at_a_time:
             before = self._existing(request)
             names = context if names_things(change) else before.names
@@ -170,27 +179,42 @@ class SubscriptionOperations:
     async def delete(self, request: RequestContext) -> Response:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
-            before = self._existing(request)
-            require_deletable(request, before.id, before.owner, "subscription")
-            gone = (self.KIND, request.tenant.name, before.id)
-            counts = (DocumentKind.COUNTS, request.tenant.name, before.id)
+            dispatcher, named = self.dispatcher(request.tenant), request.names[0]
+            if named not in dispatcher.unusable:
+                before = self._existing(request)
+                require_deletable(request, before.id, before.owner, "subscription")
+            gone = (self.KIND, request.tenant.name, named)
+            counts = (DocumentKind.COUNTS, request.tenant.name, named)
             await self.write(request.tenant, Entries(documents={gone: None, counts: None}))
-            self.dispatcher(request.tenant).remove(before.id)
+            if dispatcher.unusable.pop(named, None) is None:
+                dispatcher.remove(named)
         return DONE
 
     async def retrieve(self, request: RequestContext) -> Response:
         """GET subscriptions/{id}."""
         media_type, context = request.accept(), await request.reader_context()
-        document = self._shown(self._existing(request), request, context)
+        reason = self.dispatcher(request.tenant).unusable.get(request.names[0])
+        document = (
+            self._shown(self._existing(request), request, context)
+            if reason is None
+            else unusable_document("Subscription", request.names[0], reason)
+        )
         return _answer(_with_context(document, media_type, context), media_type, context)
 
     async def list(self, request: RequestContext) -> Response:
         """GET subscriptions."""
         media_type, context = request.accept(), await request.reader_context()
         window = window_of(request)
-        found = self.dispatcher(request.tenant).all()
+        dispatcher = self.dispatcher(request.tenant)
+        found: list[Subscription | str] = [*dispatcher.all(), *dispatcher.unusable]
         page = found[window.offset : window.offset + window.limit]
-        documents = [_with_context(self._shown(one, request, context), media_type, context) for one in page]
+        shown = [
+            unusable_document("Subscription", one, dispatcher.unusable[one])
+            if isinstance(one, str)
+            else self._shown(one, request, context)
+            for one in page
+        ]
+        documents = [_with_context(one, media_type, context) for one in shown]
         answer = _answer(documents, media_type, context)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(len(found)).encode()))
@@ -200,6 +224,9 @@ class SubscriptionOperations:
 
     def _existing(self, request: RequestContext) -> Subscription:
         subscription_id = require_uri(request.names[0], "the subscription id in the path")
+        reason = self.dispatcher(request.tenant).unusable.get(subscription_id)
+        if reason is not None:
+            raise is_unusable("subscription", subscription_id, reason)
         found = self.dispatcher(request.tenant).get(subscription_id)
         if found is None:
             raise _absent(subscription_id)
@@ -216,7 +243,9 @@ class SubscriptionOperations:
         stored.pop(NAMES_IN, None)
         if names.key != used.key:
             stored[NAMES_IN] = names.document
-        return subscription(stored, used, names)
+        made = subscription(stored, used, names)
+        _require_readable(made)
+        return made
 
     async def _with_link(self, request: RequestContext, created: Subscription) -> Subscription:
         """Return the subscription with a context that has a URL for a Link header."""
@@ -251,7 +280,19 @@ class SubscriptionOperations:
     @staticmethod
     def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
-        return shown_document(stored, context, time.time(), sys_attrs=sys_attrs)
+        try:
+            return shown_document(stored, context, time.time(), sys_attrs=sys_attrs)
+        except Exception as error:  # the others of a list are shown
+            log.exception("a subscription cannot be shown", subscription=stored.id)
+            return unusable_document("Subscription", stored.id, str(error))
+
+
+def _require_readable(made: Subscription) -> None:
+    """Raise a problem (400) for a subscription that could not be shown to its readers."""
+    try:
+        orjson.dumps(shown_document(made, made.context, time.time(), sys_attrs=True))
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise bad_request_data(f"the subscription cannot be used: {error}; correct its members") from None
 
 
 def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from uuid import uuid4
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.secrets import kept_members, require_secrets_again
+from services.context_broker.model.stored_documents import is_unusable, isolated
 from services.context_broker.model.validation import inside, moment, outside, require_uri
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.document_responses import document_response, in_media_type
@@ -91,7 +92,10 @@ class BrokerSnapshots:
         Pending notifications are sent, interrupted creations fail, and content without a snapshot is deleted.
         """
         await self._snapshots.start()
-        pending = [restored(*stored) for stored in journal.documents(DocumentKind.SNAPSHOT_NOTIFICATION)]
+        kind, pending = DocumentKind.SNAPSHOT_NOTIFICATION, []
+        for stored in journal.documents(kind):
+            with isolated(kind.value, stored[0], stored[1], {}):
+                pending.append(restored(*stored))
         for notification in sorted(pending, key=lambda one: one.at):
             self.notifier.add(notification)
         ids: set[str] = set()
@@ -110,8 +114,8 @@ class BrokerSnapshots:
 
     def restore(self, journal: Journal) -> None:
         """Load the stored snapshots."""
-        for tenant, _, body in journal.documents(DocumentKind.SNAPSHOT):
-            self._snapshots.load(tenant, body)
+        for tenant, snapshot_id, body in journal.documents(DocumentKind.SNAPSHOT):
+            self._snapshots.load(tenant, snapshot_id, body)
 
     async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
         """Carry out an operation inside the snapshot that NGSILD-Snapshot names (clause 6.3.22)."""
@@ -177,6 +181,9 @@ class BrokerSnapshots:
     async def delete(self, request: RequestContext) -> Response:
         """DELETE snapshots/{id}."""
         async with self._snapshots.lock:
+            if request.names[0] in self._snapshots.unusable.get(request.tenant.name, {}):
+                await self._snapshots.remove_unusable(request.tenant, request.names[0])
+                return _DONE
             await self._snapshots.remove(request.tenant, self._existing(request.tenant, request.names[0]))
         return _DONE
 
@@ -204,6 +211,9 @@ class BrokerSnapshots:
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")
+        reason = self._snapshots.unusable.get(tenant.name, {}).get(snapshot_id)
+        if reason is not None:
+            raise is_unusable("snapshot", snapshot_id, reason)
         found = self._snapshots.of(tenant).get(snapshot_id)
         if found is None or found.expires_s <= time.time():
             raise not_found(

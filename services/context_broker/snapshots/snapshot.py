@@ -12,6 +12,7 @@ import orjson
 from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.secrets import hidden_members, kept_members
+from services.context_broker.model.stored_documents import refuse_null, require_id, without_null
 from services.context_broker.model.validation import (
     duration_s,
     moment,
@@ -101,10 +102,22 @@ class Snapshot:
         self.document["lastUsedAt"] = timestamp_now()
 
 
-def restored(body: bytes) -> dict[str, Snapshot]:
-    """Return a stored snapshot by its id."""
+def restored(snapshot_id: str, body: bytes) -> Snapshot:
+    """Return a stored snapshot. Raises an exception if it lacks what every operation needs."""
     document = orjson.loads(body)
-    return {document["id"]: Snapshot(document["id"], document)}
+    require_id(document["id"], snapshot_id)
+    snapshot = Snapshot(snapshot_id, document)
+    if not snapshot.expires_s or snapshot.status not in Status:
+        raise ValueError(f"it expires at {document['expiresAt']!r}")
+    for name, kind in (
+        ("snapshotPriority", int),
+        ("lastUsedAt", str),
+        ("createdAt", str),
+        ("modifiedAt", str),
+    ):
+        if not isinstance(document[name], kind):
+            raise TypeError(f"its {name} is {document[name]!r}")
+    return snapshot
 
 
 def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
@@ -138,6 +151,7 @@ def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
         raise bad_request_data(f"a snapshot is a JSON object, not {shown(given)}")
     if given.get("type", TYPE) != TYPE:
         raise bad_request_data(f'the type of a snapshot is "{TYPE}", not {shown(given["type"])}')
+    refuse_null(given, "a snapshot")
     if "id" in given and not require_uri(given["id"], "the snapshot id").isascii():
         raise bad_request_data("the id of a snapshot is used in headers; use ASCII characters")
     allowed = SETTABLE | {"id", "type", "@context"} | (set(QUERIES) if has_queries else set())
@@ -151,7 +165,8 @@ def require_valid_change(given: Any) -> Mapping[str, Any]:
     """Return the document of a change; raise a problem (400) if it is invalid."""
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(given)}")
-    _check_members(given, SETTABLE | {"@context", "type"})
+    refuse_null(given, "a snapshot", deleting=1)
+    _check_members(without_null(given), SETTABLE | {"@context", "type"})
     return given
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 from handover.background_tasks import BackgroundTasks
 from services.context_broker.model.problems import not_stored
+from services.context_broker.model.stored_documents import isolated
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.snapshots.content import deletion_entries
 from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot, restored
@@ -29,15 +30,18 @@ class SnapshotStore:
         self.notifier = SnapshotNotifier(tenants)
         self.lock = asyncio.Lock()
         self._by_tenant: dict[str, dict[str, Snapshot]] = {}
+        self.unusable: dict[str, dict[str, str]] = {}
+        """Stored snapshots that cannot be used, by tenant and id, with the reasons."""
         self.tasks = BackgroundTasks("snapshots")
 
     def of(self, tenant: Tenant) -> dict[str, Snapshot]:
         """Return the snapshots of a tenant by their id."""
         return self._by_tenant.setdefault(tenant.name, {})
 
-    def load(self, tenant: str, body: bytes) -> None:
+    def load(self, tenant: str, snapshot_id: str, body: bytes) -> None:
         """Load a stored snapshot."""
-        self._by_tenant.setdefault(tenant, {}).update(restored(body))
+        with isolated("snapshot", tenant, snapshot_id, self.unusable.setdefault(tenant, {})):
+            self._by_tenant.setdefault(tenant, {})[snapshot_id] = restored(snapshot_id, body)
 
     async def start(self) -> None:
         """Allow background tasks."""
@@ -86,6 +90,11 @@ class SnapshotStore:
         await self.delete_content(self._tenants.inside(tenant, snapshot.id))
         if notification is not None:
             self.notifier.add(notification)
+
+    async def remove_unusable(self, tenant: Tenant, snapshot_id: str) -> None:
+        """Delete a stored snapshot that cannot be used."""
+        await _write(tenant, Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, snapshot_id): None}))
+        del self.unusable[tenant.name][snapshot_id]
 
     async def delete_content(self, inner: Tenant) -> None:
         """Delete the content of a snapshot from the disk."""

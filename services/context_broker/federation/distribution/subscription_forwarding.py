@@ -54,6 +54,7 @@ from services.context_broker.federation.registrations.registration import Regist
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
+from services.context_broker.model.stored_documents import isolated
 from services.context_broker.model.validation import shown
 from services.context_broker.request.request_context import (
     JSON,
@@ -139,10 +140,8 @@ class SubscriptionForwarder:
 
     async def _restore(self, tenant: str, token: str, stored: bytes) -> None:
         """Load a forwarded subscription."""
-        try:
+        with isolated(DocumentKind.FORWARDED_SUBSCRIPTION.value, tenant, token, {}):
             self._forwarded[token] = await restored(token, tenant, stored, self._contexts)
-        except Problem as problem:
-            log.exception("forwarded subscription cannot be loaded", token=token, why=problem.detail)
 
     def schedule_alignment(self, tenant: Tenant) -> None:
         """Schedule an alignment of a tenant; changes in a row share one."""
@@ -208,12 +207,19 @@ class SubscriptionForwarder:
             for source in self._sources_of(tenant, subscription):
                 try:
                     dialect = await self._forwarder.dialect(source, subscription.names, body=JSON)
+                    document = forwarded_document(subscription, source, dialect)
                 except Problem as problem:
                     log.warning(
                         "@context of a source cannot be loaded", registration=source.id, why=problem.detail
                     )
                     continue
-                document = forwarded_document(subscription, source, dialect)
+                except Exception:  # the other subscriptions are forwarded
+                    log.exception(
+                        "a subscription is not forwarded",
+                        subscription=subscription.id,
+                        registration=source.id,
+                    )
+                    continue
                 wanted[subscription.id, source.id] = _Wanted(subscription, source, document, digest(document))
         return wanted
 

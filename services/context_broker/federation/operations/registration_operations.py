@@ -16,9 +16,11 @@ import orjson
 from handover.errors import Problem
 from handover.security.authentication import not_allowed
 from handover.security.permissions import Permission
+from handover.telemetry import get_logger
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.federation.registrations.registration import (
     SECRETS,
+    TYPE,
     Mode,
     Registration,
     shown_document,
@@ -34,8 +36,21 @@ from services.context_broker.federation.registrations.registry import claims
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.owner import OWNER
-from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
+from services.context_broker.model.problems import (
+    already_exists,
+    bad_request_data,
+    conflict,
+    not_found,
+    not_stored,
+)
 from services.context_broker.model.secrets import kept_members
+from services.context_broker.model.stored_documents import (
+    is_unusable,
+    isolated,
+    require_id,
+    unusable_document,
+    without_null,
+)
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.query.type_selection import of_types
@@ -56,6 +71,8 @@ from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.tenants import Tenant
+
+log = get_logger(__name__)
 
 DONE: Final = Response(204)
 MAX_TIMER_S: Final = 86400.0
@@ -83,14 +100,21 @@ class RegistrationOperations:
             Operation("DELETE", one, "deleteCSR", "6.9.3.3", self.delete),
         )
 
-    async def restore(self, tenant: Tenant, stored: Iterable[tuple[bytes, bytes | None]]) -> None:
+    async def restore(self, tenant: Tenant, stored: Iterable[tuple[str, bytes, bytes | None]]) -> None:
         """Load the stored registrations with their counts, in the order of their creation."""
-        documents = [(orjson.loads(body), counts) for body, counts in stored]
-        for document, counts in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
-            restored = registration(document, await self._contexts.as_before(document["context"]))
-            federated(tenant).registry.load(restored)
+        registry, kind = federated(tenant).registry, DocumentKind.REGISTRATION.value
+        loaded: list[tuple[Registration, bytes | None]] = []
+        for registration_id, body, counts in stored:
+            with isolated(kind, tenant.name, registration_id, registry.unusable):
+                document = without_null(orjson.loads(body))
+                restored = registration(document, await self._contexts.as_before(document["context"]))
+                _require_readable(restored)
+                require_id(restored.id, registration_id)
+                loaded.append((restored, counts))
+        for restored, counts in sorted(loaded, key=lambda one: str(one[0].document.get("createdAt"))):
+            registry.load(restored)
             if counts is not None:
-                federated(tenant).registry.restore_attempts(restored.id, counts)
+                registry.restore_attempts(restored.id, counts)
             self._schedule_expiry(tenant, restored)
 
     async def renew(self, tenant: Tenant, context_id: str) -> None:
@@ -99,7 +123,11 @@ class RegistrationOperations:
             for before in list(federated(tenant).registry):
                 if before.context.is_made_of(context_id):
                     context = await self._contexts.as_before(before.document["context"])
-                    renewed = registration(before.document, context).with_attempts_of(before)
+                    try:
+                        renewed = registration(before.document, context).with_attempts_of(before)
+                    except Exception:  # it continues with its present context
+                        log.exception("a registration keeps its context", registration=before.id)
+                        continue
                     federated(tenant).registry.put(renewed)
                     self._schedule_expiry(tenant, renewed)
 
@@ -121,10 +149,12 @@ class RegistrationOperations:
             context,
         )
         refuse_past(created.document)
+        _require_readable(created)
         _require_types(request, created)
         await _require_open(request.tenant, created)
         async with self._lock:
-            if federated(request.tenant).registry.get(created.id) is not None:
+            registry = federated(request.tenant).registry
+            if registry.get(created.id) is not None or created.id in registry.unusable:
                 raise already_exists(
                     f"there is a registration {created.id} already; update it, or choose another id"
                 )
@@ -136,7 +166,7 @@ class RegistrationOperations:
     async def update(self, request: RequestContext) -> Response:
         """PATCH csourceRegistrations/{id}."""
         given, context = await request.body()
-        change = kept_document(given, context)
+        change = kept_document(given, context, is_change=True)
         async with self._lock:
             before = _existing(request)
             require_changeable(request, before.id, before.owner, "registration")
@@ -147,6 +177,7 @@ class RegistrationOperations:
             }
             updated = registration(document, before.context).with_attempts_of(before)
             _require_types(request, updated)
+            _require_readable(updated)
             if "expiresAt" in change:
                 refuse_past(document)
             if "endpoint" in change:
@@ -159,7 +190,13 @@ class RegistrationOperations:
     async def delete(self, request: RequestContext) -> Response:
         """DELETE csourceRegistrations/{id}."""
         async with self._lock:
-            before, tenant = _existing(request), request.tenant
+            tenant, registry = request.tenant, federated(request.tenant).registry
+            if request.names[0] in registry.unusable:
+                key = (DocumentKind.REGISTRATION, tenant.name, request.names[0])
+                await _write(tenant, Entries(documents={key: None}))
+                del registry.unusable[request.names[0]]
+                return DONE
+            before = _existing(request)
             require_deletable(request, before.id, before.owner, "registration")
             gone = _deletion_of(tenant, before)
             await _write(tenant, gone)
@@ -171,7 +208,12 @@ class RegistrationOperations:
         """GET csourceRegistrations/{id}."""
         media_type, context = request.accept(), await request.reader_context()
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
-        document = shown_document(_existing(request), context, sys_attrs=sys_attrs)
+        reason = federated(request.tenant).registry.unusable.get(request.names[0])
+        document = (
+            shown_document(_existing(request), context, sys_attrs=sys_attrs)
+            if reason is None
+            else unusable_document(TYPE, request.names[0], reason)
+        )
         return document_response(in_media_type(document, media_type, context), media_type, context)
 
     async def search(self, request: RequestContext) -> Response:
@@ -237,8 +279,19 @@ def _require_types(request: RequestContext, candidate: Registration) -> None:
         raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
 
 
+def _require_readable(made: Registration) -> None:
+    """Raise a problem (400) for a registration that could not be shown to its readers."""
+    try:
+        orjson.dumps(shown_document(made, made.context, sys_attrs=True))
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise bad_request_data(f"the registration cannot be used: {error}; correct its members") from None
+
+
 def _existing(request: RequestContext) -> Registration:
     registration_id = require_uri(request.names[0], "the registration id in the path")
+    reason = federated(request.tenant).registry.unusable.get(registration_id)
+    if reason is not None:
+        raise is_unusable("registration", registration_id, reason)
     found = federated(request.tenant).registry.get(registration_id)
     if found is None:
         raise _absent(registration_id)

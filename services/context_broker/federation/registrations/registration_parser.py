@@ -27,6 +27,7 @@ from services.context_broker.model.geometry import fault_of
 from services.context_broker.model.owner import Owner
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.secrets import kept_members, require_secrets_again, without_secrets
+from services.context_broker.model.stored_documents import refuse_null
 from services.context_broker.model.validation import (
     TENANT,
     duration_s,
@@ -54,7 +55,7 @@ _FROM_THE_BROKER: Final = frozenset(
 _ATTRIBUTE_LISTS: Final = ("propertyNames", "relationshipNames")
 
 
-def kept_document(given: Any, context: Context) -> dict[str, Any]:
+def kept_document(given: Any, context: Context, *, is_change: bool = False) -> dict[str, Any]:
     """Return the document to store for a registration, or for an update, from a client's document.
 
     Members that the standard does not name are Context Source Properties, which filters (csf) can use. A null
@@ -64,6 +65,7 @@ def kept_document(given: Any, context: Context) -> dict[str, Any]:
         raise bad_request_data(f"a registration is a JSON object, not {shown(given)}")
     if given.get("type", TYPE) != TYPE:
         raise bad_request_data(f'the type of a registration is "{TYPE}", not {shown(given["type"])}')
+    refuse_null(given, "a registration", deleting=1 if is_change else 0)
     document: dict[str, Any] = {}
     properties: dict[str, Any] = {}
     for name, value in given.items():

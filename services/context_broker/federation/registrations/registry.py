@@ -40,6 +40,8 @@ class Registry:
         """Whether no request can concern a context source; check this first."""
         self.watchers: list[Watcher] = []
         """Called on the event loop after each change, except while loading."""
+        self.unusable: dict[str, str] = {}
+        """Stored registrations that cannot be used, with the reasons."""
         self._commits = commits
         self._all: dict[str, Registration] = {}
         self._places: dict[str, int] = {}

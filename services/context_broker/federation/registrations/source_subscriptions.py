@@ -13,6 +13,7 @@ from uuid import uuid4
 
 import orjson
 
+from handover.telemetry import get_logger
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import PeriodicNotifications
 from services.context_broker.delivery.subscription import Subscription
@@ -36,6 +37,8 @@ from services.context_broker.query.scope_query import scope_query
 from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import PendingNotification
+
+log = get_logger(__name__)
 
 
 class Reason(StrEnum):
@@ -126,13 +129,16 @@ def notices_of_change(
     for subscription in book.all():
         if subscription.interval_s is not None or not subscription.is_active(now_s):
             continue
-        search = search_of(subscription)
-        matched = before is not None and search.finds(before)
-        matches = after is not None and search.finds(after)
-        reason = _reason(matched=matched, matches=matches)
-        documents = after if matches else before
-        if reason is not None and documents is not None:
-            pending += _notices(book, subscription, search, [documents], reason)
+        try:
+            search = search_of(subscription)
+            matched = before is not None and search.finds(before)
+            matches = after is not None and search.finds(after)
+            reason = _reason(matched=matched, matches=matches)
+            documents = after if matches else before
+            if reason is not None and documents is not None:
+                pending += _notices(book, subscription, search, [documents], reason)
+        except Exception:  # a faulty subscription must not fail the registration of another client
+            log.exception("notification failed", subscription=subscription.id)
     return pending
 
 
