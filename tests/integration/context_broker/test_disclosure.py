@@ -1,8 +1,8 @@
 """No byte of an entity about the body of a person reaches a receiver whose owner may not read it.
 
-Two tenants hold the same things; one of them also has data about bodies. Whoever may not read these sees no
-difference between the tenants, whatever operation is used, and receives none of it, whoever causes the
-message. The values are words, so that a search for them finds every copy.
+Two tenants hold the same things; one of them also has data about bodies. A client that may not read these
+sees no difference between the tenants, whatever operation it uses, and receives none of them, no matter who
+causes the message. The values are words, so that a search for them finds every copy.
 """
 
 import itertools
@@ -163,8 +163,8 @@ READS = [
 ]  # fmt: skip
 
 
-def told(answer: httpx.Response) -> tuple[Any, ...]:
-    """Return what an answer says, without what differs between two equal requests."""
+def content_of(answer: httpx.Response) -> tuple[Any, ...]:
+    """Return the content of an answer, without what differs between two equal requests."""
     text = answer.text
     headers = {
         name: value
@@ -197,7 +197,7 @@ def test_answers_are_the_same_with_and_without_private_data(
     token = broker.script(*roles)[1]
     one, other = broker.client(token, **WITH_DATA), broker.client(token, **WITHOUT)
     for method, path, body in READS:
-        answers = [told(client.request(method, path, json=body)) for client in (one, other)]
+        answers = [content_of(client.request(method, path, json=body)) for client in (one, other)]
         assert answers[0] == answers[1], (method, path, body)
         assert PRIVATE not in str(answers[0]), (method, path)
 
@@ -253,7 +253,7 @@ def test_no_operation_changes_private_data_or_tells_whether_it_exists(broker: Se
     asked += [("POST", at, body) for at in ("/entities", "/temporal/entities") for body in (whole, as_device)]
     assert len(asked) > 100
     for method, path, body in asked:
-        answers = [told(client.request(method, path, json=body)) for client in (one, other)]
+        answers = [content_of(client.request(method, path, json=body)) for client in (one, other)]
         assert answers[0] == answers[1], (method, path, body)
         assert answers[0][0] in {207, 400, 403, 404}, (method, path, body, answers[0])
     purge = one.delete("/entities?type=HumanState")

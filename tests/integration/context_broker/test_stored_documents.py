@@ -71,7 +71,7 @@ WHOLE: dict[str, dict[str, Any]] = {
         "observationInterval": {"startAt": "2026-01-01T00:00:00Z", "endAt": "2027-01-01T00:00:00Z"},
         "expiresAt": "2099-01-01T00:00:00Z",
         "datasetId": ["@none"],
-        "floorLevel": {"type": "Property", "value": 1},
+        "level": {"type": "Property", "value": 1},
     },
     "/snapshots": {
         "id": "urn:ngsi-ld:Snapshot:{}",

@@ -253,7 +253,7 @@ async def test_a_forged_notification_publishes_nothing(shop: Any) -> None:
     (subscription,) = await shop.broker.subscriptions()
     endpoint = subscription["notification"]["endpoint"]
     uri, (pair,) = endpoint["uri"], endpoint["receiverInfo"]
-    (file,) = Path(shop.data_dir).glob("ros-bridge.notification-key")
+    (file,) = shop.cell.data_dir.glob("ros-bridge.notification-key")
     keyed = {pair["key"]: file.read_text()}
     for strange in STRANGE:
         assert httpx.post(uri, json=strange, headers=keyed, timeout=120).status_code in {204, 400}

@@ -48,7 +48,9 @@ def test_every_parameter_is_documented(table: tuple[Operation, ...]) -> None:
     )
 
 
-@pytest.mark.parametrize("heading", ["By path", "Parameters", "Headers and methods", "Context sources"])
+@pytest.mark.parametrize(
+    "heading", ["By path", "Parameters", "Headers and methods", "Context sources", "Stored documents"]
+)
 def test_every_row_names_a_clause_and_tests_that_are_there(heading: str) -> None:
     for what, cells in rows(heading).items():
         assert any(CLAUSE.fullmatch(cell) for cell in cells[:2]), what
