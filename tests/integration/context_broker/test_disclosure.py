@@ -223,7 +223,7 @@ CHANGES = {
 }
 
 
-def test_no_operation_changes_private_data_or_tells_whether_it_exists(broker: SecuredBroker) -> None:
+def test_no_operation_changes_private_data_or_says_whether_it_exists(broker: SecuredBroker) -> None:
     token = broker.script(Role.ENGINEER)[1]
     one, other = broker.client(token, **WITH_DATA), broker.client(token, **WITHOUT)
     doctor = broker.caller(*DOCTOR, **WITH_DATA)
