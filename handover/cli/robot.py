@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from handover.cli import case_study, robot_limits, robot_simulation
+from handover.cli.robot_shapes import print_comparison, print_shapes
 from handover.cli.robot_task import perform
 from handover.errors import UsageError
 from handover.settings import Settings
@@ -37,20 +38,29 @@ def add(  # noqa: PLR0917 - options of a command
         str | None,
         typer.Option("--tip", help="The link that is the tip of the tool; else the last one."),
     ] = None,
+    srdf: Annotated[
+        Path | None,
+        typer.Option("--srdf", help="An SRDF with pairs that need no check; else one beside the URDF."),
+    ] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Replace a robot of this name.")] = False,
     data_dir: DataDir = None,
 ) -> None:
-    """Make a robot folder from a URDF, with a report of what is missing or odd."""
+    """Make a robot folder from a URDF, with a report of what is missing or odd.
+
+    It fails if the shapes of two links refuse more than 2 % of the positions that their meshes allow.
+    """
     if not name.isascii() or not all(sign.isalnum() or sign in "_.-" for sign in name):
         raise UsageError(f'the name "{name}" may have letters, digits, "_", "." and "-" only')
     _require_planning()
     from services.trajectory_tool.onboarding.add import add_robot  # noqa: PLC0415 - needs the extra
     from services.trajectory_tool.robots.folder import robots_folder  # noqa: PLC0415
 
-    added = add_robot(source, name, into or robots_folder(_data_dir(data_dir)), tip=tip, replaces=replace)
+    folder = into or robots_folder(_data_dir(data_dir))
+    added = add_robot(source, name, folder, tip=tip, srdf=srdf, replaces=replace)
     model = added.model
     for finding in added.findings:
         print(f"{finding.level:<8} {finding.about}: {finding.text}")
+    print_comparison(added.comparison)
     print(f"{name}: {len(model.joints)} joints from the base to {model.tip}: {', '.join(model.joint_names)}")
     print(f"written to {added.folder}; correct its files there")
     named = name if into is None else str(added.folder)
@@ -67,6 +77,24 @@ def list_robots(data_dir: DataDir = None) -> None:
         print(f"{name:<24} {'of Handover' if name in ROBOTS.own else 'of a package'}")
     for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}")):
         print(f"{path.parent.name:<24} {path.parent}")
+
+
+@app.command()
+def shapes(  # noqa: PLR0917 - options of a command
+    name: Annotated[str, typer.Argument(help="The robot, as in HANDOVER_ROBOT_MODEL, or its folder.")],
+    meshes: Annotated[
+        str, typer.Option("--meshes", help="The URDF of the manufacturer, with its meshes beside it.")
+    ],
+    configurations: Annotated[
+        int, typer.Option("--configurations", min=1, help="How many random positions to compare.")
+    ] = 1000,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random positions.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    data_dir: DataDir = None,
+) -> None:
+    """Measure how far meshes are outside of the shapes of a robot, and what these refuse or allow falsely."""
+    _require_planning()
+    print_shapes(name, _data_dir(data_dir), meshes, configurations=configurations, seed=seed, as_json=json)
 
 
 @app.command()

@@ -298,7 +298,7 @@ def read_model(
     is used without `home`. `driver_scenes` take the place of `scene` for drivers by name.
     Raises `UsageError` that names the file and the fault.
     """
-    semantics = _semantics(srdf) if srdf is not None else Srdf()
+    semantics = load_srdf(srdf) if srdf is not None else Srdf()
     try:
         if urdf.stat().st_size > MAX_URDF_BYTES:
             raise UsageError(f"the robot description {urdf} has more than {MAX_URDF_BYTES >> 20} MB")
@@ -326,7 +326,8 @@ def read_model(
         raise UsageError(f"the robot description {urdf}: {fault}") from None
 
 
-def _semantics(srdf: Path) -> Srdf:
+def load_srdf(srdf: Path) -> Srdf:
+    """Return the content of an SRDF file. Raises `UsageError` that names the file and the fault."""
     try:
         return read_srdf(srdf.read_text(encoding="utf-8"))
     except OSError as error:

@@ -6,22 +6,42 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from lxml import etree
 
 from handover.errors import UsageError
 from handover.robot_xml import number_of
+from services.trajectory_tool.obstacles import World
 from services.trajectory_tool.onboarding import urdf
-from services.trajectory_tool.onboarding.semantics import Semantics, sample
+from services.trajectory_tool.onboarding.comparison import (
+    DEFAULT_CONFIGURATIONS,
+    MAX_FALSELY_REFUSED,
+    Comparison,
+    compare,
+    decide,
+    link_pairs,
+)
+from services.trajectory_tool.onboarding.hulls import Piece
+from services.trajectory_tool.onboarding.refinement import SEED, Shaping, unchecked_on_purpose
+from services.trajectory_tool.onboarding.semantics import FROM_SRDF, Semantics, home_of
 from services.trajectory_tool.onboarding.shapes import replace_meshes
 from services.trajectory_tool.onboarding.sources import find_urdf
-from services.trajectory_tool.onboarding.urdf import Examined, Finding, examine
+from services.trajectory_tool.onboarding.urdf import Examined, Finding, examine, read_urdf
+from services.trajectory_tool.planning.arm import Arm
+from services.trajectory_tool.planning.collision import Collisions
 from services.trajectory_tool.planning.planner import Planner
 from services.trajectory_tool.planning.torques import Torques
-from services.trajectory_tool.robot_model import MAX_URDF_BYTES, RobotModel
+from services.trajectory_tool.robot import Joints
+from services.trajectory_tool.robot_model import RobotModel, load_srdf
 from services.trajectory_tool.robots.folder import FILE, read_folder
+from services.trajectory_tool.srdf import Srdf
 
 DEFAULT_SAMPLES = 3000
+NOT_CHECKED = {
+    FROM_SRDF: "the SRDF disables the pair; remove its line there if they can collide",
+    "Always": "they touch in nearly all positions",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +51,8 @@ class Added:
     folder: Path
     model: RobotModel
     findings: tuple[Finding, ...]
+    comparison: Comparison
+    """How its shapes decide about self-collision, beside its meshes."""
 
 
 def add_robot(
@@ -39,55 +61,135 @@ def add_robot(
     into: Path,
     *,
     tip: str | None = None,
+    srdf: Path | None = None,
     samples: int = DEFAULT_SAMPLES,
     replaces: bool = False,
 ) -> Added:
-    """Write the folder `name` in `into`. Raises `UsageError` with every fault of the URDF."""
+    """Write the folder `name` in `into`. Raises `UsageError` with every fault of the URDF.
+
+    Without `srdf`, one that lies beside the URDF is read.
+    """
     folder = into / name
     if folder.exists() and not replaces:
         raise UsageError(f"the robot {folder} exists; choose another name, or replace it: --replace")
     path = find_urdf(source)
     try:
-        examined = examine(_text(path), tip)
-        replace_meshes(examined, path)
+        examined = examine(read_urdf(path), tip)
+        pieces = replace_meshes(examined, path)
     except UsageError as fault:
         raise UsageError("\n".join(f"{path}: {line}" for line in str(fault).splitlines())) from None
+    given = given_srdf(path, srdf, examined)
     into.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=into, prefix=f".{name}-") as made:
         _write(Path(made), name, examined)
-        model = read_folder(Path(made))
-        semantics = sample(model, samples, seed=1, meshes=examined.meshes)
-        if semantics.home is None:
-            raise UsageError(
-                f"{path}: no position of the joints is free of contact; check its collision shapes"
-            )
-        (Path(made) / f"{name}.srdf").write_bytes(semantics.written(name, model.joint_names))
-        model = read_folder(Path(made))
-        findings = [*examined.findings, *_of_the_model(model, semantics.checked)]
+        model, comparison = _settle(Path(made), name, examined, pieces, given=given, samples=samples)
+        _require_movable(path, comparison)
+        findings = [*examined.findings, *_of_the_model(model)]
         if folder.exists():
             shutil.rmtree(folder)
         shutil.copytree(made, folder)
-    return Added(folder, replace(model), tuple(findings))
+    return Added(folder, replace(model), tuple(findings), comparison)
 
 
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > MAX_URDF_BYTES:
-            raise UsageError(f"it has more than {MAX_URDF_BYTES >> 20} MB")
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"it cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise UsageError("not XML: it is not UTF-8") from None
+def _settle(
+    folder: Path, name: str, examined: Examined, pieces: dict[str, list[Piece]], *, given: Srdf, samples: int
+) -> tuple[RobotModel, Comparison]:
+    """Decide what is checked, by which shapes, and the named positions. Raises `UsageError`."""
+    shaping = Shaping(read_folder(folder), examined.root, pieces, examined.surfaces)
+    excluded = shaping.settle(given, samples)
+    arm = shaping.arm(excluded)
+    home = home_of(arm, SEED)
+    if home is None:
+        raise UsageError(f"{name}: no position of the joints is free of contact; check its collision shapes")
+    semantics = Semantics(excluded, {"home": home, **_given_poses(arm, given, examined.findings)})
+    _write_urdf(folder, name, examined)
+    (folder / f"{name}.srdf").write_bytes(semantics.written(name, arm.model.joint_names))
+    model = read_folder(folder)
+    arm = Arm(model)
+    decided = decide(arm, examined.surfaces, DEFAULT_CONFIGURATIONS, SEED + 1)
+    comparison = compare(arm, decided, unchecked_on_purpose(excluded))
+    examined.findings += [
+        Finding(
+            "warning",
+            f"{one.first}, {one.second}",
+            f"their meshes touch in {100 * one.touching:.1f} % of the positions, and they are not checked: "
+            f"{NOT_CHECKED[excluded[frozenset((one.first, one.second))]]}",
+        )
+        for one in comparison.unchecked
+    ]
+    return model, comparison
 
 
-def _write(folder: Path, name: str, examined: Examined) -> None:
+def _given_poses(arm: Arm, given: Srdf, findings: list[Finding]) -> dict[str, Joints]:
+    """Return the positions of the given SRDF that the arm can take."""
+    collisions, poses = Collisions(arm, World()), {}
+    for pose, values in given.poses.items():
+        joints = tuple(values.get(joint, 0.0) for joint in arm.model.joint_names)
+        if not set(values) & set(arm.model.joint_names):
+            continue
+        if not arm.is_within(np.array(joints)):
+            why = "it is outside of the limits of the joints"
+        elif (touching := collisions.contacts(np.array(joints))) != []:
+            why = f"{touching[0].first} touches {touching[0].second}"
+        else:
+            poses[pose] = joints
+            continue
+        text = f'its position "{pose}" is left out: {why}'
+        findings.append(Finding("warning", "SRDF", text))
+    return poses
+
+
+def given_srdf(urdf: Path, named: Path | None, examined: Examined) -> Srdf:
+    """Return the SRDF that is named, or that lies beside a URDF. Raises `UsageError` for one that is none."""
+    beside = sorted(urdf.parent.glob("*.srdf"))
+    own = [path for path in beside if path.stem == urdf.stem]
+    path = named or next(iter(own or (beside if len(beside) == 1 else [])), None)
+    if path is None:
+        if beside:
+            examined.findings.append(
+                Finding(
+                    "info",
+                    "SRDF",
+                    f"there are {len(beside)} beside the URDF, and none is called {urdf.stem}.srdf; "
+                    "none is read; name one: --srdf FILE",
+                )
+            )
+        return Srdf()
+    srdf = load_srdf(path)
+    links = {link.get("name") for link in examined.root.findall("link")}
+    pairs = frozenset(pair for pair in srdf.disabled_pairs if pair <= links and len(pair) == 2)
+    unknown = sorted({link for pair in srdf.disabled_pairs for link in pair if link not in links})
+    text = f"{path} is read: {len(pairs)} pairs of links that need no check, {len(srdf.poses)} positions"
+    if unknown:
+        text += f"; the URDF has no link {', '.join(unknown)}"
+    examined.findings.append(Finding("info", "SRDF", text))
+    return Srdf(pairs, srdf.poses)
+
+
+def _require_movable(path: Path, comparison: Comparison) -> None:
+    """Raise `UsageError` if the shapes of a pair refuse too much of what its meshes allow."""
+    faults = [
+        f"{path}: the shapes of {one.first} and {one.second} refuse {100 * one.falsely_refused:.1f} % of the "
+        f"positions that their meshes allow, and {100 * MAX_FALSELY_REFUSED:g} % are acceptable; give "
+        "one of them collision meshes of convex parts, or disable the pair in an SRDF if it never touches"
+        for one in comparison.pairs
+        if one.falsely_refused > MAX_FALSELY_REFUSED
+    ]
+    if faults:
+        raise UsageError("\n".join(faults))
+
+
+def _write_urdf(folder: Path, name: str, examined: Examined) -> None:
     examined.root.set("name", name)
     etree.indent(examined.root)
     (folder / f"{name}.urdf").write_bytes(
         etree.tostring(examined.root, xml_declaration=True, encoding="UTF-8")
     )
-    first = Semantics({}, 0, tuple(_start(joint) for joint in examined.movable))
+
+
+def _write(folder: Path, name: str, examined: Examined) -> None:
+    _write_urdf(folder, name, examined)
+    first = Semantics({}, {"home": tuple(_start(joint) for joint in examined.movable)})
     names = tuple(joint.get("name") for joint in examined.movable)
     (folder / f"{name}.srdf").write_bytes(first.written(name, names))
     speeds = {
@@ -114,8 +216,9 @@ def _start(joint: Any) -> float:
     return 0.0 if is_free else (lower + upper) / 2
 
 
-def _of_the_model(model: RobotModel, checked: int) -> list[Finding]:
+def _of_the_model(model: RobotModel) -> list[Finding]:
     planner = Planner(model)
+    checked = len(set(link_pairs(planner.collisions.geometry)))
     found = [
         Finding(
             "warning",

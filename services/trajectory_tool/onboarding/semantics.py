@@ -1,14 +1,16 @@
 """The SRDF of a robot: which pairs of links need no check, and a home position.
 
-As the Setup Assistant of MoveIt does: neighbours in the tree always touch; of the other pairs, those that
-touch in every sampled position and those that touch in none are disabled. Capsules and boxes are larger than
-the meshes in them, so where those touch, the meshes decide.
+Neighbours in the tree always touch, so they are disabled, as are the pairs that a given SRDF disables. Of the
+others, the meshes decide: pairs that touch in nearly all random positions are disabled, and so are those that
+never touch, if that is certain. It is for two links with two joints between them at most: their distance at
+the middle of a box of joint positions, less how far they approach at most within the box, is a lower bound
+for the whole box, and boxes are halved until it is above 0. All other pairs are checked.
 """
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,16 +18,15 @@ import pinocchio as pin
 from lxml import etree
 
 from services.trajectory_tool.obstacles import World
+from services.trajectory_tool.onboarding.comparison import Decided, link_pairs, shapes_within
 from services.trajectory_tool.planning.arm import Arm, Array
 from services.trajectory_tool.planning.collision import Collisions, link_of
 from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.srdf import LinkPair
-
-Meshes = Mapping[str, Sequence[tuple[Any, Any]]]
-"""The meshes of links, each with its placement in the frame of the link."""
+from services.trajectory_tool.srdf import LinkPair, Srdf
 
 ALWAYS_SHARE = 0.95
+MAX_JOINTS_BETWEEN = 2
+MAX_BOXES = 4000
 
 HOME_CLEARANCES_M = (0.03, 0.02, 0.01, 0.005, 0.0025)
 """The largest one that some position has. A motion needs 2 mm at its start, see `Options.margins_m`."""
@@ -34,113 +35,108 @@ DEXTERITY_SHARE = 0.3
 """Of the best sampled manipulability: at less, the tool is nearly stuck in some direction."""
 
 
+FROM_SRDF = "of the given SRDF"
+
+
 @dataclass(frozen=True, slots=True)
 class Semantics:
-    """Disabled pairs with their reason, and a home position without a contact; None if none was found."""
+    """Disabled pairs with their reason, and named positions."""
 
-    disabled: dict[LinkPair, str]
-    checked: int
-    home: Joints | None
+    disabled: Mapping[LinkPair, str] = field(default_factory=dict)
+    poses: Mapping[str, Joints] = field(default_factory=dict)
 
     def written(self, robot: str, joint_names: tuple[str, ...]) -> bytes:
         """Return the SRDF."""
         root = etree.Element("robot", name=robot)
-        if self.home is not None:
-            state = etree.SubElement(root, "group_state", name="home", group="arm")
-            for name, value in zip(joint_names, self.home, strict=True):
+        for pose, joints in self.poses.items():
+            state = etree.SubElement(root, "group_state", name=pose, group="arm")
+            for name, value in zip(joint_names, joints, strict=True):
                 etree.SubElement(state, "joint", name=name, value=f"{value:.6g}")
-        for pair, reason in sorted(self.disabled.items(), key=lambda item: sorted(item[0])):
-            first, second = sorted(pair)
-            etree.SubElement(root, "disable_collisions", link1=first, link2=second, reason=reason)
+        write_pairs(root, self.disabled)
         return bytes(etree.tostring(root, pretty_print=True, xml_declaration=True, encoding="UTF-8"))
 
 
-def sample(model: RobotModel, samples: int, seed: int, meshes: Meshes | None = None) -> Semantics:
-    """Return the semantics by checking random positions of the joints."""
-    random = np.random.default_rng(seed)
-    disabled: dict[LinkPair, str] = dict.fromkeys(_adjacent(model), "Adjacent")
-    model = replace(model, disabled_pairs=frozenset(disabled))
-    arm = Arm(model)
-    collisions = Collisions(arm, World())
-    geometry, data = collisions.geometry, pin.GeometryData(collisions.geometry)
-    names = [link_of(item.name) for item in geometry.geometryObjects]
-    pairs = [frozenset((names[pair.first], names[pair.second])) for pair in geometry.collisionPairs]
-    touches: dict[LinkPair, int] = dict.fromkeys(pairs, 0)
-    exact = _ExactPairs(arm, geometry, meshes or {})
-    for joints in random.uniform(arm.lower, arm.upper, (samples, arm.n)):
-        pin.computeCollisions(arm.pin_model, arm.data, geometry, data, joints, False)
-        touching = {
-            pair for pair, result in zip(pairs, data.collisionResults, strict=True) if result.isCollision()
-        }
-        for pair in touching:
-            touches[pair] += 1
-            exact.check(pair, joints)
-    for pair, count in touches.items():
-        if count == 0 or not exact.ever_touched(pair):
-            disabled[pair] = "Never"
-        elif count >= ALWAYS_SHARE * samples:
-            disabled[pair] = "Always"
-    checked = sum(1 for pair in touches if pair not in disabled)
-    settled = Arm(replace(model, disabled_pairs=frozenset(disabled)))
-    return Semantics(disabled, checked, _home(settled, random))
+def write_pairs(root: Any, disabled: Mapping[LinkPair, str]) -> None:
+    """Write the pairs that need no check into an SRDF, in place of the present ones."""
+    for written in root.findall("disable_collisions"):
+        root.remove(written)
+    for pair, reason in sorted(disabled.items(), key=lambda item: sorted(item[0])):
+        first, second = sorted(pair)
+        etree.SubElement(root, "disable_collisions", link1=first, link2=second, reason=reason)
+    etree.indent(root)
 
 
-class _ExactPairs:
-    """Pairs of links with the meshes that capsules and boxes replace: whether these ever touched."""
+def excluded_pairs(arm: Arm, decided: Decided, given: Srdf) -> dict[LinkPair, str]:
+    """Return the pairs that need no check, each with the reason.
 
-    def __init__(self, arm: Arm, fitted: Any, meshes: Meshes) -> None:
-        self._arm = arm
-        self._geometry = pin.GeometryModel()
-        self._of_link: dict[str, list[int]] = {}
-        for item in fitted.geometryObjects:
-            link = link_of(item.name)
-            if link not in meshes:
-                self._of_link.setdefault(link, []).append(self._geometry.addGeometryObject(item.copy()))
-        for link, shapes in meshes.items():
-            frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
-            for number, (placement, mesh) in enumerate(shapes):
-                item = pin.GeometryObject(
-                    f"{link}_{number}", frame.parentJoint, frame.placement * placement, mesh
-                )
-                self._of_link.setdefault(link, []).append(self._geometry.addGeometryObject(item))
-        self._data: Any = None
-        self._numbers: dict[LinkPair, list[int]] = {}
-        self._touched: set[LinkPair] = set()
-
-    def check(self, pair: LinkPair, joints: Array) -> None:
-        """Check a pair of links whose shapes touch, until it has once touched."""
-        if pair in self._touched:
-            return
-        if pair not in self._numbers:
-            first, second = sorted(pair)
-            self._numbers[pair] = []
-            for one, other in itertools.product(self._of_link[first], self._of_link[second]):
-                self._geometry.addCollisionPair(pin.CollisionPair(one, other))
-                self._numbers[pair].append(len(self._geometry.collisionPairs) - 1)
-            self._data = pin.GeometryData(self._geometry)
-        pin.updateGeometryPlacements(self._arm.pin_model, self._arm.data, self._geometry, self._data, joints)
-        if any(pin.computeCollision(self._geometry, self._data, number) for number in self._numbers[pair]):
-            self._touched.add(pair)
-
-    def ever_touched(self, pair: LinkPair) -> bool:
-        """Return whether the meshes of a pair touched in any position that was checked."""
-        return pair in self._touched
+    `arm` checks all pairs but neighbours and those of the given SRDF. For links without meshes their shapes
+    decide.
+    """
+    excluded = dict.fromkeys(given.disabled_pairs, FROM_SRDF) | dict.fromkeys(adjacent(arm), "Adjacent")
+    geometry = Collisions(arm, World()).geometry
+    names = link_pairs(geometry)
+    shapes = shapes_within(arm, decided.configurations, 0.0)
+    for pair in dict.fromkeys(names):
+        by = decided.touching if pair in decided.pairs else shapes
+        touched = sum(pair in touching for touching in by)
+        if touched >= ALWAYS_SHARE * len(by):
+            excluded[pair] = "Always"
+        elif touched == 0 and never_touches(
+            arm, geometry, [number for number, links in enumerate(names) if links == pair]
+        ):
+            excluded[pair] = "Never"
+    return excluded
 
 
-def _adjacent(model: RobotModel) -> set[LinkPair]:
-    root = etree.fromstring(model.urdf.encode(), etree.XMLParser(resolve_entities=False, no_network=True))
+def never_touches(arm: Arm, geometry: Any, numbers: list[int]) -> bool:
+    """Return whether it is certain that pairs of shapes of two links never touch."""
+    items = geometry.geometryObjects
+    pairs = [geometry.collisionPairs[number] for number in numbers]
+    ends = sorted((items[pairs[0].first].parentJoint, items[pairs[0].second].parentJoint))
+    between = slice(ends[0], ends[1])
+    if ends[1] - ends[0] > MAX_JOINTS_BETWEEN:
+        return False
+    outer = {max((pair.first, pair.second), key=lambda one: items[one].parentJoint) for pair in pairs}
+    approach = np.max([arm.reach_of(items[one])[between] for one in outer], axis=0)
+    half = (arm.upper - arm.lower)[between] / 2
+    half = np.where(arm.is_turning[between], np.minimum(half, math.pi), half)
+    data = pin.GeometryData(geometry)
+    joints = (arm.lower + arm.upper) / 2
+    boxes, checked = [(joints[between].copy(), half)], 0
+    while boxes:
+        middle, half = boxes.pop()
+        joints[between] = middle
+        pin.updateGeometryPlacements(arm.pin_model, arm.data, geometry, data, joints)
+        distance_m = min(pin.computeDistance(geometry, data, number).min_distance for number in numbers)
+        ways_m = approach * half
+        if distance_m > float(ways_m.sum()):
+            continue
+        checked += 1
+        if distance_m <= 0.0 or checked > MAX_BOXES:
+            return False
+        step = np.zeros(len(half))
+        widest = int(ways_m.argmax())
+        step[widest] = half[widest] / 2
+        boxes += [(middle - step, half - step), (middle + step, half - step)]
+    return True
+
+
+def adjacent(arm: Arm) -> set[LinkPair]:
+    """Return the pairs of links that share a joint, or are fixed to each other, and have shapes."""
+    links = dict.fromkeys(link_of(item.name) for item in arm.geometry.geometryObjects)
     return {
-        frozenset((joint.find("parent").get("link"), joint.find("child").get("link")))
-        for joint in root.findall("joint")
+        frozenset(pair)
+        for pair in itertools.combinations(links, 2)
+        if abs(arm.joint_of_link(pair[0]) - arm.joint_of_link(pair[1])) < 2
     }
 
 
-def _home(arm: Arm, random: np.random.Generator) -> Joints | None:
+def home_of(arm: Arm, seed: int) -> Joints | None:
     """Return a position with room around all links, from which the tool moves well in all directions.
 
     All joints at 0 if that is one, else the one nearest to the middle of the joints; None where none is free.
     """
-    collisions = Collisions(arm, World())
+    collisions, random = Collisions(arm, World()), np.random.default_rng(seed)
     middle = (arm.lower + arm.upper) / 2
     half = np.minimum((arm.upper - arm.lower) / 2, math.pi)  # a full turn leads to the same place
     zero = np.zeros(arm.n)

@@ -1,37 +1,33 @@
-"""Capsules, boxes and spheres that contain a mesh, for the check of collisions.
+"""Collision shapes in place of meshes: polytopes that contain them, each within a capsule or a box.
 
-A mesh is cut across where that makes the shapes around its pieces smaller; each piece gets the smallest of
-some capsules and boxes. They contain every triangle, so the robot is never smaller than its mesh.
+The polytopes are what planning checks, as `<hull>` of a collision element. The plain shapes around them are
+for readers of a URDF that need those: physics, and the volumes that other robots avoid. Both contain every
+triangle, so the robot is never smaller than its mesh.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from scipy.spatial import ConvexHull, QhullError
 
 from handover.errors import UsageError
-from services.trajectory_tool.onboarding.sources import find_mesh
+from services.trajectory_tool.onboarding.hulls import Piece, pieces_of
+from services.trajectory_tool.onboarding.meshes import mesh_of, read_surface, vector_of
 from services.trajectory_tool.onboarding.urdf import Examined, Finding
 from services.trajectory_tool.planning.arm import Array
-from services.trajectory_tool.planning.collision import MAX_MESH_BYTES, mesh_fault
 
 MIN_RADIUS_M, MIN_SIZE_M = 0.005, 0.01
 ROD_OF_LENGTH = 0.15
 """The radius of a link without any shape, as a share of its length."""
 MAX_SIZE_M = 20.0
-
-MAX_PIECES = 4
-CUTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Where a mesh is cut, as shares of its extent."""
-WORTH_A_CUT, LEAST_GAIN_M3 = 0.93, 2e-5
-"""A cut must leave less than this share of the volume, and save so much: pieces make pairs to check."""
-MANY_POINTS = 50
+PIECE = "_shape_"
+PADDING_M = 1e-5
+"""Plain shapes are larger by this much than what they contain, so that rounded numbers still do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,32 +39,58 @@ class Fitted:
     volume_m3: float
 
 
-def replace_meshes(examined: Examined, urdf: Path) -> None:
-    """Give every link plain collision shapes; the meshes leave the URDF. Raises `UsageError`."""
-    fitted: list[str] = []
+def replace_meshes(examined: Examined, urdf: Path) -> dict[str, list[Piece]]:
+    """Give every link plain collision shapes; the meshes leave the URDF. Raises `UsageError`.
+
+    Returns the pieces of the links that had meshes.
+    """
+    pieces: dict[str, list[Piece]] = {}
     for link in examined.root.findall("link"):
+        name = link.get("name")
         shapes = [one for one in link.findall("collision") if one.find("geometry") is not None]
         by_visual = not shapes
         for shape in shapes or [one for one in link.findall("visual") if one.find("geometry") is not None]:
-            if _has_mesh(shape):
-                for found in _fit_mesh(shape, urdf, link.get("name"), examined):
-                    _add_collision(link, found)
-                    fitted.append(link.get("name"))
+            _require_plausible(name, shape)
+            surface = read_surface(shape, urdf, name, examined.findings)
+            if surface is not None:
+                examined.surfaces.setdefault(name, []).append(surface)
+            if mesh_of(shape) is not None:
+                if surface is not None:
+                    pieces.setdefault(name, []).extend(pieces_of(surface.triangles))
             elif by_visual:
                 _copy_as_collision(link, shape)
         for one in (*link.findall("collision"), *link.findall("visual")):
-            if one.find("geometry") is None or _has_mesh(one):
+            if one.find("geometry") is None or mesh_of(one) is not None:
                 link.remove(one)
-        if by_visual and link.find("collision") is not None:
+        if by_visual and (name in pieces or link.find("collision") is not None):
             examined.findings.append(
-                Finding("warning", link.get("name"), "no collision geometry; its visual shapes are used")
+                Finding("warning", name, "no collision geometry; its visual shapes are used")
             )
+    write_pieces(examined.root, pieces)
+    for link in examined.root.findall("link"):
         for shape in link.findall("collision"):
             _require_plausible(link.get("name"), shape)
-    if fitted:
-        names = ", ".join(dict.fromkeys(fitted))
-        examined.findings.append(Finding("info", names, "capsules and boxes replace its meshes"))
+    if pieces:
+        examined.findings.append(
+            Finding("info", ", ".join(pieces), "convex hulls in capsules and boxes replace its meshes")
+        )
     _add_rods(examined)
+    return pieces
+
+
+def write_pieces(root: Any, pieces: Mapping[str, Sequence[Piece]]) -> None:
+    """Write the shapes of pieces into their links, in place of the ones that have been written before."""
+    for link in root.findall("link"):
+        name = link.get("name")
+        if name not in pieces:
+            continue
+        for written in [one for one in link.findall("collision") if one.find("hull") is not None]:
+            link.remove(written)
+        for listed in link.findall("collision_checking/capsule"):
+            if str(listed.get("name")).startswith(f"{name}{PIECE}"):
+                listed.getparent().remove(listed)
+        for number, piece in enumerate(pieces[name]):
+            _add_collision(link, fit(piece.corners), f"{name}{PIECE}{number}", piece.corners)
 
 
 def fit(points: Array) -> Fitted:
@@ -90,7 +112,7 @@ def fit(points: Array) -> Fitted:
 def _box(points: Array, axes: Array, centre: Array) -> Fitted:
     local = points @ axes.T
     low, high = local.min(axis=0), local.max(axis=0)
-    size = np.maximum(high - low, MIN_SIZE_M)
+    size = np.maximum(high - low + 2 * PADDING_M, MIN_SIZE_M)
     placement = pin.SE3(axes.T, centre + axes.T @ ((low + high) / 2))
     return Fitted(placement, tuple(size.tolist()), float(np.prod(size)))
 
@@ -100,7 +122,7 @@ def _capsule(points: Array, axes: Array, centre: Array) -> Fitted:
     local = points @ axes.T
     middle = (local.min(axis=0) + local.max(axis=0)) / 2
     along = local - middle
-    radius = max(float(np.hypot(along[:, 1], along[:, 2]).max()), MIN_RADIUS_M)
+    radius = max(float(np.hypot(along[:, 1], along[:, 2]).max()) + PADDING_M, MIN_RADIUS_M)
     # The half spheres cover what is beyond the ends of the cylinder: as far as each vertex leaves room.
     room = np.sqrt(np.maximum(radius**2 - along[:, 1] ** 2 - along[:, 2] ** 2, 0.0))
     half = max(float((np.abs(along[:, 0]) - room).max()), 0.0)
@@ -109,128 +131,15 @@ def _capsule(points: Array, axes: Array, centre: Array) -> Fitted:
     return Fitted(pin.SE3(to_z, centre + axes.T @ middle), (radius, 2 * half), volume)
 
 
-def fit_pieces(triangles: Array, most: int = MAX_PIECES) -> list[Fitted]:
-    """Return shapes that together contain a mesh of n x 3 corners: cut where that makes them smaller."""
-    pieces = [(triangles, fit(_hull(triangles)))]
-    is_settled: list[tuple[Array, Fitted]] = []
-    while pieces and len(pieces) + len(is_settled) < most:
-        pieces.sort(key=lambda piece: piece[1].volume_m3)
-        largest = pieces.pop()
-        halves = _halves(*largest)
-        if halves is None:
-            is_settled.append(largest)
-        else:
-            pieces += halves
-    return [shape for _, shape in (*pieces, *is_settled)]
-
-
-def _halves(triangles: Array, whole: Fitted) -> list[tuple[Array, Fitted]] | None:
-    """Return both sides of the cut across an axis of the shape that leaves the least volume."""
-    best = None
-    least_m3 = min(WORTH_A_CUT * whole.volume_m3, whole.volume_m3 - LEAST_GAIN_M3)
-    for axis in whole.placement.rotation.T:
-        heights = triangles @ axis
-        low, high = float(heights.min()), float(heights.max())
-        for share in CUTS:
-            at = low + share * (high - low)
-            sides = [
-                side for side in (_beyond(triangles, axis, at), _beyond(triangles, -axis, -at)) if len(side)
-            ]
-            shapes = [fit(_hull(side)) for side in sides]
-            volume_m3 = sum(shape.volume_m3 for shape in shapes)
-            if len(sides) == 2 and volume_m3 < least_m3:
-                best, least_m3 = list(zip(sides, shapes, strict=True)), volume_m3
-    return best
-
-
-def _beyond(triangles: Array, axis: Array, at: float) -> Array:
-    """Return the triangles where `axis` is above `at`, those on both sides cut there."""
-    above = triangles @ axis - at
-    count = (above > 0).sum(axis=1)
-    kept = [triangles[count == 3]]
-    for corners in (1, 2):
-        cut, heights = triangles[count == corners], above[count == corners]
-        if not len(cut):
-            continue
-        # Turn each triangle so that the corner that is alone on its side is the first one.
-        alone = np.argmax((heights > 0) == (corners == 1), axis=1)
-        order = (alone[:, None] + np.arange(3)) % 3
-        first, second, third = np.moveaxis(np.take_along_axis(cut, order[..., None], axis=1), 1, 0)
-        a, b, c = np.take_along_axis(heights, order, axis=1).T
-        to_second = first + (a / (a - b))[:, None] * (second - first)
-        to_third = first + (a / (a - c))[:, None] * (third - first)
-        if corners == 1:
-            kept.append(np.stack([first, to_second, to_third], axis=1))
-        else:
-            kept.append(np.stack([second, third, to_second], axis=1))
-            kept.append(np.stack([third, to_third, to_second], axis=1))
-    return np.concatenate(kept)
-
-
-def _hull(triangles: Array) -> Array:
-    """Return the corners of the convex hull: a shape that contains them contains everything between them."""
-    points = np.unique(triangles.reshape(-1, 3), axis=0)
-    if len(points) <= MANY_POINTS:
-        return points
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except QhullError:  # flat
-        return points
-
-
-def _has_mesh(shape: Any) -> bool:
-    return shape.find("geometry").find("mesh") is not None
-
-
-def _fit_mesh(shape: Any, urdf: Path, link: str, examined: Examined) -> list[Fitted]:
-    findings = examined.findings
-    mesh = shape.find("geometry").find("mesh")
-    name = mesh.get("filename", "")
-    file = find_mesh(name, urdf)
-    if file is None:
-        findings.append(Finding("warning", link, f"the mesh {name} was not found"))
-        return []
-    if (size := file.stat().st_size) > MAX_MESH_BYTES:
-        raise UsageError(
-            f'the mesh {file} of "{link}" has {size >> 20} MB; reduce it to {MAX_MESH_BYTES >> 20} MB at most'
-        )
-    scale = _vector(mesh.get("scale"), 1.0)
-    try:
-        mesh_model = coal.MeshLoader().load(str(file), scale)
-        points = np.asarray(mesh_model.vertices(), dtype=np.float64).reshape(-1, 3)
-        corners = [mesh_model.tri_indices(number) for number in range(mesh_model.num_tris)]
-    except (ValueError, RuntimeError) as error:
-        findings.append(Finding("warning", link, f"the mesh {file.name} cannot be read: {mesh_fault(error)}"))
-        return []
-    if len(points) < 4 or not np.isfinite(points).all():
-        findings.append(Finding("warning", link, f"the mesh {file.name} has no volume"))
-        return []
-    origin = shape.find("origin")
-    xyz, rpy = (_vector(None if origin is None else origin.get(one), 0.0) for one in ("xyz", "rpy"))
-    origin_of_mesh = pin.SE3(pin.rpy.rpyToMatrix(*rpy.tolist()), xyz)
-    examined.meshes.setdefault(link, []).append((origin_of_mesh, mesh_model))
-    return [
-        Fitted(origin_of_mesh * found.placement, found.size, found.volume_m3)
-        for found in fit_pieces(points[[[one[0], one[1], one[2]] for one in corners]])
-    ]
-
-
-def _vector(written: str | None, default: float) -> Array:
-    try:
-        values = np.array([float(part) for part in (written or "").split()])
-    except ValueError:
-        values = np.array([math.nan])
-    return values if values.shape == (3,) and np.isfinite(values).all() else np.full(3, default)
-
-
-def _add_collision(link: Any, found: Fitted) -> None:
-    number = len(link.findall("collision"))
-    name = f"{link.get('name')}_shape_{number}"
+def _add_collision(link: Any, found: Fitted, name: str, corners: Array | None = None) -> None:
     collision = etree.SubElement(link, "collision", name=name)
-    xyz = " ".join(f"{value:.6g}" for value in found.placement.translation.tolist())
-    rpy = " ".join(f"{value:.6g}" for value in pin.rpy.matrixToRpy(found.placement.rotation).tolist())
-    etree.SubElement(collision, "origin", xyz=xyz, rpy=rpy)
+    xyz = np.round(found.placement.translation, 6)
+    rpy = np.round(pin.rpy.matrixToRpy(found.placement.rotation), 7)
+    etree.SubElement(collision, "origin", xyz=_written(xyz), rpy=_written(rpy))
     geometry = etree.SubElement(collision, "geometry")
+    if corners is not None:
+        local = (corners - xyz) @ pin.rpy.rpyToMatrix(*rpy.tolist())
+        etree.SubElement(collision, "hull").text = "  ".join(_written(corner) for corner in local.round(5))
     if len(found.size) == 3:
         etree.SubElement(geometry, "box", size=" ".join(f"{value:.6g}" for value in found.size))
         return
@@ -240,6 +149,10 @@ def _add_collision(link: Any, found: Fitted) -> None:
     if checking is None:
         checking = etree.SubElement(link, "collision_checking")
     etree.SubElement(checking, "capsule", name=name)
+
+
+def _written(values: Array) -> str:
+    return " ".join(f"{value + 0.0:.7g}" for value in values.tolist())
 
 
 def _copy_as_collision(link: Any, visual: Any) -> None:
@@ -255,14 +168,15 @@ def _add_rods(examined: Examined) -> None:
     for joint in examined.chain:
         link = named[joint.find("parent").get("link")]
         origin = joint.find("origin")
-        end = _vector(None if origin is None else origin.get("xyz"), 0.0)
+        end = vector_of(None if origin is None else origin.get("xyz"), 0.0)
         length = float(np.linalg.norm(end))
         if link.find("collision") is not None or length < 2 * MIN_SIZE_M:
             continue
         along = end / length
         rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
         radius = max(ROD_OF_LENGTH * length, MIN_RADIUS_M)
-        _add_collision(link, Fitted(pin.SE3(rotation, end / 2), (radius, length), 0.0))
+        rod = Fitted(pin.SE3(rotation, end / 2), (radius, length), 0.0)
+        _add_collision(link, rod, f"{link.get('name')}_rod")
         examined.findings.append(
             Finding(
                 "warning",

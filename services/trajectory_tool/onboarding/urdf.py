@@ -7,12 +7,14 @@ that are no numbers. Completed, with a finding, is what a URDF may leave out.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from lxml import etree
 
 from handover.errors import UsageError
 from handover.robot_xml import number_of, parse_robot_xml, tree_faults
+from services.trajectory_tool.robot_model import MAX_URDF_BYTES
 
 Level = Literal["info", "warning", "error"]
 
@@ -39,19 +41,31 @@ class Finding:
 class Examined:
     """A checked tree: `root` is the completed XML, `chain` the joints from the root link to `tip`.
 
-    `meshes` are the collision meshes of links, each with its placement in the frame of the link.
+    `surfaces` are the shapes of links as the URDF has them, see `meshes.Surfaces`.
     """
 
     root: Any
     tip: str
     chain: list[Any]
     findings: list[Finding] = field(default_factory=list)
-    meshes: dict[str, list[tuple[Any, Any]]] = field(default_factory=dict)
+    surfaces: dict[str, list[Any]] = field(default_factory=dict)
 
     @property
     def movable(self) -> list[Any]:
         """Return the movable joints of the chain."""
         return [joint for joint in self.chain if joint.get("type") != "fixed"]
+
+
+def read_urdf(path: Path) -> str:
+    """Return the text of a URDF file. Raises `UsageError`."""
+    try:
+        if path.stat().st_size > MAX_URDF_BYTES:
+            raise UsageError(f"it has more than {MAX_URDF_BYTES >> 20} MB")
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"it cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError("not XML: it is not UTF-8") from None
 
 
 def examine(text: str, tip: str | None = None) -> Examined:
@@ -234,12 +248,23 @@ def _beside(root: Any, chain: list[Any]) -> Iterator[Finding]:
         yield Finding("info", joint.get("name"), text)
 
 
+def _complete_inertia(inertial: Any) -> None:
+    """Write what an inertia leaves out: the library for planning drops all shapes of a link without it."""
+    for tag, attributes in (("mass", ("value",)), ("inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))):
+        element = inertial.find(tag)
+        element = etree.SubElement(inertial, tag) if element is None else element
+        for attribute in attributes:
+            if not math.isfinite(number_of(element, attribute) or 0.0) or element.get(attribute) is None:
+                element.set(attribute, "0")
+
+
 def _inertias(root: Any) -> Iterator[Finding]:
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is None:
             continue
         mass = number_of(inertial.find("mass"), "value") or 0.0
+        _complete_inertia(inertial)
         moments = [number_of(inertial.find("inertia"), axis) or 0.0 for axis in ("ixx", "iyy", "izz")]
         if mass <= 0 or not math.isfinite(mass) or not all(moment > 0 for moment in moments):
             yield Finding("warning", link.get("name"), "zero or negative inertia; its torques are unknown")

@@ -1,7 +1,10 @@
 """The kinematics of an arm by pinocchio, made from a robot model.
 
 Joints beside the chain to the tool, such as fingers, are locked. The collision geometry comes from the
-`<collision>` elements of the URDF; cylinders that `<collision_checking>` lists are capsules.
+`<collision>` elements of the URDF; cylinders that `<collision_checking>` lists are capsules. An element may
+have a `<hull>` beside its `<geometry>`, which other readers of a URDF skip: the corners of a convex polytope
+within the plain shape, as x y z in m in the frame of its `<origin>`. The polytope is what is checked for
+collision, and the plain shape is what has to be simple: obstacles for other robots, bodies in the physics.
 """
 
 import math
@@ -20,6 +23,7 @@ from services.trajectory_tool.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+MIN_HULL_M = 1e-4
 CONTINUOUS_RANGE_RAD = 2 * math.pi
 """A continuous joint is planned within one full turn in both directions."""
 
@@ -27,6 +31,7 @@ CONTINUOUS_RANGE_RAD = 2 * math.pi
 class Arm:
     """A robot model for computations; not thread-safe, so each thread makes its own.
 
+    `geometry` has the shapes that are checked for collision, `solids` the plain shapes around them.
     Raises `UsageError` for a URDF that pinocchio cannot use.
     """
 
@@ -34,7 +39,8 @@ class Arm:
         self.model = model
         self.n = len(model.joints)
         try:
-            self.pin_model, self.geometry = _built(model)
+            self.pin_model, self.solids = _built(model)
+            self.geometry = _with_hulls(self.solids, read_hulls(model.urdf))
         except (ValueError, RuntimeError) as error:
             raise UsageError(f"the URDF of {model.name} cannot be used for planning: {error}") from None
         self.data = self.pin_model.createData()
@@ -137,6 +143,10 @@ class Arm:
             across = max(_across(end, self._axis(number)) for end in ends)
             bounds[number - 1] = across + item.geometry.radius
             far = max(float(np.linalg.norm(end)) for end in ends) + item.geometry.radius
+        if isinstance(item.geometry, coal.ConvexBase):
+            corners = corners_of(item.geometry) @ item.placement.rotation.T + item.placement.translation
+            bounds[number - 1] = max(_across(corner, self._axis(number)) for corner in corners)
+            far = float(np.linalg.norm(corners, axis=1).max())
         while number > 1:
             offset = self.pin_model.jointPlacements[number].translation
             travel = 0.0 if self.is_turning[number - 1] else float(np.abs(self._range(number)).max())
@@ -191,8 +201,86 @@ def _built(model: RobotModel) -> tuple[Any, Any]:
         raise ValueError(
             f"its joints are {', '.join(names)}, and {', '.join(model.joint_names)} are expected"
         )
+    _require_shapes(text, geometry)
     _mount(reduced, geometry, _se3(model.base))
     return reduced, geometry
+
+
+def _require_shapes(urdf: str, geometry: Any) -> None:
+    """Raise `ValueError` for links whose collision shapes the reader of the URDF has dropped.
+
+    It does so for a fault elsewhere in the link, such as an inertia without `ixy`, with a line on stderr.
+    """
+    names = {item.name for item in geometry.geometryObjects}
+    dropped = [
+        str(link.get("name"))
+        for link in etree.fromstring(urdf.encode(), _parser()).findall("link")
+        for number, collision in enumerate(link.findall("collision"))
+        if collision.find("geometry") is not None and f"{link.get('name')}_{number}" not in names
+    ]
+    if dropped:
+        raise ValueError(
+            f"the collision shapes of {', '.join(dict.fromkeys(dropped))} cannot be read; give their "
+            "<inertial> all of mass, ixx, ixy, ixz, iyy, iyz and izz, and their <geometry> valid sizes"
+        )
+
+
+def read_hulls(urdf: str) -> dict[str, Array]:
+    """Return the corners of the `<hull>` elements by the names that pinocchio gives their shapes.
+
+    Raises `ValueError` for one that has no volume.
+    """
+    hulls: dict[str, Array] = {}
+    for link in etree.fromstring(urdf.encode(), _parser()).findall("link"):
+        for number, collision in enumerate(link.findall("collision")):
+            if (corners := hull_of(collision)) is not None:
+                hulls[f"{link.get('name')}_{number}"] = corners
+    return hulls
+
+
+def hull_of(collision: Any) -> Array | None:
+    """Return the corners of the `<hull>` of a collision element; None without one. Raises `ValueError`."""
+    hull = collision.find("hull")
+    if hull is None:
+        return None
+    try:
+        corners = np.array([float(value) for value in (hull.text or "").split()]).reshape(-1, 3)
+    except ValueError:
+        corners = np.zeros((0, 3))
+    if len(corners) < 4 or not np.isfinite(corners).all():
+        raise ValueError(
+            f'the <hull> of the shape "{collision.get("name", "")}" must have the x y z of four corners or '
+            "more; without a <hull> its <geometry> is checked"
+        )
+    return corners
+
+
+def convex(corners: Array) -> Any:
+    """Return the convex hull of points as a shape of coal. Raises `ValueError` where it has no volume."""
+    thickness_m = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)[-1]
+    if thickness_m < MIN_HULL_M:  # coal ends the process for some
+        raise ValueError(f"a <hull> is thinner than {MIN_HULL_M} m; leave it out, or make it thicker")
+    points = coal.StdVec_Vec3s()
+    for corner in corners:
+        points.append(corner)
+    return coal.Convex.convexHull(points, True, "Qt")
+
+
+def corners_of(shape: Any) -> Array:
+    """Return the corners of a convex shape of coal, in its own frame."""
+    return np.array([shape.point(number) for number in range(shape.num_points)])
+
+
+def _with_hulls(solids: Any, hulls: dict[str, Array]) -> Any:
+    geometry = solids.copy()
+    for item in geometry.geometryObjects:
+        if item.name in hulls:
+            item.geometry = convex(hulls[item.name])
+    return geometry
+
+
+def _parser() -> Any:
+    return etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True)
 
 
 def _mount(model: Any, geometry: Any, base: Any) -> None:
@@ -210,8 +298,7 @@ def _mount(model: Any, geometry: Any, base: Any) -> None:
 
 def _without_continuous(urdf: str) -> str:
     """Return the URDF with continuous joints as revolute ones: pinocchio describes those by two numbers."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True)
-    root = etree.fromstring(urdf.encode(), parser)
+    root = etree.fromstring(urdf.encode(), _parser())
     for joint in root.findall("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")

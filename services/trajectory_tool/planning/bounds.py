@@ -13,7 +13,7 @@ from typing import Any
 import coal
 import numpy as np
 
-from services.trajectory_tool.planning.arm import Arm, Array
+from services.trajectory_tool.planning.arm import Arm, Array, corners_of
 from services.trajectory_tool.planning.link_points import LinkPoints
 
 MAX_SPHERES = 4
@@ -118,6 +118,8 @@ def _spheres(shape: Any) -> tuple[list[Array], float]:
     beside = np.delete(half, longest)
     is_capsule = isinstance(shape, coal.Capsule)
     across = float(shape.radius) if isinstance(shape, coal.Capsule | coal.Cylinder) and longest == 2 else 0.0
+    if isinstance(shape, coal.ConvexBase):
+        across = float(np.linalg.norm(np.delete(corners_of(shape) - centre, longest, axis=1), axis=1).max())
     across = across or float(np.linalg.norm(beside))
     along = float(shape.halfLength) if is_capsule else float(half[longest])
     count = min(max(round(along / max(across, 1e-9)), 1), MAX_SPHERES)

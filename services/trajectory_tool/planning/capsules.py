@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from services.trajectory_tool.obstacles import Attached, Box, Capsule, Cylinder, Shape, Sphere
-from services.trajectory_tool.planning.arm import Arm, Array, se3_of
+from services.trajectory_tool.planning.arm import Arm, Array, corners_of, se3_of
 from services.trajectory_tool.planning.collision import geometry_of
 from services.trajectory_tool.planning.volumes import plain
 from services.trajectory_tool.robot_model import RobotModel
@@ -85,15 +86,36 @@ class LinkCapsules:
 def _moved(arm: Arm, items: Sequence[Any]) -> _Moved:
     starts, ends, radii = [], [], []
     for item in items:
-        shape, local = plain(item.geometry)
-        start, end, radius = _capsule(shape)
-        placement = item.placement * local
+        placement = item.placement
+        if isinstance(item.geometry, coal.ConvexBase):
+            start, end, radius = _around(corners_of(item.geometry))
+        else:
+            shape, local = plain(item.geometry)
+            start, end, radius = _capsule(shape)
+            placement = placement * local
         starts.append(placement.act(start))
         ends.append(placement.act(end))
         radii.append(radius)
     reaches = np.array([arm.reach_of(item) for item in items]).reshape(-1, arm.n)
     joints = [item.parentJoint for item in items]
     return _Moved(joints, np.array(starts), np.array(ends), np.array(radii), reaches)
+
+
+def _around(corners: Array) -> tuple[Array, Array, float]:
+    """Return the ends and the radius of the smallest capsule along an axis of the frame."""
+    capsules = []
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    for axis in np.eye(3):
+        along = (corners - middle) @ axis
+        squared = np.maximum(((corners - middle) ** 2).sum(axis=1) - along**2, 0.0)
+        largest = float(squared.max())
+        # The half spheres at the ends cover as much as each corner leaves room.
+        half = max(float((np.abs(along) - np.sqrt(largest - squared)).max()), 0.0)
+        radius = math.sqrt(largest)
+        volume = largest * (half + 2 / 3 * radius)
+        capsules.append((volume, middle - half * axis, middle + half * axis, radius))
+    _, start, end, radius = min(capsules, key=lambda capsule: capsule[0])
+    return start, end, radius
 
 
 def _capsule(shape: Shape) -> tuple[Array, Array, float]:

@@ -76,7 +76,7 @@ def grown(shape: Shape, by_m: float) -> Shape:
 
 def _parts(arm: Arm, attached: Sequence[Attached]) -> Iterator[_Part]:
     """Yield everything that moves with the robot, and its base."""
-    for item in arm.geometry.geometryObjects:
+    for item in arm.solids.geometryObjects:
         shape, local = plain(item.geometry)
         item.geometry.computeLocalAABB()
         radius_m = float(item.geometry.aabb_radius)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 from typer.testing import CliRunner
 
 from handover.cli.main import app
@@ -24,7 +25,8 @@ if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)
 
 from services.trajectory_tool.onboarding.add import Added, add_robot
-from services.trajectory_tool.onboarding.shapes import MAX_PIECES, Fitted, fit, fit_pieces
+from services.trajectory_tool.onboarding.hulls import MAX_CORNERS, MAX_PIECES, enclosing, pieces_of
+from services.trajectory_tool.onboarding.shapes import Fitted, fit
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, link_of
 from services.trajectory_tool.planning.planner import Planner
@@ -253,7 +255,7 @@ def test_meshes_of_a_ros_package_become_capsules_that_contain_them(
         '<collision><geometry><mesh filename="package://arm_description/link.stl"/></geometry></collision>'
     )
     found = added(arm(l3=link("l3", shape)))
-    assert "info l3: capsules and boxes replace its meshes" in texts(found)
+    assert "info l3: convex hulls in capsules and boxes replace its meshes" in texts(found)
     assert "mesh" not in found.model.urdf
 
 
@@ -281,6 +283,12 @@ def box_mesh(size: tuple[float, float, float], at: tuple[float, float, float]) -
     return corners[[half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))]]
 
 
+def hulls_contain(corners: Any, points: Any) -> Any:
+    """Return for each point whether the convex hull of some corners contains it."""
+    planes = ConvexHull(corners).equations
+    return (points @ planes[:, :3].T + planes[:, 3]).max(axis=1) <= 1e-9
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_the_pieces_of_a_mesh_contain_all_of_it(seed: int) -> None:
@@ -288,17 +296,38 @@ def test_the_pieces_of_a_mesh_contain_all_of_it(seed: int) -> None:
     triangles = random.normal(size=(random.integers(4, 80), 3, 3)) * random.uniform(0.01, 0.3, 3)
     shares = random.dirichlet((1.0, 1.0, 1.0), (200, 1))
     on_it = (triangles[random.integers(0, len(triangles), 200)] * shares.transpose(0, 2, 1)).sum(axis=1)
-    pieces = fit_pieces(triangles)
+    pieces = pieces_of(triangles)
     assert len(pieces) <= MAX_PIECES
-    assert np.any([contains(piece, on_it) for piece in pieces], axis=0).all()
+    assert np.any([hulls_contain(piece.corners, on_it) for piece in pieces], axis=0).all()
+    assert np.any([contains(fit(piece.corners), on_it) for piece in pieces], axis=0).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_a_polytope_around_a_fine_mesh_has_few_corners_and_contains_it(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(1500, 3))
+    points = directions / np.linalg.norm(directions, axis=1)[:, None] * random.uniform(0.03, 0.2, 3)
+    corners = enclosing(points)
+    assert len(corners) < MAX_CORNERS + 10
+    assert hulls_contain(corners, points).all()
+    assert ConvexHull(corners).volume < 1.1 * ConvexHull(points).volume
+
+
+def test_a_mesh_in_a_plane_gets_a_thin_polytope() -> None:
+    flat = np.array([[[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0]]])
+    (piece,) = pieces_of(flat)
+    assert hulls_contain(piece.corners, flat.reshape(-1, 3)).all()
+    assert ConvexHull(piece.corners).volume < 1e-4
 
 
 def test_a_bent_link_is_cut_at_its_bend() -> None:
-    """One box around this link would close the corner that the next link moves into."""
+    """One hull around this link would close the corner that the next link moves into."""
     bent = np.concatenate([box_mesh((0.1, 0.1, 0.4), (0, 0, 0)), box_mesh((0.3, 0.1, 0.1), (0.2, 0, 0.15))])
-    pieces = fit_pieces(bent)
-    assert sum(piece.volume_m3 for piece in pieces) < 0.6 * fit(bent.reshape(-1, 3)).volume_m3
-    assert not np.any([contains(piece, np.array([[0.2, 0.0, 0.0]])) for piece in pieces])
+    pieces = pieces_of(bent)
+    hull_m3 = ConvexHull(bent.reshape(-1, 3)).volume
+    assert sum(ConvexHull(piece.corners).volume for piece in pieces) < 0.8 * hull_m3
+    assert not np.any([hulls_contain(piece.corners, np.array([[0.2, 0.0, 0.0]])) for piece in pieces])
 
 
 def test_the_home_position_has_room_for_a_first_motion(added: Any) -> None:

@@ -46,7 +46,7 @@ def samples(arm: Arm, count: int, seed: int = 3) -> Any:
 def test_every_named_pose_is_free(arm: Arm, cell: World) -> None:
     collisions = Collisions(arm, cell)
     for name, joints in arm.model.poses.items():
-        assert collisions.is_free(np.array(joints), 0.02), name
+        assert collisions.is_free(np.array(joints), 0.015), name
 
 
 def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) -> None:

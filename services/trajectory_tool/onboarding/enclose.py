@@ -1,0 +1,81 @@
+"""Makes the shapes of a robot of ours from the meshes of its manufacturer, and its SRDF from these.
+
+    python -m services.trajectory_tool.onboarding.enclose ur5e --meshes ur5e_description/ur5e.urdf
+
+The links that the URDF with the meshes has get shapes that enclose these meshes, in place of their present
+ones; the others, such as a gripper, keep theirs.
+"""
+
+import argparse
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+
+from services.trajectory_tool.onboarding.enclosure import mapped_surfaces
+from services.trajectory_tool.onboarding.hulls import pieces_of
+from services.trajectory_tool.onboarding.meshes import Surface
+from services.trajectory_tool.onboarding.refinement import Shaping
+from services.trajectory_tool.onboarding.semantics import write_pairs
+from services.trajectory_tool.onboarding.urdf import Finding
+from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.srdf import Srdf
+
+SAMPLES = 3000
+
+
+def enclose(name: str, meshes: str) -> None:
+    """Write the URDF and the SRDF of a robot in our tree. Raises `UsageError`."""
+    folder = Path(str(resources.files("services.trajectory_tool.robots"))) / name
+    urdf, srdf = folder / f"{name}.urdf", folder / f"{name}.srdf"
+    model, findings = ROBOTS.load(name), list[Finding]()
+    mapping, mapped = mapped_surfaces(model, meshes, findings)
+    surfaces: dict[str, list[Surface]] = {}
+    for link, place in mapping.places.items():
+        surfaces.setdefault(place.link, []).extend(mapped[link])
+    root = etree.fromstring(urdf.read_bytes())
+    pieces = {
+        link: pieces_of(np.concatenate([surface.triangles for surface in found]))
+        for link, found in surfaces.items()
+    }
+    for link in root.findall("link"):
+        if link.get("name") in pieces:
+            for replaced in (*link.findall("collision"), *link.findall("collision_checking")):
+                link.remove(replaced)
+    shaping = Shaping(model, root, pieces, surfaces)
+    excluded = shaping.settle(Srdf(), SAMPLES)
+    shaping.arm(excluded)
+    for link in root.findall("link"):
+        for child in link if link.get("name") in pieces else ():
+            child.tail = "\n  " if child.getnext() is None else "\n    "
+    _rewrite(urdf, root)
+    semantics = etree.fromstring(srdf.read_bytes())
+    write_pairs(semantics, excluded)
+    _rewrite(srdf, semantics)
+    for finding in findings:
+        print(f"{finding.level:<8} {finding.about}: {finding.text}")
+    for link, reason in mapping.unmapped.items():
+        print(f"warning  {link}: {reason}")
+    print(f"{name}: " + ", ".join(f"{link} {len(found)}" for link, found in pieces.items()))
+
+
+def _rewrite(path: Path, root: Any) -> None:
+    """Write the root element of a file, and keep what stands before it."""
+    head, start, _ = path.read_text(encoding="utf-8").partition("<robot")
+    text = etree.tostring(root, encoding="unicode", with_tail=False).removeprefix(start)
+    path.write_text(f"{head}{start}{text}\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Enclose the meshes of one robot."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", help="the robot, a folder of services/trajectory_tool/robots")
+    parser.add_argument("--meshes", required=True, help="the URDF of the manufacturer, with its meshes")
+    given = parser.parse_args()
+    enclose(given.name, given.meshes)
+
+
+if __name__ == "__main__":
+    main()
