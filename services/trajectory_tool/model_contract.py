@@ -43,6 +43,8 @@ class ModelContract:
     max_tool_m = 1.0
     """The tip of the tool is no further from the flange."""
     samples = 100
+    meshes: str | Path | None = None
+    """The URDF of the manufacturer with its meshes; else the robot's own one counts, if meshes draw it."""
 
     @pytest.fixture
     def model(self, tmp_path: Path) -> RobotModel:
@@ -141,6 +143,30 @@ class ModelContract:
             assert model.tool_pose(tuple(found.tolist())).distance_m(pose) < TOLERANCE_M
             reached += 1
         assert reached >= self.min_reached * self.samples
+
+    @needs_motion
+    def test_the_shapes_enclose_the_meshes_and_leave_the_robot_its_room(self, model: RobotModel) -> None:
+        """What `handover robot shapes` measures: 0 mm outside, and few positions refused that are free."""
+        from services.trajectory_tool.onboarding.comparison import MAX_FALSELY_REFUSED
+        from services.trajectory_tool.onboarding.enclosure import measure_shapes
+
+        report = measure_shapes(model, str(self._meshes(model)), 10 * self.samples, SEED)
+        assert not report.unmapped
+        outside = {one.link: one.outside_mm for one in report.links if one.outside_mm > 0}
+        assert not outside, f"mm of meshes outside of the shapes: {outside}"
+        refused = [one for one in report.comparison.pairs if one.falsely_refused > MAX_FALSELY_REFUSED]
+        assert not refused, f"pairs whose shapes refuse what is free by the meshes: {refused}"
+        allowed = [one for one in report.comparison.pairs if one.falsely_allowed > 0]
+        assert not allowed, f"pairs whose meshes touch where the shapes are free: {allowed}"
+
+    def _meshes(self, model: RobotModel) -> Path:
+        if self.meshes is not None:
+            if not Path(self.meshes).is_file():
+                pytest.skip(f"the URDF with the meshes is not kept here: {self.meshes}")
+            return Path(self.meshes)
+        if model.file is None or "<mesh" not in model.urdf:
+            pytest.skip("there are no meshes; `meshes` of the contract names the URDF of the manufacturer")
+        return model.file
 
     @needs_motion
     def test_no_pair_is_left_unchecked_that_touches_in_some_positions_only(self, model: RobotModel) -> None:

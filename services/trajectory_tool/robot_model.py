@@ -111,6 +111,8 @@ class RobotModel:
     _tool: Frame = field(repr=False)
     driver_scenes: Mapping[str, Path] = field(default_factory=dict)
     """The scene for a driver in place of `scene`, by the name of the driver."""
+    file: Path | None = field(default=None, repr=False)
+    """The URDF that the model was read from."""
     base: Frame = IDENTITY
     """Where the root link stands in the frame of the cell; all poses of the model are in that frame."""
 
@@ -317,7 +319,7 @@ def read_model(
             scene=scene,
             semantics=semantics,
         )
-        return replace(model, driver_scenes=driver_scenes or {})
+        return replace(model, driver_scenes=driver_scenes or {}, file=urdf)
     except OSError as error:
         raise UsageError(f"the robot description {urdf} cannot be read: {error.strerror}") from None
     except (etree.XMLSyntaxError, UnicodeDecodeError) as error:

@@ -117,7 +117,7 @@ def _outside_mm(arm: Arm, link: str, surfaces: Sequence[Surface]) -> float:
     ]
     outside = np.ones(len(points), dtype=bool)
     for shape, local in shapes:
-        outside[outside] = ~_contains(shape, local[outside])
+        outside[outside] = np.logical_not(_contains(shape, local[outside]))
     beyond_m = [_distance_m(shape, local[outside]) for shape, local in shapes]
     if not outside.any() or not beyond_m:
         return 0.0 if beyond_m else round(1000 * float(np.linalg.norm(points, axis=1).max()), 3)
@@ -137,13 +137,13 @@ def _distance_m(shape: Any, points: Array) -> Array:
     if isinstance(shape, coal.Box):
         return np.asarray(np.linalg.norm(np.maximum(np.abs(points) - shape.halfSide, 0.0), axis=1))
     if isinstance(shape, coal.Sphere):
-        return np.maximum(np.linalg.norm(points, axis=1) - shape.radius, 0.0)
+        return np.asarray(np.maximum(np.linalg.norm(points, axis=1) - shape.radius, 0.0))
     if isinstance(shape, coal.Capsule | coal.Cylinder):
         beyond = np.maximum(np.abs(points[:, 2]) - shape.halfLength, 0.0)
         across = np.hypot(points[:, 0], points[:, 1])
         if isinstance(shape, coal.Capsule):
-            return np.maximum(np.hypot(across, beyond) - shape.radius, 0.0)
-        return np.hypot(np.maximum(across - shape.radius, 0.0), beyond)
+            return np.asarray(np.maximum(np.hypot(across, beyond) - shape.radius, 0.0))
+        return np.asarray(np.hypot(np.maximum(across - shape.radius, 0.0), beyond))
     request, here, point = coal.DistanceRequest(), coal.Transform3s.Identity(), coal.Sphere(1e-9)
     distances_m = [
         coal.distance(shape, here, point, coal.Transform3s(np.eye(3), at), request, coal.DistanceResult())

@@ -48,7 +48,8 @@ class Piece:
 
 def pieces_of(triangles: Array, most: int = MAX_PIECES) -> list[Piece]:
     """Return pieces whose polytopes together contain a mesh: cut where that makes them much smaller."""
-    pending, settled = [triangles], []
+    pending = [triangles]
+    settled: list[Piece] = []
     while pending:
         part = pending.pop(0)
         halves = _halves(part) if len(pending) + len(settled) + 1 < most else None

@@ -13,6 +13,7 @@ above a part, gets a smaller margin; one in contact is refused.
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -40,6 +41,7 @@ CHECK_STEP_S = 0.004
 BLEND_SHARES = (0.45, 0.2, 0.08)
 STRAIGHT_TOLERANCE_M = 0.001
 CLEARANCE_SEARCH_M = 0.3
+MAX_TURNED_GOALS = 12
 SHARE_OF_MARGIN = 0.6
 """Of the time that is left for the search, with each margin but the last one."""
 
@@ -128,9 +130,22 @@ class Planner:
         self._use(world)
 
     def to_joints(self, start: Joints, target: Joints, tilt: Tilt | None = None) -> Plan:
-        """Return a motion to joint positions, as they are given, without full turns of difference."""
-        goal = np.array(self.model.allow(target))
-        return self._to_goals(np.array(start), [goal], tilt)
+        """Return a motion to joint positions, as they are given.
+
+        The arm itself can divide the range of a joint, such as its base where the upper arm cannot pass. So
+        where no way is found, one to the same position of all links is: with full turns of difference.
+        """
+        begin, goal = np.array(start), np.array(self.model.allow(target))
+        try:
+            return self._to_goals(begin, [goal], tilt)
+        except NoPath as why:
+            turned = [other for other in self.arm.equivalents(goal) if np.abs(other - goal).max() > math.pi]
+            if not turned:
+                raise
+            turned.sort(key=lambda joints: (int((np.abs(joints - goal) > 1).sum()), _way(joints, begin)))
+            with suppress(NoPath):
+                return self._to_goals(begin, turned[:MAX_TURNED_GOALS], tilt)
+            raise why from None
 
     def is_straight_free(self, start: Joints, target: Joints) -> bool:
         """Return whether the straight line in joint space is free. Raises `NoPath` where an end is not."""
@@ -506,6 +521,10 @@ class Planner:
             position=_numbers(pose.position),
             reached=_numbers(reached.position),
         )
+
+
+def _way(joints: Array, start: Array) -> float:
+    return float(np.abs(joints - start).max())
 
 
 def _pair(near: Clearance) -> Message:

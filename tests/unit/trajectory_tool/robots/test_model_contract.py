@@ -1,6 +1,8 @@
 """Every shipped robot keeps the contract of a robot model, and the contract finds what is wrong."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -9,17 +11,24 @@ from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.robots import ROBOTS
 
+MANUFACTURERS = Path(
+    os.environ.get("HANDOVER_ROBOT_MESHES", Path(__file__).parents[5] / "shared/data/robots")
+)
+
 
 class TestUR10(ModelContract):
     robot = "ur10"
+    meshes = MANUFACTURERS / "ur10/ur10.urdf"
 
 
 class TestUR5e(ModelContract):
     robot = "ur5e"
+    meshes = MANUFACTURERS / "ur5e/ur5e.urdf"
 
 
 class TestPanda(ModelContract):
     robot = "panda"
+    meshes = MANUFACTURERS / "fer/fer.urdf"
 
 
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
