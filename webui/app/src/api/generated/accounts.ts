@@ -89,7 +89,7 @@ export interface IdentityChange {
   subject: string | null;
 }
 
-/** Whose a token is; only `active` for an unknown one. */
+/** Whose a token is; only `active`, and `revision` if a subject was asked for, for an unknown one. */
 export interface Introspection {
   active: boolean;
   kind?: string;
@@ -355,6 +355,11 @@ export interface StationView {
   leaveAfterMin: number;
   sessions: number;
   joined: JoinedPerson | null;
+}
+
+/** A user or a token of which a service asks for the present grants. */
+export interface SubjectBody {
+  subject: string;
 }
 
 /** A token of which a service asks whose it is. */
