@@ -15,6 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from handover.control.lease import Lease, Leases
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import Guard, in_path, require
 from handover.security.permissions import Permission
@@ -202,6 +203,7 @@ def add_lease_routes(
         tags=["control"],
         dependencies=[require(Permission.MANAGE_SETTINGS, OF_ROBOT)],
     )
+    @lowers()
     async def revoke(robot: str) -> LeaseView:
         """Take the control of a robot away from the person who has it; the robot stops."""
         require_robot(robot)

@@ -26,8 +26,9 @@ from starlette.websockets import WebSocket
 from handover.body_limit import limit_of, limited
 from handover.errors import Problem
 from handover.origin_guard import REFUSED
+from handover.security.act_recording import audited, unrecorded
 from handover.security.audit_routes import add_audit_routes
-from handover.security.audit_trail import AuditTrail, begin_request
+from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.guard import Guard
 from handover.security.open_streams import EndOfStreams
 from handover.telemetry import get_logger
@@ -64,7 +65,13 @@ def accepts(*media_types: str) -> Callable[[Endpoint], Endpoint]:
 
 
 class TypedRoute(APIRoute):
-    """A route that answers 415 to other media types and 413 to a body that is too large, before parsing."""
+    """A route that answers 415 to other media types and 413 to a body that is too large, before parsing.
+
+    What it changes is recorded before its handler is called, with the change, or after it (`audit_trail`).
+    """
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **kwargs: Any) -> None:
+        super().__init__(path, audited(endpoint), **kwargs)
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the handler of requests."""
@@ -86,7 +93,9 @@ class TypedRoute(APIRoute):
             except Exception as error:
                 await trail.finish(act, error.status if isinstance(error, Problem) else 500)
                 raise
-            await trail.finish(act, response.status_code)
+            is_recorded = await trail.finish(act, response.status_code)
+            if act.way is Way.AFTER and response.status_code < 400 and not is_recorded:
+                return unrecorded(response)
             return response
 
         return checked

@@ -16,23 +16,36 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Audit: verify and export the records of all services.", no_args_is_help=True)
 
+MAX_NUMBERS_SHOWN = 20
+
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
 
 @app.command("verify")
 def verify(data_dir: DataDir = None) -> None:
-    """Check the chain of each audit log: exit code 1 if a record was changed, removed or inserted."""
+    """Check the chain of each audit log: exit code 1 if a record was changed, removed or inserted.
+
+    It also names the acts whose outcome is not recorded: they run now, or their service was killed.
+    """
     damaged = 0
     for chain in _chains(data_dir):
         began_s = time.perf_counter()
         with chain.engine.connect() as connection:
             found = chain.log.verify(connection)
+            without_outcome = chain.log.open_intents(connection)
         took_s = time.perf_counter() - began_s
         if found.fault is None:
             print(f"{chain.service}: {found.records} records are intact ({took_s:.1f} s), head {found.head}")
         else:
             damaged += 1
             print(f"{chain.service}: damaged: {found.fault}; the {found.records} records before are intact")
+        if without_outcome:
+            numbers = ", ".join(str(seq) for seq in without_outcome[:MAX_NUMBERS_SHOWN])
+            more = ", …" if len(without_outcome) > MAX_NUMBERS_SHOWN else ""
+            print(
+                f"{chain.service}: no outcome of {len(without_outcome)} acts is recorded (records {numbers}"
+                f"{more}): they run now, or the service ended in between and they may have happened"
+            )
     if damaged:
         raise typer.Exit(1)
 

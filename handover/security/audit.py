@@ -16,6 +16,10 @@ table of aliases: deleting the person deletes the alias, and the records name no
 
 A log may keep the names of its subjects: a person who asks who looked gets names also after an account was
 deleted. A name is kept while a record of its subject is about somebody with an alias.
+
+An act that is no transaction of the log's database has two records: the intent (outcome `intended`) before
+it, and the outcome after it, whose `intent` is the number of the first. An intent without an outcome is the
+trace of a process that ended in between: the act may have happened (`open_intents`).
 """
 
 import hashlib
@@ -32,8 +36,10 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Float,
+    Index,
     Integer,
     MetaData,
+    ScalarSelect,
     String,
     Table,
     Text,
@@ -47,6 +53,8 @@ from sqlalchemy import (
 
 GENESIS: Final = "0" * 64
 """The hash before the first record."""
+INTENDED: Final = "intended"
+"""The outcome in a record that is written before its act."""
 MAX_TEXT_CHARACTERS: Final = 2000
 _PERSON: Final = "urn:ngsi-ld:Person:"
 _SALT_BYTES: Final = 16
@@ -68,6 +76,10 @@ class AuditRecord:
     previous_hash: str
     hash: str
     text: str | None = None
+    intent: int | None = None
+    """The number of the intent whose outcome this is."""
+    ended_by: int | None = None
+    """Of an intent, the number of the record with its outcome; None where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +111,15 @@ class AuditTables:
     """The tables of an audit log, whose names begin with `component`."""
 
     def __init__(
-        self, metadata: MetaData, component: str, *, has_aliases: bool = False, has_names: bool = False
+        self,
+        metadata: MetaData,
+        component: str,
+        *,
+        has_aliases: bool = False,
+        has_names: bool = False,
+        has_intents: bool = False,
     ) -> None:
+        self.has_intents = has_intents
         self.records = Table(
             f"{component}_audit",
             metadata,
@@ -117,6 +136,9 @@ class AuditTables:
             Column("previous_hash", String(64), nullable=False),
             Column("hash", String(64), nullable=False),
         )
+        if has_intents:
+            self.records.append_column(Column("intent", BigInteger, nullable=True))
+            Index(f"{component}_audit_of_intent", self.records.c.intent)
         self.texts = Table(
             f"{component}_audit_text",
             metadata,
@@ -155,6 +177,19 @@ class AuditTables:
                 Column("name", String(200), nullable=False),
             )
 
+    def add_intents(self, connection: Connection) -> None:
+        """Migrate the table of a log without intents to one with them."""
+        table, column = self.records.name, self.records.c.intent
+        connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column.name} BIGINT")
+        for index in self.records.indexes:
+            if column in index.columns.values():
+                index.create(connection)
+
+    def add_names(self, connection: Connection) -> None:
+        """Migrate a log to one with names; those of a version before intents have them already."""
+        if self.names is not None:
+            self.names.create(connection, checkfirst=True)
+
 
 class AuditLog:
     """Appends to, reads and verifies one audit log. Every method works on the connection of its caller."""
@@ -185,11 +220,14 @@ class AuditLog:
         text: str | None = None,
         is_personal: bool = False,
         name: str | None = None,
+        intent: int | None = None,
+        at_ms: int | None = None,
     ) -> int:
         """Append a record in the transaction of `connection`; return its number.
 
         `is_personal`: the resource names a person in another way than by the id of a Person. `name` is that
-        of the subject, for a log that keeps names.
+        of the subject, for a log that keeps names. `intent` is the number of the intent whose outcome this
+        is, in a log with intents; `at_ms` the time of an act that was not recorded at once.
         The row of the head is locked until the transaction ends, so that concurrent appends are ordered.
         """
         seq, previous = self._next(connection)
@@ -198,7 +236,7 @@ class AuditLog:
         salt = secrets.token_hex(_SALT_BYTES) if text is not None else ""
         values: dict[str, Any] = {
             "seq": seq,
-            "at_ms": time.time_ns() // 1_000_000,
+            "at_ms": time.time_ns() // 1_000_000 if at_ms is None else at_ms,
             "subject": subject,
             "action": action,
             "resource": resource,
@@ -207,6 +245,8 @@ class AuditLog:
             "text_hash": "" if text is None else _text_hash(salt, text),
             "previous_hash": previous,
         }
+        if self._tables.has_intents:
+            values["intent"] = intent
         values["hash"] = record_hash(values)
         connection.execute(self._insert_record, values)
         if text is not None:
@@ -329,8 +369,12 @@ class AuditLog:
         after: int = 0,
         limit: int = 100,
         newest_first: bool = False,
+        is_short: bool = False,
     ) -> list[AuditRecord]:
-        """Return the records that pass a filter; `after` continues a list (before it if newest first)."""
+        """Return the records that pass a filter; `after` continues a list (before it if newest first).
+
+        A short list leaves out each intent whose outcome is recorded, unless it asks for intents.
+        """
         records, texts, aliases = self._tables.records, self._tables.texts, self._tables.aliases
         source = records.outerjoin(texts, texts.c.seq == records.c.seq)
         resource: ColumnElement[str] = records.c.resource
@@ -338,14 +382,46 @@ class AuditLog:
             source = source.outerjoin(aliases, aliases.c.alias == records.c.resource)
             resource = func.coalesce(aliases.c.name, records.c.resource)
         others = [column for column in records.c if column.name != "resource"]
-        query = select(*others, resource.label("resource"), texts.c.text).select_from(source)
-        query = query.where(*_conditions(chosen or AuditFilter(), records, resource))
+        chosen = chosen or AuditFilter()
+        columns = [*others, resource.label("resource"), texts.c.text]
+        if self._tables.has_intents:
+            ended_by = self._ended_by()
+            columns.append(ended_by.label("ended_by"))
+            if is_short and chosen.outcome != INTENDED:
+                is_open = (records.c.outcome != INTENDED) | ended_by.is_(None)
+                query = select(*columns).select_from(source).where(is_open)
+            else:
+                query = select(*columns).select_from(source)
+        else:
+            query = select(*columns).select_from(source)
+        query = query.where(*_conditions(chosen, records, resource))
         if newest_first:
             query = query.where(records.c.seq < after) if after else query
             query = query.order_by(records.c.seq.desc())
         else:
             query = query.where(records.c.seq > after).order_by(records.c.seq)
         return [AuditRecord(**row) for row in connection.execute(query.limit(limit)).mappings()]
+
+    def _ended_by(self) -> ScalarSelect[int]:
+        """Return the number of the first record with the outcome of an intent, as a column."""
+        records = self._tables.records
+        ends = records.alias("ends")
+        found = select(func.min(ends.c.seq)).where(ends.c.intent == records.c.seq)
+        return found.correlate(records).scalar_subquery()
+
+    def has(self, connection: Connection, *, seq: int, action: str) -> bool:
+        """Return whether there is a record with this number and action."""
+        records = self._tables.records
+        query = select(records.c.action).where(records.c.seq == seq)
+        return connection.execute(query).scalar() == action
+
+    def open_intents(self, connection: Connection) -> list[int]:
+        """Return the numbers of the intents without an outcome, the oldest first."""
+        if not self._tables.has_intents:
+            return []
+        records = self._tables.records
+        query = select(records.c.seq).where(records.c.outcome == INTENDED, self._ended_by().is_(None))
+        return [int(seq) for seq in connection.execute(query.order_by(records.c.seq)).scalars()]
 
     def verify(self, connection: Connection) -> Verification:
         """Check every record, from the first to the head."""
@@ -400,8 +476,13 @@ def _conditions(
 
 
 def record_hash(values: dict[str, Any]) -> str:
-    """Return the hash of a record: SHA-256 of its fields, except the hash, as JSON with sorted names."""
+    """Return the hash of a record: SHA-256 of its fields, except the hash, as JSON with sorted names.
+
+    A record that is no outcome of an intent has the hash that it had before logs had intents.
+    """
     content = {name: value for name, value in values.items() if name != "hash"}
+    if content.get("intent", 0) is None:
+        del content["intent"]
     return hashlib.sha256(
         json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
     ).hexdigest()

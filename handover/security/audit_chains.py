@@ -52,13 +52,13 @@ def _read_only(file: Path) -> Engine:
 
 
 def _chains_in(engine: Engine) -> list[AuditChain]:
-    tables = set(inspect(engine).get_table_names())
+    inspector = inspect(engine)
+    tables = set(inspector.get_table_names())
     components = sorted(name.removesuffix(_HEAD) for name in tables if name.endswith(_HEAD))
-    return [
-        AuditChain(
-            name.replace("_", "-"),
-            engine,
-            AuditLog(AuditTables(MetaData(), name, has_aliases=f"{name}_audit_alias" in tables)),
-        )
-        for name in components
-    ]
+
+    def log_of(name: str) -> AuditLog:
+        columns = {column["name"] for column in inspector.get_columns(f"{name}_audit")}
+        has_aliases, has_intents = f"{name}_audit_alias" in tables, "intent" in columns
+        return AuditLog(AuditTables(MetaData(), name, has_aliases=has_aliases, has_intents=has_intents))
+
+    return [AuditChain(name.replace("_", "-"), engine, log_of(name)) for name in components]

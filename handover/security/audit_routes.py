@@ -30,7 +30,12 @@ Names = Callable[[Connection], Mapping[str, str]]
 
 
 class AuditView(TypedDict):
-    """An audit record; `text` is null where there was none, or where it was deleted."""
+    """An audit record; `text` is null where there was none, or where it was deleted.
+
+    `intent` is the number of the intent whose outcome this is. An intent, with the outcome `intended`, was
+    recorded before its act; `endedBy` is the number of the record with its outcome, null where there is none:
+    the act still runs, or the process ended in between and it may have happened.
+    """
 
     service: str
     seq: int
@@ -42,16 +47,22 @@ class AuditView(TypedDict):
     method: str
     text: str | None
     hash: str
+    intent: int | None
+    endedBy: int | None
     subjectName: str | None
     resourceName: str | None
 
 
 class AuditVerification(TypedDict):
-    """How many records are intact, the hash of the last, and the first fault if there is one."""
+    """How many records are intact, the hash of the last, and the first fault if there is one.
+
+    `withoutOutcome` has the numbers of the intents without an outcome.
+    """
 
     records: int
     head: str
     fault: str | None
+    withoutOutcome: list[int]
 
 
 class AuditSource(Protocol):
@@ -95,10 +106,16 @@ def add_audit_routes(
         before: Annotated[int, Query(ge=0, le=2**62)] = 0,
         limit: Annotated[int, Query(ge=1, le=MAX_RECORDS)] = 100,
     ) -> list[AuditView]:
-        """Return the records that match all filters, the newest first, before a number."""
+        """Return the records that match all filters, the newest first, before a number.
+
+        An intent whose outcome is recorded is only in the list of the filter `outcome=intended`, and in the
+        export.
+        """
 
         def read(connection: Connection) -> list[AuditView]:
-            found = source.log.read(connection, chosen=chosen, after=before, limit=limit, newest_first=True)
+            found = source.log.read(
+                connection, chosen=chosen, after=before, limit=limit, newest_first=True, is_short=True
+            )
             return _views(source.service, names(connection), found)
 
         views: list[AuditView] = await source.read(read)
@@ -108,7 +125,12 @@ def add_audit_routes(
     async def audit_verification(_: Auditor) -> AuditVerification:
         """Check the chain of all records."""
         found = await source.read(source.log.verify)
-        return {"records": found.records, "head": found.head, "fault": found.fault}
+        return {
+            "records": found.records,
+            "head": found.head,
+            "fault": found.fault,
+            "withoutOutcome": await source.read(source.log.open_intents),
+        }
 
     @app.get(f"{prefix}/audit/export", tags=["audit"], response_class=Response)
     async def audit_export(
@@ -149,6 +171,8 @@ def view_of(service: str, record: AuditRecord, names: Mapping[str, str]) -> Audi
         "method": record.method,
         "text": record.text,
         "hash": record.hash,
+        "intent": record.intent,
+        "endedBy": record.ended_by,
         "subjectName": names.get(record.subject),
         "resourceName": names.get(record.resource),
     }

@@ -1,23 +1,33 @@
 """The audit trail of a service: who changed something, and who read data of persons, on every route.
 
-A service gives its `AuditTrail` to `create_app`. Each request to a route with a permission is then recorded:
+A service gives its `AuditTrail` to `create_app`. Each request to a route with a permission is then recorded,
+a change in one of three ways (`Way`, chosen by a decorator of the route):
 
-- a change is recorded with its result, before the response is sent. A service with a database calls
-  `record_request(connection)` in the transaction of the change, so that both are committed or neither is;
-  otherwise the record has a transaction of its own;
-- reading health data or studies is recorded before the response is sent, once in `REPEAT_S` for the same
-  caller, route and resource, since pages ask again and again;
-- a refused change is recorded too.
+- by default the intent is recorded before the handler is called and the outcome after it, so that a request
+  that cannot be recorded is refused with 503 and has changed nothing. A process that ends in between leaves
+  an intent without an outcome, which the list of records shows as such;
+- `@recorded_with_change`: the handler does no more than one transaction in the database of the trail, which
+  calls `record_request(connection)`, so that both are committed or neither is;
+- `@lowers` (stop, pause, cancel, a lower limit, release of control): it is always carried out, and recorded
+  afterwards. Where that fails, the response has `recorded: false`, and the record is kept in memory until it
+  can be written; a process that ends before loses it, and its log has it.
 
-A request that cannot be recorded is answered with 503. Services and devices are not recorded: they act for
-processes and people whose acts are recorded where they are requested.
+A route whose handler calls `record_request` in a transaction although the intent was recorded gets its
+outcome in that transaction. An outcome that cannot be written never changes the response, since the act has
+happened: it is kept in memory, and written when there is room.
+
+Reading health data or studies is recorded before the response is sent, once in `REPEAT_S` for the same
+caller, route and resource, since pages ask again and again; a read that cannot be recorded is refused with
+503. A refused change is recorded too. Services and devices are not recorded: they act for processes and
+people whose acts are recorded where they are requested.
 
 Records that wait for the database at the same time share one transaction, so that many requests at once cost
 few of them.
 
 The action of a record is the method and the path of the route, the resource is what the permission was
 required for, and the text is the path that was requested. A transaction in another thread finds the act by
-`asyncio.to_thread`, which copies the context; a queue of changes keeps `current_request()` itself.
+`asyncio.to_thread`, which copies the context; a queue of changes keeps `current_request()` itself. A handler
+that requires the permission by itself calls `begin_act` between that and the act.
 """
 
 import asyncio
@@ -26,7 +36,9 @@ import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import Enum, auto
+from functools import partial
 from threading import Lock
 from typing import Any, Final, Self
 
@@ -37,23 +49,46 @@ from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.errors import Problem, UsageError
 from handover.migrations import migrate
-from handover.security.audit import AuditLog, AuditTables
+from handover.retry import Backoff
+from handover.security.audit import INTENDED, AuditLog, AuditTables
 from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import READING, Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.settings import Settings
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
 
 REPEAT_S: Final = 600.0
 MAX_REMEMBERED: Final = 10_000
 EXPIRE_EVERY_S: Final = 3600.0
-VERSION: Final = 1
-NAMES_VERSION: Final = 2
+VERSION: Final = 3
+NAMES_VERSION: Final = 4
 """The version of the tables of a trail with names."""
+MAX_LATE: Final = 10_000
+"""Records that wait in memory for room; further ones are only in the log of the service."""
+RECORD_TIMEOUT_S: Final = 2.0
+"""How long the response of what lowers waits for its record."""
+LATE_RETRY_S: Final = 5.0
+"""The longest pause between two attempts to write the records that were kept."""
 
+RECORDED_HEADER: Final = "Handover-Recorded"
+"""`false` in the response to what lowers and is not recorded yet."""
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 _PRIVATE: Final = frozenset({Permission.READ_HEALTH_DATA, Permission.READ_STUDIES})
 _UNRECORDED: Final = frozenset({CallerKind.SERVICE, CallerKind.DEVICE})
 _current: ContextVar["AuditedRequest | None"] = ContextVar("handover_act", default=None)
+
+
+class Way(Enum):
+    """When a change is recorded."""
+
+    BEFORE = auto()
+    """The intent before the act, the outcome after it."""
+    WITH_CHANGE = auto()
+    """In the transaction of the change."""
+    AFTER = auto()
+    """After the act, which only lowers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +103,14 @@ class AuditEntry:
     is_personal: bool = False
     method: str | None = None
     """How the caller was identified; None for the kind of the caller."""
+    intent: int | None = None
+    """The number of the intent whose outcome this is."""
+    at_ms: int | None = None
+    """When it happened; None for the time of the record."""
 
-    def append(self, log: AuditLog, connection: Connection) -> None:
-        """Append it to `log` in the transaction of `connection`."""
-        log.append(
+    def append(self, audit_log: AuditLog, connection: Connection) -> int:
+        """Append it to the log in the transaction of `connection`; return its number."""
+        return audit_log.append(
             connection,
             self.caller.subject,
             self.action,
@@ -81,6 +120,8 @@ class AuditEntry:
             text=self.text,
             is_personal=self.is_personal,
             name=None if self.caller.kind is CallerKind.LOCAL else self.caller.name,
+            intent=self.intent,
+            at_ms=self.at_ms,
         )
 
 
@@ -95,6 +136,11 @@ class AuditedRequest:
     permission: Permission | None = None
     resource: str = ANY_RESOURCE
     method: str | None = None
+    way: Way = field(default=Way.BEFORE, init=False)
+    intent: int | None = field(default=None, init=False)
+    """The number of the record of the intent."""
+    record: int | None = field(default=None, init=False)
+    """The number of the last record in a transaction, which may have failed."""
     is_recorded: bool = field(default=False, init=False)
     is_finished: bool = field(default=False, init=False)
     _transaction: object = field(default=None, init=False)
@@ -111,6 +157,12 @@ class AuditedRequest:
             return False
         return self.is_change or self.permission in _PRIVATE
 
+    async def begin(self) -> None:
+        """Record the intent where that is the way. Raises `Problem` 503; nothing may have been done yet."""
+        is_wanted = self.way is Way.BEFORE and self.is_change and self.is_relevant
+        if is_wanted and self.intent is None and not self.is_recorded:
+            (self.intent,) = await self.trail.store([self.entry(INTENDED)])
+
     def append(self, connection: Connection) -> None:
         """Append the record in the transaction of `connection`, once in each, until the act is finished.
 
@@ -121,12 +173,20 @@ class AuditedRequest:
             return
         self._transaction = transaction
         self.is_recorded = True
-        self.entry(DONE).append(self.trail.log, connection)
+        self.record = self.entry(DONE).append(self.trail.log, connection)
 
     def entry(self, outcome: str) -> AuditEntry:
         """Return the record with an outcome."""
         assert self.caller is not None  # noqa: S101 - `is_relevant`
-        return AuditEntry(self.caller, self.action, self.resource, outcome, self.path, method=self.method)
+        return AuditEntry(
+            self.caller,
+            self.action,
+            self.resource,
+            outcome,
+            self.path,
+            method=self.method,
+            intent=self.intent,
+        )
 
 
 def is_recorded(caller: Caller) -> bool:
@@ -144,6 +204,16 @@ def begin_request(trail: "AuditTrail", action: str, path: str) -> AuditedRequest
 def current_request() -> AuditedRequest | None:
     """Return the act of the current request, if it has an audit trail."""
     return _current.get()
+
+
+async def begin_act() -> None:
+    """Record the intent of the current act, whose permission the handler has required by itself.
+
+    Raises `Problem` 503; the act must not have begun.
+    """
+    act = _current.get()
+    if act is not None:
+        await act.begin()
 
 
 def record_request(connection: Connection, act: AuditedRequest | None = None) -> None:
@@ -164,16 +234,26 @@ def record_deletion(connection: Connection) -> None:
 class AuditTrail:
     """The audit log of `service`, in its database `engine` or in one of its own; a context manager.
 
-    `has_names`: it keeps the names of callers, for persons who ask who looked at their data.
+    `has_names`: it keeps the names of callers, for persons who ask who looked at their data. `usual_way` is
+    that of routes without a decorator.
     """
 
     def __init__(
-        self, settings: Settings, service: str, engine: Engine | None = None, *, has_names: bool = False
+        self,
+        settings: Settings,
+        service: str,
+        engine: Engine | None = None,
+        *,
+        has_names: bool = False,
+        usual_way: Way = Way.BEFORE,
     ) -> None:
         self.service = service
+        self.usual_way = usual_way
         self._name = service.replace("-", "_")
         self._metadata = MetaData()
-        self._tables = AuditTables(self._metadata, self._name, has_aliases=True, has_names=has_names)
+        self._tables = AuditTables(
+            self._metadata, self._name, has_aliases=True, has_names=has_names, has_intents=True
+        )
         self.log = AuditLog(self._tables)
         self._settings = settings
         self._given = engine
@@ -181,18 +261,26 @@ class AuditTrail:
         self._opening = Lock()
         self._repeated: OrderedDict[tuple[str, str, str], float] = OrderedDict()
         self._tasks = BackgroundTasks(f"audit of {service}")
-        self._waiting: list[tuple[AuditEntry, asyncio.Future[None]]] = []
+        self._waiting: list[tuple[AuditEntry, asyncio.Future[int]]] = []
         self._turn = asyncio.Lock()
         self._writing: asyncio.Task[None] | None = None
+        self._storing: set[asyncio.Task[bool]] = set()
+        self._late: list[AuditEntry] = []
+        self._has_late = asyncio.Event()
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self._opened)
         await self._tasks.__aenter__()
         self._tasks.start_restarting(self._expire)
+        self._tasks.start_restarting(self._write_late)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self._tasks.__aexit__(None, None, None)
+        if self._storing:
+            await asyncio.wait(self._storing)
+        if self._late:
+            await self._write_some_late()
         if self._given is None and self._engine is not None:
             self._engine.dispose()
 
@@ -201,29 +289,100 @@ class AuditTrail:
         with self._opening:
             if self._engine is None:
                 engine = self._given or connect(self._settings.database(f"{self.service}-audit"))
-                names = self._tables.names
+                names, tables = self._tables.names, self._tables
                 migrate(
                     engine,
                     self._metadata,
                     component=f"{self._name}_audit",
                     version=VERSION if names is None else NAMES_VERSION,
-                    steps={} if names is None else {VERSION: names.create},
+                    steps={1: lambda _: None, 2: tables.add_intents, 3: tables.add_names},
                 )
                 self._engine = engine
             return self._engine
 
-    async def finish(self, act: AuditedRequest, status: int) -> None:
-        """Record an act whose response has `status`, unless its transaction did. Raises `Problem` 503."""
+    async def finish(self, act: AuditedRequest, status: int) -> bool:
+        """Record an act whose response has `status`, unless its transaction did; return whether it is.
+
+        Raises `Problem` 503 if a read cannot be recorded. A change has happened, or was refused: a record
+        of it that cannot be written now is kept, and written later.
+        """
         act.is_finished = True
-        if not act.is_relevant or (act.is_recorded and status < 400):
-            return
+        if not act.is_relevant or (status < 400 and await self._is_recorded(act)):
+            return True
         outcome = DONE if status < 400 else REFUSED if status == 403 else FAILED
-        if outcome == FAILED and status < 500:
-            return  # the request was wrong and had no effect
+        if act.intent is None and outcome == FAILED and status < 500:
+            return True  # the request was wrong and had no effect
         if act.is_change:
-            await self.store([act.entry(outcome)])
-        elif outcome == DONE:
+            return await self.store_now_or_later(act.entry(outcome))
+        if outcome == DONE:
             await self.store_once([act.entry(outcome)])
+        return True
+
+    async def _is_recorded(self, act: AuditedRequest) -> bool:
+        """Return whether a transaction has recorded the act; what lowers also counts if that has failed."""
+        if not act.is_recorded or act.record is None:
+            return False
+        if act.way is not Way.AFTER:
+            return True
+        reading = asyncio.create_task(self.read(partial(self.log.has, seq=act.record, action=act.action)))
+        await asyncio.wait({reading}, timeout=RECORD_TIMEOUT_S)
+        return reading.done() and reading.exception() is None and bool(reading.result())
+
+    async def store_now_or_later(self, *entries: AuditEntry) -> bool:
+        """Record what has happened, now or later; return whether it was recorded within `RECORD_TIMEOUT_S`.
+
+        A database that does not answer must not delay a stop.
+        """
+        now_ms = time.time_ns() // 1_000_000
+        storing = asyncio.create_task(self._stored([replace(entry, at_ms=now_ms) for entry in entries]))
+        self._storing.add(storing)
+        storing.add_done_callback(self._storing.discard)
+        await asyncio.wait({storing}, timeout=RECORD_TIMEOUT_S)
+        return storing.done() and storing.result()
+
+    async def _stored(self, entries: Sequence[AuditEntry]) -> bool:
+        try:
+            await self.store(entries)
+        except Problem as problem:
+            for entry in entries:
+                self._keep(entry, problem)
+            return False
+        return True
+
+    def _keep(self, entry: AuditEntry, problem: Problem) -> None:
+        caller = entry.caller
+        log.warning(
+            "an act is not recorded yet",
+            subject=caller.subject,
+            action=entry.action,
+            resource=entry.resource,
+            outcome=entry.outcome,
+            reason=problem.detail,
+        )
+        if len(self._late) < MAX_LATE:
+            self._late.append(entry)
+            self._has_late.set()
+
+    async def _write_late(self) -> None:
+        backoff = Backoff(max_s=LATE_RETRY_S)
+        while True:
+            await self._has_late.wait()
+            await backoff.wait()
+            if await self._write_some_late():
+                backoff.reset()
+
+    async def _write_some_late(self) -> bool:
+        """Write the records that were kept; return whether the database accepted them."""
+        batch = tuple(self._late)
+        try:
+            await self.store(batch)
+        except Problem:
+            return False
+        del self._late[: len(batch)]
+        if not self._late:
+            self._has_late.clear()
+        log.info("acts are recorded that could not be before", count=len(batch))
+        return True
 
     async def open(self, act: AuditedRequest) -> None:
         """Record that a stream begins. Raises `Problem` 503."""
@@ -238,35 +397,40 @@ class AuditTrail:
 
         await self.read(append)
 
-    async def store(self, entries: Sequence[AuditEntry]) -> None:
-        """Append records. Raises `Problem` 503 if the database does not accept them."""
+    async def store(self, entries: Sequence[AuditEntry]) -> list[int]:
+        """Append records; return their numbers. Raises `Problem` 503 if the database does not accept them."""
         loop = asyncio.get_running_loop()
-        stored = [(entry, loop.create_future()) for entry in entries]
+        stored: list[tuple[AuditEntry, asyncio.Future[int]]] = [
+            (entry, loop.create_future()) for entry in entries
+        ]
         self._waiting += stored
         async with self._turn:
             if self._waiting:
                 batch, self._waiting = self._waiting, []
                 self._writing = loop.create_task(self._write(batch))
                 await asyncio.shield(self._writing)  # others wait for it, too
-        for _, future in stored:
-            await future
+        results = await asyncio.gather(*(future for _, future in stored), return_exceptions=True)
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result
+        return [number for number in results if isinstance(number, int)]
 
-    async def _write(self, batch: Sequence[tuple[AuditEntry, asyncio.Future[None]]]) -> None:
-        def append() -> None:
+    async def _write(self, batch: Sequence[tuple[AuditEntry, asyncio.Future[int]]]) -> None:
+        def append() -> list[int]:
             with self._opened().begin() as connection:
-                for entry, _ in batch:
-                    entry.append(self.log, connection)
+                return [entry.append(self.log, connection) for entry, _ in batch]
 
         reason = None
+        numbers: list[int] = []
         try:
-            await asyncio.to_thread(append)
-        except (SQLAlchemyError, UsageError) as error:
+            numbers = await asyncio.to_thread(append)
+        except (SQLAlchemyError, UsageError, OSError) as error:
             reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
-        for _, future in batch:
+        for position, (_, future) in enumerate(batch):
             if future.done():
                 continue  # the request was cancelled
             if reason is None:
-                future.set_result(None)
+                future.set_result(numbers[position])
             else:
                 future.set_exception(
                     Problem(

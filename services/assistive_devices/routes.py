@@ -10,6 +10,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
 from handover.messages import message, with_code
+from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from services.assistive_devices.running.machine_runner import MachineRunner
@@ -176,6 +177,7 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
         return _view(runner)
 
     @app.post("/machines/{case}/stop", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])
+    @lowers()
     async def stop(case: str) -> MachineView:
         """Stop the machine within its comfortable deceleration. This is no emergency stop."""
         runner = runner_of(case)

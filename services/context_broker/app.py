@@ -11,6 +11,7 @@ from prometheus_client import Gauge
 from starlette.types import Receive
 
 from handover.errors import Problem
+from handover.security.audit_trail import RECORDED_HEADER
 from handover.security.authentication import Guard
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
@@ -58,6 +59,7 @@ Result = TypeVar("Result")
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS: Final = RequestMetrics()
+_RECORDED: Final = RECORDED_HEADER.lower().encode()
 GC_THRESHOLDS: Final = (20_000, 20, 50)
 """With Python's defaults, (700, 10, 10), garbage collection took a sixth of the time of a change."""
 
@@ -184,6 +186,7 @@ class Broker:
         tenant = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         rights = self.authorization.rights_of(caller, tenant.decode("latin-1"))
         record = AccessRecord(rights, operation, request, names)
+        await self.access_log.begin(record)
         try:
             answer = await self._execute(operation, request, names, caller, record)
         except Problem as problem:
@@ -192,7 +195,8 @@ class Broker:
         except Exception:
             await self.access_log.finish(record, 500)
             raise
-        await self.access_log.finish(record, answer.status)
+        if not await self.access_log.finish(record, answer.status) and record.is_lowering:
+            return Response(answer.status, answer.body, [*answer.headers, (_RECORDED, b"false")])
         return answer
 
     async def _execute(

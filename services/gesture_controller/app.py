@@ -15,6 +15,7 @@ from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.ports import require_free
+from handover.security.act_recording import lowers
 from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller
 from handover.security.guard import Guard, ResourceOf, guard_of, require, require_somewhere
@@ -262,6 +263,7 @@ def _add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
     @app.post(
         "/gloves/{glove}/pause", tags=["actions"], dependencies=[require(Permission.PERFORM_TASKS, of_wearer)]
     )
+    @lowers()
     async def pause(glove: str) -> GloveView:
         """Let nothing count, and pause the Task, until resumed."""
         known.named(glove).pause()

@@ -2,7 +2,7 @@
 
 from fastapi import FastAPI
 
-from handover.security.audit_trail import AuditTrail
+from handover.security.audit_trail import AuditTrail, Way
 from handover.service import create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
@@ -51,7 +51,9 @@ def _app(at: Components) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=at.guard,
-        audit=AuditTrail(settings, "task-orchestrator", at.orchestrator.store.engine),
+        audit=AuditTrail(
+            settings, "task-orchestrator", at.orchestrator.store.engine, usual_way=Way.WITH_CHANGE
+        ),
     )
     add_definitions(app, at.orchestrator)
     add_processes(app, at)

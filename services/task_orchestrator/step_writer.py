@@ -3,13 +3,17 @@
 One task writes. All changes that arrive while one transaction is written form the next step, so a disk that
 commits 200 times a second does not limit the orchestrator to 200 changes. If a step cannot be written, its
 processes are loaded again and its changes are applied one by one, so that only the faulty one fails.
+
+A pause or a cancellation acts also while the database cannot be written (`apply_lowering`): its messages are
+sent to the broker at once, and the change is applied before any other one as soon as the database accepts it.
+Until then no other change is written, so that nothing continues what a person has stopped.
 """
 
 import asyncio
 import signal
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any, Self, TypeVar
 
@@ -20,6 +24,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.database import LockLost
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request
 from handover.telemetry import get_logger
 from services.task_orchestrator.outbox import Outbox
@@ -33,6 +38,9 @@ MAX_STEP_CHANGES = 200
 DELETE_DELIVERED_AFTER_S = 0.1
 DELETE_EXPIRED_EVERY_S = 3600.0
 MAX_DELETED_PROCESSES = 100
+DEFERRED_RETRY_S = 5.0
+NOT_WRITTEN = "Not written"
+"""The title of the problem of a change that the database did not accept."""
 
 STEP_DURATION = Histogram(
     "handover_orchestrator_step_duration_seconds",
@@ -53,6 +61,8 @@ class _PendingChange:
     """A process that must be loaded for it, even if it is over."""
     request: AuditedRequest | None = None
     """The request that causes it, for the audit log."""
+    is_lowering: bool = False
+    """Whether it acts also if it cannot be written now."""
 
 
 class StepWriter:
@@ -63,13 +73,16 @@ class StepWriter:
         self._state = state
         self._changes: asyncio.Queue[_PendingChange] = asyncio.Queue()
         self._next_seq = 1
+        self._deferred: list[_PendingChange] = []
+        """Changes that have acted and are not written yet."""
+        self._has_deferred = asyncio.Event()
         self._tasks = BackgroundTasks("step writer")
 
     async def __aenter__(self) -> Self:
         pending = await self._state.on_disk(self._state.store.outbox)
         self._next_seq = max((message.seq for message in pending), default=0) + 1
         await self._tasks.__aenter__()
-        for task in (self._write_steps, self._delete_delivered, self._delete_expired):
+        for task in (self._write_steps, self._delete_delivered, self._delete_expired, self._write_deferred):
             self._tasks.start(task)
         await self.outbox.__aenter__()
         self.outbox.send(pending)
@@ -80,21 +93,28 @@ class StepWriter:
         await self._tasks.__aexit__()
         await self.outbox.__aexit__()
 
-    async def apply(self, act: Callable[[Step], T], *, process: str | None = None) -> T:
+    async def apply(
+        self, act: Callable[[Step], T], *, process: str | None = None, is_lowering: bool = False
+    ) -> T:
         """Apply a change in the next step and return its result once the step is in the database.
 
-        `process` is loaded for it, even if it is over. Raises `Problem` 503 if the step cannot be written.
+        `process` is loaded for it, even if it is over. Raises `Problem` 503 if the step cannot be written,
+        unless it is lowering: such a change only pauses or cancels, and is written later then.
         """
         done: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        self._changes.put_nowait(_PendingChange(act, done, process, current_request()))
+        change = _PendingChange(act, done, process, current_request(), is_lowering)
+        self._changes.put_nowait(change)
         return await done
 
-    async def apply_each(self, acts: Mapping[str, Callable[[Step], T]]) -> dict[str, T]:
+    async def apply_each(
+        self, acts: Mapping[str, Callable[[Step], T]], *, is_lowering: bool = False
+    ) -> dict[str, T]:
         """Apply changes that are independent: one that fails prevents no other; return the answers.
 
         Raises `Problem` if all fail, as when the database is unavailable.
         """
-        answers = await asyncio.gather(*(self.apply(act) for act in acts.values()), return_exceptions=True)
+        applied = (self.apply(act, is_lowering=is_lowering) for act in acts.values())
+        answers = await asyncio.gather(*applied, return_exceptions=True)
         done: dict[str, T] = {}
         failed: list[Problem] = []
         for name, answer in zip(acts, answers, strict=True):
@@ -109,11 +129,15 @@ class StepWriter:
             raise failed[0]
         return done
 
-    async def apply_to(self, process_id: str, act: Callable[[Process, Step], T]) -> T:
+    async def apply_to(
+        self, process_id: str, act: Callable[[Process, Step], T], *, is_lowering: bool = False
+    ) -> T:
         """Change a process that may be over; raise `Problem` 404 if there is none."""
         await self._state.require_process(process_id)
         return await self.apply(
-            lambda step: act(self._state.find_process(process_id), step), process=process_id
+            lambda step: act(self._state.find_process(process_id), step),
+            process=process_id,
+            is_lowering=is_lowering,
         )
 
     async def recover(self) -> None:
@@ -127,7 +151,39 @@ class StepWriter:
             while len(changes) < MAX_STEP_CHANGES and not self._changes.empty():
                 changes.append(self._changes.get_nowait())
             with STEP_DURATION.time():
+                if self._deferred:
+                    changes = await self._write_deferred_first(changes)
                 await self._write_batch(changes)
+
+    async def _write_deferred_first(self, changes: list[_PendingChange]) -> list[_PendingChange]:
+        """Write what has acted already, one by one; return the changes that may be written after it.
+
+        Those are all of them, or while the database refuses only those that act all the same.
+        """
+        while self._deferred:
+            earlier = self._deferred[0]
+            done: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+            await self._write_batch([replace(earlier, done=done, is_lowering=False)])
+            problem = done.exception()
+            if isinstance(problem, Problem) and problem.title == NOT_WRITTEN:
+                for change in changes:
+                    if not change.is_lowering:
+                        _answer(change, problem)
+                return [change for change in changes if change.is_lowering]
+            self._deferred.pop(0)  # written, or its process has ended meanwhile
+            log.info("a pause or cancellation is written that was not before", problem=str(problem or ""))
+        self._has_deferred.clear()
+        return changes
+
+    async def _write_deferred(self) -> None:
+        """Try to write what has acted already, also while nobody requests a change."""
+        backoff = Backoff(max_s=DEFERRED_RETRY_S)
+        while True:
+            await self._has_deferred.wait()
+            await backoff.wait()
+            with suppress(Problem):
+                await self.apply(lambda _: None)
+                backoff.reset()
 
     async def _write_batch(self, changes: list[_PendingChange]) -> None:
         state, active_processes = self._state, self._state.active_processes
@@ -154,7 +210,12 @@ class StepWriter:
             with suppress(SQLAlchemyError):  # the database is unavailable: the next step tries again
                 await active_processes.refresh()
             active_processes.release(fetched)
-            await self._write_individually([change for change in changes if not change.done.done()], error)
+            changes = [change for change in changes if not change.done.done()]
+            is_refused = isinstance(error, SQLAlchemyError)
+            if is_refused and len(changes) == 1 and changes[0].is_lowering and answers:
+                self._defer(changes[0], step, answers[0][1], error)
+            else:
+                await self._write_individually(changes, error)
             return
         self._next_seq = step.next_seq
         state.apply(step)
@@ -162,6 +223,15 @@ class StepWriter:
         self.outbox.send(step.messages)
         for change, answer in answers:
             _answer(change, answer)
+
+    def _defer(self, change: _PendingChange, step: Step, answer: Any, error: Exception) -> None:
+        """Send the messages of a change that only lowers, and keep it until it can be written."""
+        log.error("a pause or cancellation acts and is not written yet", error=_reason_of(error))
+        self._next_seq = step.next_seq  # a message that is stored later has another number
+        self.outbox.send(step.messages)
+        self._deferred.append(change)
+        self._has_deferred.set()
+        _answer(change, answer)
 
     async def _write_individually(self, changes: list[_PendingChange], error: Exception) -> None:
         """Apply the changes of a failed step one by one, so that only the faulty one fails."""
@@ -173,14 +243,14 @@ class StepWriter:
             log.critical("another orchestrator has taken over; this one ends", error=str(error))
             signal.raise_signal(signal.SIGTERM)
         expected = isinstance(error, HandoverError | SQLAlchemyError)
-        reason = str(error.orig if isinstance(error, DBAPIError) else error)
+        reason = _reason_of(error)
         log.error("step not written", error=reason, exc_info=None if expected else error)
         for change in changes:
             _answer(
                 change,
                 Problem(
                     503,
-                    "Not written",
+                    NOT_WRITTEN,
                     message(
                         "process.not_written",
                         "nothing was changed: {reason}; correct that and send the request again",
@@ -218,6 +288,10 @@ class StepWriter:
         return self._state.store.delete_ended(
             ended_before, MAX_DELETED_PROCESSES, archived_only=archived_only
         )
+
+
+def _reason_of(error: Exception) -> str:
+    return str(error.orig if isinstance(error, DBAPIError) else error)
 
 
 def _answer(change: _PendingChange, answer: Any) -> None:

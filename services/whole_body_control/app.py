@@ -87,6 +87,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                 tasks.start_restarting(control.process.watch)
                 tasks.start_restarting(control.links.run)
                 tasks.start_restarting(limits.run)
+                tasks.start_restarting(control.keep_stops)
                 tasks.start_restarting(device.run)
                 tasks.start_restarting(session_writer.run)
                 tasks.start_restarting(recordings.run)

@@ -1,7 +1,9 @@
 """The audit trail of the broker: who changes entities, and who reads data about the body of a person.
 
 The store of a recorded caller notes what a request reads and changes; the records are appended before the
-response is sent. Of services and devices, and of the local owner in whose name services act without accounts,
+response is sent. Before a change its intent is recorded, so that one that cannot be recorded is refused and
+changes nothing; a request to pause or cancel a Task is carried out all the same, and its response says so in
+a header. Of services and devices, and of the local owner in whose name services act without accounts,
 nothing is noted, so that their requests cost nothing.
 
 A record about the body of a person names the Person of `refPerson` by an alias, and any other resource that
@@ -17,8 +19,9 @@ from typing import Any, Final
 import orjson
 from sqlalchemy import Connection
 
+from datamodels.states import RequestedStatus
 from handover.background_tasks import BackgroundTasks
-from handover.security.audit import AuditLog
+from handover.security.audit import INTENDED, AuditLog
 from handover.security.audit_trail import DONE, FAILED, REFUSED, AuditEntry, AuditTrail, is_recorded
 from handover.security.caller import LOCAL_OWNER, Caller
 from handover.security.resource_patterns import ANY_RESOURCE
@@ -38,6 +41,7 @@ SERVICE: Final = "context-broker"
 MAX_NAMED: Final = 50
 """Entities of one request that are named; the record of the others names everything."""
 _READING_METHODS: Final = frozenset({"GET", "HEAD"})
+_REQUESTED: Final = b"requestedStatus"
 
 
 class AccessRecord:
@@ -54,6 +58,9 @@ class AccessRecord:
         self.is_change = access is OperationAccess.WRITE_ENTITIES or (
             access is OperationAccess.MANAGE_TENANT and request.method not in _READING_METHODS
         )
+        self.is_lowering = self.is_change and _only_lowers(names, request)
+        self.intent: int | None = None
+        """The number of the record of the intent."""
         self._read: dict[str, None] = {}
         self._changed: dict[str, bool] = {}
         self._refused: dict[str, bool] = {}
@@ -92,8 +99,12 @@ class AccessRecord:
                 yield from self._named(self._refused, REFUSED)
             else:
                 yield self._without_entities(REFUSED)
-        elif status >= 500:
+        elif status >= 500 or self.intent is not None:
             yield self._without_entities(FAILED)
+
+    def intended(self) -> AuditEntry:
+        """Return the record of the intent."""
+        return self._without_entities(INTENDED)
 
     def _named(self, resources: dict[str, bool], outcome: str) -> Iterator[AuditEntry]:
         for number, (resource, is_personal) in enumerate(resources.items()):
@@ -119,10 +130,29 @@ class AccessRecord:
             outcome,
             self._request.path[:400],
             is_personal,
+            intent=self.intent,
         )
 
     def _personal(self, entity: Entity) -> str:
         return self._rights.prefix + (person_of(entity) or entity.id)
+
+
+def _only_lowers(names: tuple[str, ...], request: Request) -> bool:
+    """Return whether a request does no more than ask for the pause or the cancellation of a Task."""
+    if not names or (_REQUESTED not in request.body and _REQUESTED not in request.raw_path):
+        return False  # it names no entity in its path, or is about something else
+    try:
+        document: Any = orjson.loads(request.body)
+    except orjson.JSONDecodeError:
+        return False
+    if not isinstance(document, dict):
+        return False
+    attribute = document if names and names[-1] == _REQUESTED.decode() else document.get(_REQUESTED.decode())
+    others = {} if attribute is document else document
+    if others.keys() - {_REQUESTED.decode(), "@context", "id", "type"}:
+        return False
+    value = attribute.get("value") if isinstance(attribute, dict) else attribute
+    return isinstance(value, str) and value in {RequestedStatus.PAUSED, RequestedStatus.CANCELLED}
 
 
 def _first_id(body: bytes) -> str | None:
@@ -179,17 +209,27 @@ class AccessLog:
         await self.start()
         await self.trail.store_once(entries)
 
-    async def finish(self, record: AccessRecord, status: int) -> None:
-        """Record what a request has done. Raises `Problem` 503 if that is not possible."""
+    async def begin(self, record: AccessRecord) -> None:
+        """Record the intent of a change. Raises `Problem` 503 if that is not possible."""
+        if record.is_change and not record.is_lowering:
+            if not self._is_started:
+                await self.start()
+            (record.intent,) = await self.trail.store([record.intended()])
+
+    async def finish(self, record: AccessRecord, status: int) -> bool:
+        """Record what a request has done; return whether that was possible now.
+
+        Raises `Problem` 503 if a read cannot be recorded; a change has happened, and is recorded later.
+        """
         entries = list(record.entries(status))
         if not entries:
-            return
+            return True
         if not self._is_started:
             await self.start()
         if record.is_change:
-            await self.trail.store(entries)
-        else:
-            await self.trail.store_once(entries)
+            return await self.trail.store_now_or_later(*entries)
+        await self.trail.store_once(entries)
+        return True
 
     def _note_deletion(self, _: str, entity: Entity) -> None:
         if is_of(entity, self._personal_types):

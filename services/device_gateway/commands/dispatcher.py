@@ -48,6 +48,7 @@ MAX_ENDED: Final = 2_000
 """Ended commands that are kept in memory; the database has all."""
 MAX_PARAMETERS_BYTES: Final = 32 * 1024
 CANCEL_TIMEOUT_S: Final = 10.0
+CANCEL_WRITE_TIMEOUT_S: Final = 2.0
 
 
 class CommandLink(Protocol):
@@ -269,7 +270,11 @@ class Dispatcher:
                 raise _no_command(device, identifier)
             return found
         if one.command.state is CommandState.QUEUED and one.command.boot is None and not one.is_busy:
-            await self._end(one, CommandState.CANCELLED, "cancelled before it was sent")
+            one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
+            written = self._writer.add(commands=[_row(one.command)])
+            self._close_if_ended(one)
+            # It is cancelled, and is not sent: a database that does not answer must not keep that back.
+            await asyncio.wait({written}, timeout=CANCEL_WRITE_TIMEOUT_S)
         elif not one.is_cancelling:
             self._cancel_sent(one)
         return one.command

@@ -7,6 +7,7 @@ from fastapi import FastAPI, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import Engine
 
+from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.service import json_response
@@ -69,6 +70,7 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
         return command_view(found)
 
     @app.delete("/devices/{device}/commands/{command}", tags=["commands"], dependencies=[may_command])
+    @lowers()
     async def cancel(device: str, command: str, response: Response) -> CommandView:
         """Cancel a command; 202 while the device has not answered."""
         gateway.device(device)

@@ -8,6 +8,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
@@ -120,6 +121,7 @@ def add_control_routes(
         return _view(inputs.begin(device, new.robot, query, new.mapping, overrides, credentials))
 
     @app.delete("/devices/{device}/control", tags=["control"])
+    @lowers()
     async def end(device: str, caller: Driver, request: Request) -> ControlView:
         """End the control with a device; the robot stops."""
         control = _found(gateway, inputs, device)

@@ -35,7 +35,7 @@ def add_access_routes(app: FastAPI, people: People, audit: AuditTrail) -> None:
         last access, also after the account was deleted. The same reading is recorded once in ten
         minutes. Reading the entities in the context broker is in the audit log of the broker.
         """
-        require_own_or(request, caller, Permission.READ_AUDIT, person)
+        await require_own_or(request, caller, Permission.READ_AUDIT, person)
         people.person(person)
         resource = guard_of(request).settings.entity_id("Person", person)
         chosen = AuditFilter(about=resource, outcome=DONE)

@@ -108,13 +108,13 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.get("/people/{person}", tags=["people"])
     async def one_person(person: Name, caller: SignedIn, request: Request) -> PersonView:
         """Return a person without values."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         return person_view(people.person(person), monitoring)
 
     @app.put("/people/{person}", tags=["people"])
     async def put_person(person: Name, body: PersonChange, caller: SignedIn, request: Request) -> PersonView:
         """Add a person, or change baseline and curve. The pseudonym is drawn here and stays."""
-        require_own_or(request, caller, Permission.CONFIGURE, person)
+        await require_own_or(request, caller, Permission.CONFIGURE, person)
         known = people.find(person)
         baseline, curve = _baseline(body, known.baseline if known else Baseline())
         changed = await people.put(person, baseline, (curve.free_bpm, curve.strained_bpm, curve.least))
@@ -123,7 +123,7 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.delete("/people/{person}", tags=["people"], status_code=204)
     async def delete_person(person: Name, caller: SignedIn, request: Request) -> Response:
         """Delete a person everywhere: here with the history, and the entities in the broker."""
-        require_own_or(request, caller, Permission.MANAGE_PEOPLE, person)
+        await require_own_or(request, caller, Permission.MANAGE_PEOPLE, person)
         people.person(person)
         await removal.person(person)
         return Response(status_code=204)
@@ -131,7 +131,7 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.delete("/people/{person}/data", tags=["people"], status_code=204)
     async def delete_data(person: Name, caller: SignedIn, request: Request) -> Response:
         """Delete what is stored about the body of a person; the consent stays."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         await removal.data(people.person(person))
         return Response(status_code=204)
 
@@ -142,7 +142,7 @@ def _add_baselines(app: FastAPI, parts: Parts) -> None:
     @app.post("/people/{person}/baseline/rest", tags=["people"])
     async def measure_rest(person: Name, caller: SignedIn, request: Request) -> PersonView:
         """Take the heart rate at rest from the last five minutes, in which the person sat still."""
-        require_own_or(request, caller, Permission.CONFIGURE, person)
+        await require_own_or(request, caller, Permission.CONFIGURE, person)
         before = people.person(person).baseline
         try:
             rest = measured_rest_bpm(list(parts.monitor_of(person).recent)[-600:])
@@ -154,7 +154,7 @@ def _add_baselines(app: FastAPI, parts: Parts) -> None:
     @app.post("/people/{person}/baseline/maximum", tags=["people"])
     async def measure_maximum(person: Name, caller: SignedIn, request: Request) -> PersonView:
         """Take the highest heart rate of the last minutes as the maximum, after a supervised test."""
-        require_own_or(request, caller, Permission.CONFIGURE, person)
+        await require_own_or(request, caller, Permission.CONFIGURE, person)
         before = people.person(person).baseline
         try:
             found = measured_maximum_bpm(parts.monitor_of(person).recent)
@@ -178,7 +178,7 @@ def _add_consents(app: FastAPI, parts: Parts) -> None:
         person: Name, body: ConsentGiven, caller: SignedIn, request: Request
     ) -> PersonView:
         """Store the consent of a person: by the person, or by somebody who conducts studies with them."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         ends_us = int(body.ends.timestamp() * 1e6)
         given_by = caller.acting_name(body.given_by)
         return person_view(await people.consent(person, body.purposes, ends_us, given_by), monitoring)
@@ -188,7 +188,7 @@ def _add_consents(app: FastAPI, parts: Parts) -> None:
         person: Name, caller: SignedIn, request: Request, delete: bool = False
     ) -> PersonView:
         """Withdraw the consent: sensors stop at once. With `delete`, what is stored is deleted as well."""
-        require_own_or(request, caller, Permission.PERFORM_TASKS, person)
+        await require_own_or(request, caller, Permission.PERFORM_TASKS, person)
         withdrawn = await people.withdraw(person)
         if delete:
             await removal.data(withdrawn)
@@ -201,7 +201,7 @@ def _add_state(app: FastAPI, parts: Parts) -> None:
     @app.get("/people/{person}/state", tags=["state"])
     async def state(person: Name, caller: SignedIn, request: Request) -> StateView:
         """Return the values of a person now, with age, quality and status; 409 without consent."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         return state_view(parts.monitor_of(person), monitoring)
 
     @app.get("/people/{person}/history/{feature}", tags=["state"])
@@ -256,7 +256,7 @@ def _history_of(parts: Parts) -> Any:
     The time is from `start` to `end`; the last day if none is given.
     """
 
-    def asked(  # noqa: PLR0917 - parameters of routes
+    async def asked(  # noqa: PLR0917 - parameters of routes
         person: Name,
         feature: FeatureName,
         caller: SignedIn,
@@ -264,7 +264,7 @@ def _history_of(parts: Parts) -> Any:
         start: datetime | None = None,
         end: datetime | None = None,
     ) -> History:
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         to_s = time.time() if end is None else end.timestamp()
         from_s = to_s - DAY_S if start is None else start.timestamp()
         subject = parts.people.person(person).pseudonym
@@ -279,7 +279,7 @@ def _add_limits(app: FastAPI, parts: Parts) -> None:
     @app.get("/people/{person}/limit", tags=["limits"])
     async def limit(person: Name, caller: SignedIn, request: Request) -> LimitView:
         """Return the speed limit of a person; 409 without consent to it."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         return limit_of(person)
 
     def limit_of(person: str) -> LimitView:
@@ -299,7 +299,7 @@ def _add_limits(app: FastAPI, parts: Parts) -> None:
     @app.post("/people/{person}/limit/reset", tags=["limits"])
     async def reset(person: Name, body: Reset, caller: SignedIn, request: Request) -> LimitView:  # noqa: ARG001
         """End a stop, by the person or by who is in charge; each robot has a reset of its own as well."""
-        require_own_or(request, caller, Permission.PERFORM_TASKS, person)
+        await require_own_or(request, caller, Permission.PERFORM_TASKS, person)
         limit_of(person)
         try:
             parts.monitor_of(person).reset()

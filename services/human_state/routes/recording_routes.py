@@ -41,20 +41,20 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
     @app.get("/people/{person}/recordings", tags=["recordings"])
     async def list_recordings(person: Name, caller: SignedIn, request: Request) -> list[RecordingView]:
         """Return the recordings of a person, newest first."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         return [view(row) for row in recordings.of(people.person(person).pseudonym)]
 
     @app.post("/people/{person}/recordings", tags=["recordings"], status_code=201)
     async def start(person: Name, body: RecordingStart, caller: SignedIn, request: Request) -> RecordingView:
         """Start to record all signals and values of a person; 409 without consent or key."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         started_by = caller.acting_name(body.started_by)
         return view(await recordings.start(person, body.label, started_by[:200]))
 
     @app.post("/people/{person}/recordings/{recording}/stop", tags=["recordings"])
     async def stop(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> RecordingView:
         """End a recording and close its file; the response has its SHA-256."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         return view(await recordings.stop(found(person, recording)))
 
     @app.post("/people/{person}/recordings/{recording}/markers", tags=["recordings"], status_code=204)
@@ -62,7 +62,7 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
         person: Name, recording: RecordingId, body: MarkerGiven, caller: SignedIn, request: Request
     ) -> Response:
         """Mark a time in a recording that runs: now, or `at`."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         at_s = time.time() if body.at is None else body.at.timestamp()
         recordings.mark(found(person, recording), Marker(at_s, body.name, body.text))
         return Response(status_code=204)
@@ -70,7 +70,7 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
     @app.delete("/people/{person}/recordings/{recording}", tags=["recordings"], status_code=204)
     async def delete(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Delete a recording with its file; one that runs is ended."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         await recordings.delete(found(person, recording))
         return Response(status_code=204)
 
@@ -88,7 +88,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         person: Name, recording: RecordingId, caller: SignedIn, request: Request
     ) -> StreamingResponse:
         """Return the decrypted MCAP file, with its SHA-256 in `Repr-Digest` (RFC 9530)."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
@@ -114,7 +114,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
     )
     async def bundle(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return values and waveforms as an HL7 FHIR R5 Bundle, with SHA-256; 413 for a long recording."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
@@ -129,7 +129,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
     @app.get("/people/{person}/recordings/{recording}/xdf", tags=["recordings"], response_class=Response)
     async def xdf(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return signals, values and markers as XDF 1.0, with its SHA-256; 413 for a long recording."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
             raise no_key()

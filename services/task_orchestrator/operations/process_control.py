@@ -61,7 +61,9 @@ class ProcessControl:
     async def cancel(self, process_id: str, by: str | None = None) -> None:
         """Cancel a process; raise `Problem` 404 if there is none, 409 if it has ended."""
         await self._writer.apply_to(
-            process_id, lambda process, step: interventions.cancel(process, by, step, self._state.clock())
+            process_id,
+            lambda process, step: interventions.cancel(process, by, step, self._state.clock()),
+            is_lowering=True,
         )
 
     async def retry(self, process_id: str, task_id: str, by: str) -> None:
@@ -111,7 +113,9 @@ class ProcessControl:
     async def pause(self, process_id: str, kind: ActKind, *, by: str | None, why: str | None) -> None:
         """Pause or resume a process; raise `Problem` 404 if there is none, 409 if it has ended."""
         await self._writer.apply_to(
-            process_id, lambda process, step: self._pause(process, kind, by, why, step)
+            process_id,
+            lambda process, step: self._pause(process, kind, by, why, step),
+            is_lowering=kind is ActKind.PAUSE,
         )
 
     async def pause_all(
@@ -127,7 +131,7 @@ class ProcessControl:
             for process in self._state.active_processes.processes.values()
             if process.run is not None and definition in (None, process.record.definition)
         }
-        return list(await self._writer.apply_each(wanted))
+        return list(await self._writer.apply_each(wanted, is_lowering=kind is ActKind.PAUSE))
 
     async def migrate(
         self, process_id: str, version: int | None, act: Act, *, dry: bool = False

@@ -3,6 +3,7 @@
 from fastapi import FastAPI, Response
 
 from handover.body_limit import max_body
+from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
@@ -32,6 +33,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
+    @lowers()
     async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
         await orchestrator.processes.pause(
@@ -58,6 +60,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         responses={200: {"model": PausedProcesses}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
     )
+    @lowers()
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Pause all running processes, or those of a definition. Processes can still be started."""
         paused = await orchestrator.processes.pause_all(

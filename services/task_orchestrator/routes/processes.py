@@ -8,6 +8,7 @@ from pydantic import AwareDatetime
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
+from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
@@ -108,6 +109,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
+    @lowers()
     async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
         await orchestrator.processes.cancel(

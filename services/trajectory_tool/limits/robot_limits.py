@@ -35,6 +35,7 @@ from services.trajectory_tool.trajectory import Setpoint, rounded_pace
 
 EVALUATE_EVERY_S = 0.04
 OVERDUE_S = 0.5
+SAVE_EVERY_S = 1.0
 REDUCED_MPS = 0.25
 """The speed of the tool in reduced mode (ISO 10218-1)."""
 LINK_RADIUS_M = 0.12
@@ -213,8 +214,12 @@ class RobotLimits:
 
     async def run(self) -> None:
         """Evaluate distances until cancelled."""
+        saved_s = self._now()
         while True:
             self.evaluate()
+            if (now_s := self._now()) - saved_s > SAVE_EVERY_S:
+                saved_s = now_s
+                self._store.save()
             await asyncio.sleep(EVALUATE_EVERY_S)
 
     def evaluate(self) -> None:
@@ -287,26 +292,44 @@ class RobotLimits:
         return found
 
     async def set_mode(self, mode: Mode, name: str) -> None:
-        """Set the mode. Raises `OSError`."""
-        await self._put(self.record.decided(f"mode {mode}", name, mode=mode))
+        """Set the mode. Raises `OSError` unless it lowers the speed."""
+        record = self.record.decided(f"mode {mode}", name, mode=mode)
+        await self._put(record, is_lower=mode == "reduced")
         self.evaluate()
 
     async def set_safe_speed(self, speed: SafeSpeed, name: str) -> None:
-        """Set the validated speed of the end effector. Raises `OSError`."""
+        """Set the validated speed of the end effector. Raises `OSError` unless it lowers the speed."""
         what = f"{speed.end_effector}: {speed.speed_mps:g} m/s"
         speeds = {**self.record.safe_speeds, speed.end_effector: speed}
-        await self._put(self.record.decided(what, name, safe_speeds=speeds))
+        is_lower = self.is_lower_speed(speed)
+        await self._put(self.record.decided(what, name, safe_speeds=speeds), is_lower=is_lower)
         self.evaluate()
 
+    def is_lower_speed(self, speed: SafeSpeed) -> bool:
+        """Return whether a validated speed is below the one that is in force for its end effector."""
+        known = self.record.safe_speeds.get(speed.end_effector)
+        return known is not None and speed.speed_mps <= known.speed_mps
+
+    def is_longer_stop(self, stop: MeasuredStop) -> bool:
+        """Return whether a measured stop lowers the speed near people."""
+        known = self.record.stop
+        return known is not None and (
+            stop.delay_s >= known.delay_s and stop.deceleration_mps2 <= known.deceleration_mps2
+        )
+
     async def set_stop(self, stop: MeasuredStop, name: str) -> None:
-        """Set the measured stop. Raises `OSError`."""
-        await self._put(self.record.decided("measured the stop", name, stop=stop))
+        """Set the measured stop. Raises `OSError` unless it lowers the speed."""
+        is_lower = self.is_longer_stop(stop)
+        await self._put(self.record.decided("measured the stop", name, stop=stop), is_lower=is_lower)
         self.separation.rule = replace(self.separation.rule, stopping=_stopping(self.record))
         self.evaluate()
 
-    async def _put(self, record: RobotRecord) -> None:
+    async def _put(self, record: RobotRecord, *, is_lower: bool = False) -> None:
         # On the event loop: a file of some kB, seldom, and two writes never overlap.
-        self._store.put(self.name, record)
+        if is_lower:
+            self._store.put_lower(self.name, record)
+        else:
+            self._store.put(self.name, record)
 
     def _distance(self) -> Distance:
         return distance_from([(x, y) for x, y, _ in self._model.chain(self._joints())], LINK_RADIUS_M)

@@ -4,9 +4,9 @@ Nothing here is a safety-rated function: a limit is advisory and only ever lower
 protective stops of the real robot are shown, and never reset.
 """
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket
 from datamodels.streams import PeopleReport, SpeedLimitReport
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.websocket_closing import close_websocket
@@ -65,6 +66,12 @@ class StopChange(ByPerson, MeasuredStop):
 
 def add_routes(app: FastAPI, find: Find) -> None:
     """Add the routes of the limits."""
+
+    def is_lower_speed(given: Mapping[str, Any]) -> bool:
+        return find(given["robot"])[0].is_lower_speed(given["body"])
+
+    def is_longer_stop(given: Mapping[str, Any]) -> bool:
+        return find(given["robot"])[0].is_longer_stop(given["body"])
 
     @app.get("/robots/{robot}/limits", tags=["limits"], dependencies=[require(Permission.READ, of_robot)])
     async def limits(robot: str) -> RobotLimitsView:
@@ -128,6 +135,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
     @app.put(
         "/robots/{robot}/limits/mode", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
     )
+    @lowers(lambda given: given["body"].mode == "reduced")
     async def set_mode(robot: str, body: ModeChange) -> RobotLimitsView:
         """Set the mode, `normal` or `reduced`."""
         found, driver = find(robot)
@@ -139,6 +147,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
         tags=["limits"],
         dependencies=[require(Permission.CONFIGURE, of_robot)],
     )
+    @lowers(is_lower_speed)
     async def set_safe_speed(robot: str, body: SafeSpeedChange) -> RobotLimitsView:
         """Set the speed of the tool that was validated for an end effector, with the date of validation."""
         found, driver = find(robot)
@@ -159,6 +168,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
     @app.put(
         "/robots/{robot}/limits/stop", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
     )
+    @lowers(is_longer_stop)
     async def set_stop(robot: str, body: StopChange) -> RobotLimitsView:
         """Set the measured stop, from which protective distances are computed."""
         found, driver = find(robot)

@@ -20,6 +20,9 @@ from pydantic import (
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
 
 MAX_DECISIONS = 1000
 
@@ -93,6 +96,8 @@ class LimitStore:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._is_saved = True
+        self._is_reported = False
         try:
             self._file = _File.model_validate_json(path.read_bytes())
         except FileNotFoundError:
@@ -112,5 +117,26 @@ class LimitStore:
     def put(self, robot: str, record: RobotRecord) -> None:
         """Store the record of a robot durably. Raises `OSError`; nothing is changed then."""
         file = _File(robots={**self._file.robots, robot: record})
-        replace_durably(self.path, file.model_dump_json(indent=1).encode())
+        self._write(file)
         self._file = file
+
+    def put_lower(self, robot: str, record: RobotRecord) -> None:
+        """Let a record hold that only lowers the speed; store it now, or with `save` when possible."""
+        self._file = _File(robots={**self._file.robots, robot: record})
+        self._is_saved = False
+        self.save()
+
+    def save(self) -> None:
+        """Store what holds and is not stored yet, if that is possible."""
+        if self._is_saved:
+            return
+        try:
+            self._write(self._file)
+        except OSError as error:
+            if not self._is_reported:
+                log.warning("a lower limit is not stored yet", path=str(self.path), reason=error.strerror)
+            self._is_reported = True
+
+    def _write(self, file: _File) -> None:
+        replace_durably(self.path, file.model_dump_json(indent=1).encode())
+        self._is_saved, self._is_reported = True, False

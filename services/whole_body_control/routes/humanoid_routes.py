@@ -12,6 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem, UsageError
 from handover.messages import message
+from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
@@ -81,6 +82,7 @@ def _add_models(app: FastAPI, control: HumanoidControl) -> None:
 
 def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
     @app.post("/stop", tags=["humanoid"])
+    @lowers()
     async def stop(
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_humanoid)],
         body: StopRequest | None = None,

@@ -4,15 +4,18 @@ A person needs no grant for the own sessions. Reading those of others is recorde
 """
 
 import asyncio
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request
+from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
 from handover.messages import message, text_of
-from handover.security.audit_trail import current_request
+from handover.security.act_recording import lowers
+from handover.security.audit_trail import begin_act, current_request
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require, require_signed_in
 from handover.security.permissions import Permission
@@ -84,6 +87,7 @@ def _add_acts(app: FastAPI, training: Training, writer: SessionWriter) -> None:
         return _view(training.row(session), training)
 
     @app.post("/sessions/{session}/pause", tags=["sessions"], dependencies=perform)
+    @lowers()
     async def pause(session: str) -> SessionView:
         """Pause: the robot finishes its step and stands."""
         _require_current(training, session)
@@ -101,6 +105,7 @@ def _add_acts(app: FastAPI, training: Training, writer: SessionWriter) -> None:
         return await _current(training, writer)
 
     @app.post("/sessions/{session}/end", tags=["sessions"], dependencies=perform)
+    @lowers()
     async def end(session: str) -> SessionView:
         """End the session; the robot finishes its step and stands."""
         _require_current(training, session)
@@ -114,9 +119,9 @@ def _add_reading(app: FastAPI, training: Training) -> None:
     async def found(session: str, caller: Caller, request: Request) -> StoredSession:
         stored = await asyncio.to_thread(store.find, session)
         if stored is None:
-            _require_seen(request, caller, None)
+            await _require_seen(request, caller, None)
             raise _unknown(session)
-        _require_seen(request, caller, stored["person"])
+        await _require_seen(request, caller, stored["person"])
         return stored
 
     @app.get("/sessions", tags=["sessions"])
@@ -127,7 +132,7 @@ def _add_reading(app: FastAPI, training: Training) -> None:
         guard = guard_of(request)
         wanted = None if person is None else guard.settings.entity_id("Person", person)
         if wanted is not None:
-            _require_seen(request, caller, wanted)
+            await _require_seen(request, caller, wanted)
         humanoid = str(of_humanoid(request))
         listed = await asyncio.to_thread(store.newest, humanoid.rpartition(":")[2], wanted)
         return [_view(one, training) for one in listed if _may_see(caller, one["person"], humanoid)]
@@ -154,7 +159,7 @@ def _add_persons(app: FastAPI, training: Training) -> None:
     async def weeks(person: Name, caller: SignedIn, request: Request) -> list[WeekView]:
         """Return the weeks in which a person exercised, the oldest first."""
         resource = guard_of(request).settings.entity_id("Person", person)
-        _require_seen(request, caller, resource)
+        await _require_seen(request, caller, resource)
         figures = await asyncio.to_thread(store.figures_of, resource)
         return [WeekView(**asdict(week)) for week in progress(figures)]
 
@@ -162,7 +167,7 @@ def _add_persons(app: FastAPI, training: Training) -> None:
     async def delete(person: Name, caller: SignedIn, request: Request) -> DeletedView:
         """Delete all sessions of a person; one that runs is ended."""
         resource = guard_of(request).settings.entity_id("Person", person)
-        _require_own_or(request, caller, Permission.MANAGE_PEOPLE, resource)
+        await _require_own_or(request, caller, Permission.MANAGE_PEOPLE, resource)
         current = training.current
         if current is not None and current.plan.person == resource:
             training.end(EndReason.PERSON)
@@ -171,7 +176,8 @@ def _add_persons(app: FastAPI, training: Training) -> None:
 
 
 async def _current(training: Training, writer: SessionWriter) -> SessionView:
-    await writer.flush()
+    with suppress(SQLAlchemyError):  # a stop counts also on a full disk; it is written every second
+        await writer.flush()
     assert training.current is not None  # noqa: S101 - the caller has required it
     return _view(training.row(training.current), training)
 
@@ -196,20 +202,21 @@ def _unknown(session: str) -> Problem:
     )
 
 
-def _require_seen(request: Request, caller: Caller, person: str | None) -> None:
+async def _require_seen(request: Request, caller: Caller, person: str | None) -> None:
     """Raise `Problem` 403 unless `caller` may see the sessions of `person`; None is nobody in particular."""
     if person is None:
         guard_of(request).require(caller, Permission.READ, str(of_humanoid(request)))
     else:
-        _require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        await _require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
 
 
-def _require_own_or(request: Request, caller: Caller, permission: Permission, person: str) -> None:
+async def _require_own_or(request: Request, caller: Caller, permission: Permission, person: str) -> None:
     act = current_request()
     if act is not None:
         act.caller, act.permission, act.resource = caller, permission, person
     if caller.person != person:
         guard_of(request).require(caller, permission, person)
+    await begin_act()
 
 
 def _may_see(caller: Caller, person: str | None, humanoid: str) -> bool:

@@ -3,7 +3,10 @@
 import asyncio
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Final
+
+from sqlalchemy.exc import SQLAlchemyError
 
 from handover.control.limit_link import LimitLink
 from handover.control.speed_limits import Allowed
@@ -29,6 +32,9 @@ from services.whole_body_control.running.throws import Throws
 from services.whole_body_control.settings import WholeBodySettings
 
 log = get_logger(__name__)
+
+KEEP_AGAIN_S: Final = 1.0
+"""Pause before a stop is stored again that could not be stored."""
 
 FAULTS: Final[Mapping[int, str]] = {
     Fault.SENSORS: message("humanoid.fault_sensors", "a sensor has no valid value; the last command holds"),
@@ -100,6 +106,7 @@ class HumanoidControl:
         )
         self.throws = Throws(self.model, self.motion, practice, self.rehearsals, lambda: self.links.values)
         self._store = store
+        self._has_unkept_stop = asyncio.Event()
 
     def open(self) -> None:
         """Find or start the control cycle; a stop that was not reset, and chosen gains, stay in force."""
@@ -150,7 +157,20 @@ class HumanoidControl:
         """Finish the step, and stand on both feet until a reset; it acts before it is stored."""
         stopped = self.motion.stop(caller.name, reason)
         log.warning("humanoid stopped", by=caller.name, reason=reason)
-        await asyncio.to_thread(self._store.keep_stop, self.name, stopped)
+        try:
+            await asyncio.to_thread(self._store.keep_stop, self.name, stopped)
+        except SQLAlchemyError as error:
+            log.warning("the stop is not stored yet", reason=str(error).splitlines()[0])
+            self._has_unkept_stop.set()
+
+    async def keep_stops(self) -> None:
+        """Store a stop that could not be stored when it was made, until cancelled."""
+        while True:
+            await self._has_unkept_stop.wait()
+            await asyncio.sleep(KEEP_AGAIN_S)
+            with suppress(SQLAlchemyError):
+                await asyncio.to_thread(self._store.keep_stop, self.name, self.motion.stopped)
+                self._has_unkept_stop.clear()
 
     async def reset(self) -> None:
         """Release the stop, and those of limits. Raises `Problem` 409 while a limit still stops the robot."""

@@ -3,8 +3,13 @@
 import asyncio
 from typing import Any, Final
 
+from sqlalchemy.exc import SQLAlchemyError
+
+from handover.errors import Problem
+from handover.messages import message
 from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.training import Plan, Session, Training
+from services.whole_body_control.sessions.exercise import EndReason
 
 WRITE_EVERY_S: Final = 1.0
 
@@ -18,10 +23,23 @@ class SessionWriter:
         self._lock = asyncio.Lock()
 
     async def begin(self, plan: Plan) -> Session:
-        """Begin a session; it is in the database before it is returned. Raises `Problem` 409."""
+        """Begin a session; it is in the database before it is returned. Raises `Problem` 409, 503."""
         await self.flush()
         session = self._training.open(plan)
-        await asyncio.to_thread(self._store.add, self._training.row(session))
+        try:
+            await asyncio.to_thread(self._store.add, self._training.row(session))
+        except SQLAlchemyError as error:
+            self._training.end(EndReason.FAULT)
+            session.is_closed = True
+            raise Problem(
+                503,
+                "Not stored",
+                message(
+                    "humanoid.session_not_stored",
+                    "the session has ended again, since it cannot be stored: {reason}",
+                    reason=str(getattr(error, "orig", error)).strip().splitlines()[0],
+                ),
+            ) from None
         return session
 
     async def flush(self) -> None:

@@ -344,6 +344,7 @@ async def test_who_changes_an_entity_is_recorded_and_services_are_not(http: http
     expected = [
         (patch, ROBOT, "done"),
         (patch, OTHER_ROBOT, "refused"),
+        (patch, "urn:a:b", "failed"),
         (upsert, ROBOT, "done"),
         (upsert, OTHER_ROBOT, "done"),
         (upsert, ANNA, "refused"),
@@ -426,9 +427,9 @@ async def test_a_deleted_person_is_named_nowhere_in_the_audit_log(
     await until(is_forgotten, why="the name is still there")
     assert len(await records(http)) == 3
     verified = (await http.get(f"{ROOT}/audit/verification", headers=AUDITOR)).json()
-    assert (verified["records"], verified["fault"]) == (3, None)
+    assert (verified["records"], verified["fault"], verified["withoutOutcome"]) == (5, None, [])
     (chain,) = audit_chains.chains_of(Settings(data_dir=tmp_path, _env_file=None))
-    assert (chain.service, len(audit_chains.records_of([chain]))) == ("context-broker", 3)
+    assert (chain.service, len(audit_chains.records_of([chain]))) == ("context-broker", 5)
 
 
 async def test_a_request_that_cannot_be_recorded_is_refused(http: httpx.AsyncClient, tmp_path: Path) -> None:

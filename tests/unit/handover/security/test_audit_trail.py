@@ -1,6 +1,6 @@
 """The audit trail: changes with their transaction, private reads once, refusals, and nothing of services."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,10 @@ from typer.testing import CliRunner
 from handover.cli.main import app as command_line
 from handover.database import connect
 from handover.errors import Problem
+from handover.migrations import migrate
 from handover.security import audit_chains
+from handover.security.act_recording import lowers, recorded_with_change
+from handover.security.audit import INTENDED, AuditLog, AuditTables
 from handover.security.audit_trail import AuditEntry, AuditTrail, record_deletion, record_request
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Guard, in_path, require
@@ -21,6 +24,7 @@ from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.service import create_app
 from handover.settings import Settings
+from tests.kit.waiting import until
 from tests.unit.handover.security.test_guard import KEY, UR10, bearer, set_up_accounts
 
 ANNA = "urn:ngsi-ld:Person:demo:anna"
@@ -33,6 +37,9 @@ class Lamp:
     """An application with a database, whose routes change and read as ours do."""
 
     def __init__(self, folder: Path) -> None:
+        self.jogs = 0
+        self.during: Callable[[], None] = lambda: None
+        """What happens while the robot is jogged."""
         settings = Settings(data_dir=folder, _env_file=None)
         self.engine: Engine = connect(settings.database("lamp"))
         LAMPS.metadata.create_all(self.engine)
@@ -45,6 +52,7 @@ class Lamp:
 
     def _add_routes(self, app: FastAPI) -> None:
         @app.put("/lamps/{lamp}", dependencies=[require(Permission.CONFIGURE)])
+        @recorded_with_change
         def keep(lamp: str, fails: bool = False) -> None:
             with self.engine.begin() as connection:
                 connection.execute(insert(LAMPS).values(name=lamp))
@@ -56,11 +64,22 @@ class Lamp:
             "/robots/{robot}/jog", dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))]
         )
         async def jog(robot: str) -> str:
+            self.jogs += 1
+            self.during()
             return robot
+
+        @app.post(
+            "/robots/{robot}/stop",
+            status_code=204,
+            dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
+        )
+        @lowers()
+        async def stop(robot: str) -> None: ...
 
         @app.delete(
             "/people/{person}", dependencies=[require(Permission.MANAGE_PEOPLE, in_path("Person", "person"))]
         )
+        @recorded_with_change
         def remove(person: str) -> None:
             with self.engine.begin() as connection:
                 record_deletion(connection)
@@ -77,6 +96,17 @@ class Lamp:
         @app.get("/state", dependencies=[require(Permission.READ)])
         async def state() -> str:
             return "on"
+
+    def deny(self, name: str | None) -> None:
+        """Let the database refuse every record from now on, or accept them again."""
+        with self.engine.begin() as connection:
+            if name is None:
+                connection.exec_driver_sql("DROP TRIGGER full")
+            else:
+                connection.exec_driver_sql(
+                    "CREATE TRIGGER full BEFORE INSERT ON lamp_audit "
+                    f"BEGIN SELECT RAISE(ABORT, '{name}'); END"
+                )
 
     def lamps(self) -> list[str]:
         with self.engine.connect() as connection:
@@ -158,7 +188,7 @@ async def test_a_deleted_person_is_named_nowhere_and_the_chain_is_intact(
     answer = await http.get("/audit")
     assert "anna" not in answer.text
     assert (await http.get("/audit/verification")).json() == {
-        "records": 2, "head": answer.json()[0]["hash"], "fault": None,
+        "records": 3, "head": answer.json()[0]["hash"], "fault": None, "withoutOutcome": [],
     }  # fmt: skip
 
 
@@ -185,6 +215,60 @@ async def test_all_logs_of_a_folder_are_verified_and_exported(
     damaged = run.invoke(command_line, ["audit", "verify", *where])
     assert (damaged.exit_code, "record 1 was changed" in damaged.output) == (1, True)
     assert audit_chains.chains_of(Settings(data_dir=tmp_path / "nothing", _env_file=None)) == []
+
+
+@pytest.mark.parametrize("has_names", [False, True])
+async def test_a_trail_of_an_earlier_version_gets_intents_and_its_chain_stays_intact(
+    tmp_path: Path, has_names: bool
+) -> None:
+    settings = Settings(data_dir=tmp_path, _env_file=None)
+    engine = connect(settings.database("lamp"))
+    before = MetaData()
+    tables = AuditTables(before, "lamp", has_aliases=True, has_names=has_names)
+    migrate(engine, before, component="lamp_audit", version=2 if has_names else 1)
+    with engine.begin() as connection:
+        AuditLog(tables).append(connection, "s1", "PUT /lamps/{lamp}", resource="*", text="/lamps/one")
+    (chain,) = audit_chains.chains_of(settings)
+    assert [view["intent"] for view in audit_chains.records_of([chain])] == [None], "read without a change"
+    async with AuditTrail(settings, "lamp", engine, has_names=has_names) as trail:
+        (intent,) = await trail.store([AuditEntry(CALLER, "POST /x", "*", INTENDED, "/x")])
+        assert await trail.read(trail.log.open_intents) == [intent]
+        await trail.store([AuditEntry(CALLER, "POST /x", "*", "done", "/x", intent=intent)])
+        assert await trail.read(trail.log.open_intents) == []
+        verified = await trail.read(trail.log.verify)
+        assert (verified.records, verified.fault) == (3, None)
+    engine.dispose()
+
+
+async def test_an_outcome_that_is_moved_to_another_intent_breaks_the_chain(
+    http: httpx.AsyncClient, lamp: Lamp
+) -> None:
+    for _ in range(2):
+        assert (await http.post("/robots/ur10-1/jog")).status_code == 200
+    with lamp.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE lamp_audit SET intent = 1 WHERE seq = 4")
+    assert (await http.get("/audit/verification")).json()["fault"] == "record 4 was changed"
+
+
+async def test_an_outcome_that_cannot_be_written_changes_no_answer_and_is_written_later(
+    http: httpx.AsyncClient, lamp: Lamp
+) -> None:
+    lamp.during = lambda: lamp.deny("DENIED")
+    assert (await http.post("/robots/ur10-1/jog")).status_code == 200, "it has moved"
+    refused = await http.post("/robots/ur10-1/jog")
+    assert (refused.status_code, refused.json()["title"], lamp.jogs) == (503, "Not recorded", 1)
+    stopped = await http.post("/robots/ur10-1/stop")
+    assert (stopped.status_code, stopped.json()) == (200, {"recorded": False})
+    lamp.deny(None)
+
+    async def are_written() -> bool:
+        jog, stop = "POST /robots/{robot}/jog", "POST /robots/{robot}/stop"
+        found = [(action, outcome) for _, action, _, outcome in await records(http)]
+        return found == [(jog, "done"), (jog, "failed"), (stop, "done")]
+
+    await until(are_written, why="the records are never written")
+    assert (await http.post("/robots/ur10-1/stop")).status_code == 204, "it is recorded at once now"
+    assert (await http.get("/audit/verification")).json()["withoutOutcome"] == []
 
 
 async def test_a_trail_of_an_earlier_version_gets_the_names_of_callers(tmp_path: Path) -> None:

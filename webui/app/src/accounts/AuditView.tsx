@@ -20,9 +20,9 @@ import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { resourceName, SERVICE, useUsers, type TokenView } from "./accounts";
-import { actionText, AUDITED, exported, OUTCOMES, servicesOf, useAudit, verified, type AuditFilter, type AuditView as Entry, type Failure, type Verified } from "./audit";
+import { actionText, AUDITED, exported, outcomeOf, OUTCOMES, servicesOf, useAudit, verified, type AuditFilter, type AuditView as Entry, type Failure, type Verified } from "./audit";
 
-const TONES: Record<string, Tone> = { done: "ok", refused: "attention", failed: "stop" };
+const TONES: Record<string, Tone> = { done: "ok", refused: "attention", failed: "stop", unknown: "attention" };
 const FORMATS = ["csv", "json"] as const;
 
 export function AuditLogView() {
@@ -124,6 +124,9 @@ function Checks({ checks }: { checks: readonly Verified[] }) {
                     ? t("audit.unread", { service: name, why: failure ?? "" })
                     : t("audit.damaged", { service: name, fault: result.fault ?? "" })}
               </StatusBadge>
+              {result !== null && result.withoutOutcome.length > 0 && (
+                <p className="cell__detail">{t("audit.withoutOutcome", { count: result.withoutOutcome.length, numbers: result.withoutOutcome.slice(0, 20).join(", ") })}</p>
+              )}
             </li>
           );
         })}
@@ -222,7 +225,10 @@ function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[
       },
       {
         id: "outcome", name: t("audit.outcome"), width: "minmax(110px, 0.8fr)", sortBy: ({ outcome }) => outcome,
-        cell: ({ outcome }) => <StatusBadge tone={TONES[outcome] ?? "neutral"}>{t(`audit.outcomes.${outcome}`, { defaultValue: outcome })}</StatusBadge>,
+        cell: (entry) => {
+          const outcome = outcomeOf(entry);
+          return <StatusBadge tone={TONES[outcome] ?? "neutral"}>{t(`audit.outcomes.${outcome}`, { defaultValue: outcome })}</StatusBadge>;
+        },
       },
       { id: "details", name: t("audit.details"), width: "minmax(140px, 2fr)", cell: ({ text }) => <span className="quiet small accounts__action">{text ?? ""}</span> },
     ],

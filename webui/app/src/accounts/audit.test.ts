@@ -1,12 +1,12 @@
 /** The audit logs of several services as one list, and the query of its filters. */
 import { expect, it, vi } from "vitest";
-import { csvOf, exported, merged, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
+import { csvOf, exported, merged, outcomeOf, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
 
 const NO_FILTER: AuditFilter = { service: "", subject: "", action: "", resource: "", outcome: "", from: "", to: "" };
 
 function record(service: string, seq: number, minute: number): AuditView {
   const at = `2026-05-04T08:${String(minute).padStart(2, "0")}:00.000Z`;
-  return { service, seq, at, subject: "user-1", action: "x", resource: "*", outcome: "done", method: "user", text: null, hash: "", subjectName: null, resourceName: null };
+  return { service, seq, at, subject: "user-1", action: "x", resource: "*", outcome: "done", method: "user", text: null, hash: "", intent: null, endedBy: null, subjectName: null, resourceName: null };
 }
 
 function loaded(service: Loaded["service"], before: number | null, ...minutes: number[]): Loaded {
@@ -37,7 +37,13 @@ it("reads method and words of a route, and leaves other actions as they are", ()
 it("writes a table that a spreadsheet reads and does not run", () => {
   const [head, line] = csvOf([{ ...record("study", 1, 1), text: '=1+1, "x"', subjectName: "Anna" }]).split("\r\n");
   expect(head?.startsWith("\uFEFFservice,seq,at,subject")).toBe(true);
-  expect(line).toBe('study,1,2026-05-04T08:01:00.000Z,user-1,x,*,done,user,"\'=1+1, ""x""",,Anna,');
+  expect(line).toBe('study,1,2026-05-04T08:01:00.000Z,user-1,x,*,done,user,"\'=1+1, ""x""",,,,Anna,');
+});
+
+it("distinguishes an intent without an outcome", () => {
+  expect(outcomeOf({ outcome: "intended", endedBy: null })).toBe("unknown");
+  expect(outcomeOf({ outcome: "intended", endedBy: 7 })).toBe("intended");
+  expect(outcomeOf({ outcome: "done", endedBy: null })).toBe("done");
 });
 
 it("asks services that an installation may lack while they run, or by name", () => {

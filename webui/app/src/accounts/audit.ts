@@ -11,7 +11,7 @@ export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "
 export type Audited = (typeof AUDITED)[number];
 /** Services that an installation may do without: they are read while they run, or if the filter names them. */
 const OPTIONAL: ReadonlySet<string> = new Set<Audited>(["human-state", "assistive-devices", "whole-body-control", "ros-bridge"]);
-export const OUTCOMES = ["done", "refused", "failed"] as const;
+export const OUTCOMES = ["done", "refused", "failed", "intended"] as const;
 const PAGE = 100;
 
 export interface AuditFilter {
@@ -56,6 +56,11 @@ export function actionText(t: TFunction<["accounts", "common"]>, action: string)
   const { method, words } = route;
   const what = words.join(" › ");
   return t(`audit.routes.known.${[method, ...words].join("_")}`, { defaultValue: t(`audit.routes.method.${method}`, { what, defaultValue: action }) });
+}
+
+/** The words for an outcome: an intent without one differs from an intent whose outcome has a record of its own. */
+export function outcomeOf({ outcome, endedBy }: Pick<AuditView, "outcome" | "endedBy">): string {
+  return outcome === "intended" && endedBy === null ? "unknown" : outcome;
 }
 
 /** The query of a filter, for records and exports; days are those of the reader. */
@@ -160,7 +165,7 @@ export async function exported(filter: AuditFilter, services: readonly Audited[]
   };
 }
 
-const COLUMNS = ["service", "seq", "at", "subject", "action", "resource", "outcome", "method", "text", "hash", "subjectName", "resourceName"] as const satisfies readonly (keyof AuditView)[];
+const COLUMNS = ["service", "seq", "at", "subject", "action", "resource", "outcome", "method", "text", "hash", "intent", "endedBy", "subjectName", "resourceName"] as const satisfies readonly (keyof AuditView)[];
 
 /** A table as the services write it: with a mark for spreadsheets, and no cell that one would run as a formula. */
 export function csvOf(records: readonly AuditView[]): string {

@@ -13,14 +13,25 @@ export interface AccountRequestView {
   createdAt: string;
 }
 
-/** How many records are intact, the hash of the last, and the first fault if there is one. */
+/**
+ * How many records are intact, the hash of the last, and the first fault if there is one.
+ *
+ * `withoutOutcome` has the numbers of the intents without an outcome.
+ */
 export interface AuditVerification {
   records: number;
   head: string;
   fault: string | null;
+  withoutOutcome: number[];
 }
 
-/** An audit record; `text` is null where there was none, or where it was deleted. */
+/**
+ * An audit record; `text` is null where there was none, or where it was deleted.
+ *
+ * `intent` is the number of the intent whose outcome this is. An intent, with the outcome `intended`, was
+ * recorded before its act; `endedBy` is the number of the record with its outcome, null where there is none:
+ * the act still runs, or the process ended in between and it may have happened.
+ */
 export interface AuditView {
   service: string;
   seq: number;
@@ -32,6 +43,8 @@ export interface AuditView {
   method: string;
   text: string | null;
   hash: string;
+  intent: number | null;
+  endedBy: number | null;
   subjectName: string | null;
   resourceName: string | null;
 }
