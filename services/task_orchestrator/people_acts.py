@@ -1,7 +1,8 @@
 """People's acts: a person claims, returns, declines and completes a Task of the tasklist.
 
-Persons are names, which nobody verifies yet. An act changes the process, its Tasks in the broker and the
-history in one step, so that of two persons who claim a Task at once the second gets a clear answer.
+Persons are names; those of people who are signed in are verified. An act changes the process, its Tasks in
+the broker and the history in one step, so that of two persons who claim a Task at once the second gets a
+clear answer.
 """
 
 from collections.abc import Collection, Mapping
@@ -258,7 +259,8 @@ class PeopleActs:
         self._process.report(self._id, statuses, outputs, self._step, self._now, **changes)
 
     def _record(self, kind: TaskActKind, text: str | None = None) -> None:
-        act = TaskAct(uuid4().hex, self._process.record.id, self._id, kind, self._by, self._now, text or None)
+        verified, process = self._step.is_verified(self._by), self._process.record.id
+        act = TaskAct(uuid4().hex, process, self._id, kind, self._by, self._now, text or None, verified)
         self._step.task_acts.append(act)
 
 

@@ -49,7 +49,7 @@ class OfferStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """An engineer has accepted or rejected an offer; `by` is the name that was given, nobody verified it."""
+    """An engineer has accepted or rejected an offer; `verified`: `by` is the name of who was signed in."""
 
     at: datetime
     status: OfferStatus
@@ -57,6 +57,7 @@ class Decision:
     why: str | None = None
     deployed: tuple[tuple[str, int], ...] = ()
     """Name and version of the definitions that were deployed."""
+    verified: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,8 @@ class ActKind(StrEnum):
 class Act:
     """An action of a person on a process: what, when, at which element and why.
 
-    `by` is the name that was given; nobody has verified it. `values` are variables that were set.
+    `by` is the name that was given; `verified`: it is the name of who was signed in. `values` are variables
+    that were set.
     """
 
     at: datetime
@@ -122,6 +124,7 @@ class Act:
     values: Mapping[str, Any] | None = None
     mapping: Mapping[str, str] | None = None
     """The elements that a migration has mapped to elements of another id."""
+    verified: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +347,7 @@ class TaskActKind(StrEnum):
 class TaskAct:
     """What a person did with a Task, or a comment on a Task or process.
 
-    `by` is the name that was given; nobody has verified it.
+    `by` is the name that was given; `verified`: it is the name of who was signed in.
     """
 
     id: str
@@ -354,6 +357,7 @@ class TaskAct:
     by: str
     at: datetime
     text: str | None = None
+    verified: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -490,6 +494,12 @@ class Step:
     """What the step adds to the statistics."""
     requests: list[AuditedRequest] = field(default_factory=list)
     """The requests that cause the step, for the audit log."""
+    signed_in: str | None = None
+    """The name of who is signed in and requests the change that is applied now; None for anybody else."""
+
+    def is_verified(self, by: str | None) -> bool:
+        """Return whether `by` is the name of who is signed in."""
+        return by is not None and by == self.signed_in
 
     def enqueue(self, stream: str, kind: MessageKind, subject: str, body: Any) -> None:
         """Put a message into the outbox."""

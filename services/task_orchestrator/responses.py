@@ -370,7 +370,7 @@ class TaskView(Reason, Allocated):
 
 
 class ActView(TypedDict):
-    """An action of a person on a process; nobody has verified the name `by` while `verified` is false.
+    """An action of a person on a process; `verified`: `by` is the name of who was signed in.
 
     `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
     are the variables that were set, `mapping` the elements that have another id in the new version.
@@ -435,7 +435,7 @@ class MappedName(TypedDict):
 
 
 class MappingView(TypedDict):
-    """A version of the mapping; nobody has verified the name `by` while `verified` is false."""
+    """A version of the mapping; `verified`: `by` is the name of who was signed in."""
 
     version: int
     by: str | None

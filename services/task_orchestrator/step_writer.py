@@ -194,6 +194,7 @@ class StepWriter:
             await active_processes.refresh()
             await active_processes.fetch(fetched)
             for change in changes:
+                step.signed_in = _signed_in(change.request)
                 try:
                     answers.append((change, change.act(step)))
                     state.settle(step)
@@ -288,6 +289,11 @@ class StepWriter:
         return self._state.store.delete_ended(
             ended_before, MAX_DELETED_PROCESSES, archived_only=archived_only
         )
+
+
+def _signed_in(request: AuditedRequest | None) -> str | None:
+    caller = None if request is None else request.caller
+    return None if caller is None else caller.own_name
 
 
 def _reason_of(error: Exception) -> str:

@@ -65,7 +65,7 @@ class TaskForm(TypedDict):
 
 
 class TaskComment(TypedDict):
-    """A comment on a Task or process; nobody has verified the name `by` while `verified` is false."""
+    """A comment on a Task or process; `verified`: `by` is the name of who was signed in."""
 
     id: str
     task: str | None

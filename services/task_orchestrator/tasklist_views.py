@@ -165,7 +165,7 @@ def comment_view(act: TaskAct) -> TaskComment:
         "id": act.id,
         "task": act.task,
         "by": act.by,
-        "verified": False,  # there are no accounts yet: `by` is what was given
+        "verified": act.verified,
         "at": iso(act.at),
         "text": act.text or "",
     }
@@ -175,7 +175,8 @@ def task_history(
     task: TaskRecord, earlier: Sequence[TaskRecord], moves: Sequence[Move], acts: Sequence[TaskAct]
 ) -> list[TaskHistoryEntry]:
     """Return what became of a Task, the earliest first; `earlier` are those that others have declined."""
-    found = [entry for each in earlier for entry in _declined_by_performer(each)]
+    declines = {act.task: act for act in acts if act.kind is TaskActKind.DECLINE}
+    found = [entry for each in earlier for entry in _declined_by_performer(each, declines.get(each.id))]
     offer = offer_of(task)
     offered: TaskHistoryEntry = {
         **_entry(iso(task.created_at), "offered"),
@@ -185,7 +186,8 @@ def task_history(
         offered |= with_code("text", task.allocated)  # type: ignore[typeddict-item]  # a text and its code
     found += [_entry(iso(task.created_at), "created"), offered]
     later = [*map(_move_entry, moves)]
-    later += [_act_entry(act) for act in acts if act.kind is not TaskActKind.COMMENT]
+    own = [act for act in acts if act.task == task.id]
+    later += [_act_entry(act) for act in own if act.kind is not TaskActKind.COMMENT]
     later.sort(key=lambda entry: (entry["at"], entry["kind"] == "status"))
     return [*found, *later][-MAX_HISTORY:]
 
@@ -195,16 +197,17 @@ def _move_entry(move: Move) -> TaskHistoryEntry:
 
 
 def _act_entry(act: TaskAct) -> TaskHistoryEntry:
-    return {**_entry(iso(act.at), act.kind.value), "by": act.by, "text": act.text}
+    return {**_entry(iso(act.at), act.kind.value), "by": act.by, "verified": act.verified, "text": act.text}
 
 
-def _declined_by_performer(task: TaskRecord) -> list[TaskHistoryEntry]:
-    """Return who got the activity before and has declined it."""
+def _declined_by_performer(task: TaskRecord, decline: TaskAct | None) -> list[TaskHistoryEntry]:
+    """Return who got the activity before and has declined it, in an act of the tasklist or otherwise."""
     outputs = task.outputs or {}
     if outputs.get("declined") is not True or task.ended_at is None:
         return []
     entry = _entry(iso(task.ended_at), TaskActKind.DECLINE.value)
     entry["by"] = str(outputs.get("operator") or (performer_of(task) or "").rpartition(":")[2]) or None
+    entry["verified"] = decline is not None and decline.verified and decline.by == entry["by"]
     reason = message_in(outputs, "reason")
     if reason is not None:
         entry |= with_code("text", reason)  # type: ignore[typeddict-item]  # a text and its code

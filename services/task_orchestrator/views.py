@@ -73,7 +73,7 @@ def mapping_view(table: MappingTable) -> MappingView:
     return {
         "version": table.version,
         "by": table.by,
-        "verified": False,  # there are no accounts yet: `by` is what was given
+        "verified": table.verified,
         "why": table.why,
         "at": _iso(table.at),
         "entries": [_mapped_name(entry) for entry in table.entries],
@@ -395,7 +395,7 @@ def _act_view(act: Act) -> ActView:
     return {
         "at": iso(act.at),
         "by": act.by,
-        "verified": False,  # there are no accounts yet: `by` is what was given
+        "verified": act.verified,
         "act": act.act,
         "task": act.task,
         "element": act.element,
@@ -498,7 +498,7 @@ def offer_view(record: OfferRecord) -> OfferView:
                 "at": iso(each.at),
                 "status": each.status,
                 "by": each.by,
-                "verified": False,  # there are no accounts yet: `by` is what was given
+                "verified": each.verified,
                 "why": each.why,
                 "deployed": [{"name": name, "version": version} for name, version in each.deployed],
             }

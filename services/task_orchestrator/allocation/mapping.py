@@ -106,6 +106,8 @@ class MappingTable:
     """The person who confirmed it; None if nobody did."""
     why: str | None = None
     at: datetime | None = None
+    verified: bool = False
+    """Whether `by` is the name of who was signed in."""
 
     def find(self, names: Iterable[tuple[NameKind, str]]) -> MappingEntry | None:
         """Return the entry of the first of `names` that has one."""

@@ -144,7 +144,8 @@ class Deployments:
                         version=version,
                     ),
                 )
-            table = MappingTable(present.version + 1, tuple(entries), by, why, self._state.clock())
+            now, verified = self._state.clock(), step.is_verified(by)
+            table = MappingTable(present.version + 1, tuple(entries), by, why, now, verified)
             step.mappings.append(table)
             return table
 

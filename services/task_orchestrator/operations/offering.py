@@ -60,7 +60,9 @@ class Offering:
             if file is not None:
                 found = deploy_into(step, self._state, file, source=present.entity)
                 deployed = tuple((each.name, each.version) for each in found.deployments)
-            decision = Decision(self._state.clock(), OfferStatus.ACCEPTED, by, why, deployed)
+            decision = Decision(
+                self._state.clock(), OfferStatus.ACCEPTED, by, why, deployed, step.is_verified(by)
+            )
             return self._state.offers.decide(step, offer, decision)
 
         return await self._writer.apply(act)
@@ -71,7 +73,9 @@ class Offering:
 
         def act(step: Step) -> OfferRecord:
             self._require_open(step, offer, (OfferStatus.OPEN,))
-            decision = Decision(self._state.clock(), OfferStatus.REJECTED, by, why)
+            decision = Decision(
+                self._state.clock(), OfferStatus.REJECTED, by, why, verified=step.is_verified(by)
+            )
             return self._state.offers.decide(step, offer, decision)
 
         return await self._writer.apply(act)

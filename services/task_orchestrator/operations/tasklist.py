@@ -110,7 +110,8 @@ class Tasklist:
                     ),
                 )
             now = self._state.clock()
-            comment = TaskAct(key or uuid4().hex, process_id, task_id, TaskActKind.COMMENT, by, now, text)
+            verified, kind = step.is_verified(by), TaskActKind.COMMENT
+            comment = TaskAct(key or uuid4().hex, process_id, task_id, kind, by, now, text, verified)
             step.task_acts.append(comment)
             return comment
 

@@ -61,7 +61,7 @@ def resume_work(process: Process, act: Act, step: Step, now: datetime) -> None:
 def _change_pace(process: Process, status: TaskStatus, act: Act, step: Step, now: datetime) -> None:
     requested = RequestedStatus(status.value)
     step.touched.add(process.record.id)
-    process.record_act(act)
+    process.record_act(act, step)
     process.revise(status=status)
     for task in process.tasks.values():
         if task.cancelled_at is None:
@@ -74,7 +74,7 @@ def cancel(process: Process, by: str | None, step: Step, now: datetime) -> None:
     """End the process as failed and cancel its Tasks; raise `Problem` 409 if it has ended."""
     process.require_running()
     step.touched.add(process.record.id)
-    process.record_act(Act(now, ActKind.CANCEL, by))
+    process.record_act(Act(now, ActKind.CANCEL, by), step)
     process.end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
     process.update(step, now)
 
@@ -88,7 +88,7 @@ def release_reservation(process: Process, act: Act, key: str, step: Step, now: d
     process.require_running()
     released = process.reservations.release(key, now, act.by or "")
     step.touched.add(process.record.id)
-    process.record_act(replace(act, element=released.element))
+    process.record_act(replace(act, element=released.element), step)
     process.update(step, now)
 
 
@@ -149,7 +149,7 @@ def mend(process: Process, act: Act, token: str | None, step: Step, now: datetim
         identity = execution_properties(process.settings, process.record, process.plan.definition)
         process.run = Run.resume(process.plan, process.record.state, process.library, identity=identity)
         raise Problem(409, "Not possible", text_of(failure)) from failure
-    process.record_act(act)
+    process.record_act(act, step)
     process.update(step, now)
 
 
@@ -188,7 +188,7 @@ def migrate(
     step.touched.add(process.record.id)
     process.run, process.plan = migrated, plan
     process.revise(version=target)
-    process.record_act(replace(act, to=str(target)))
+    process.record_act(replace(act, to=str(target)), step)
     _rename_elements(process, migrated, step)
     process.update(step, now)
     return report

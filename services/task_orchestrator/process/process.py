@@ -696,9 +696,9 @@ class Process:
         step.tasks[task.id] = task
         self.open_tasks.track(task)
 
-    def record_act(self, act: Act) -> None:
-        """Add an act to the history."""
-        self.revise(acts=(*self.record.acts, act))
+    def record_act(self, act: Act, step: Step) -> None:
+        """Add an act to the history, with whether its name is that of who is signed in."""
+        self.revise(acts=(*self.record.acts, replace(act, verified=step.is_verified(act.by))))
 
     def revise(self, **changes: Any) -> None:
         """Change fields of the record."""

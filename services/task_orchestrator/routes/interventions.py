@@ -20,7 +20,7 @@ from services.task_orchestrator.responses import (
     json_response,
 )
 from services.task_orchestrator.routes.process_response import PROCESS, process_response
-from services.task_orchestrator.routes.resources import of_definition_query, of_process
+from services.task_orchestrator.routes.resources import acting_name, of_definition_query, of_process
 
 
 def add_pausing(app: FastAPI, at: Components) -> None:
@@ -37,7 +37,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
     async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
         await orchestrator.processes.pause(
-            at.plain_id(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why
+            at.plain_id(process_id), ActKind.PAUSE, by=acting_name(body.by), why=body.why
         )
         return await process_response(at, process_id)
 
@@ -50,7 +50,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
     async def resume(process_id: str, body: PauseRequest) -> Response:
         """Continue a paused process, with the timers that were due meanwhile."""
         await orchestrator.processes.pause(
-            at.plain_id(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why
+            at.plain_id(process_id), ActKind.RESUME, by=acting_name(body.by), why=body.why
         )
         return await process_response(at, process_id)
 
@@ -64,7 +64,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Pause all running processes, or those of a definition. Processes can still be started."""
         paused = await orchestrator.processes.pause_all(
-            ActKind.PAUSE, by=body.by.strip(), why=body.why, definition=definition
+            ActKind.PAUSE, by=acting_name(body.by), why=body.why, definition=definition
         )
         return json_response({"processes": paused})
 
@@ -77,7 +77,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
     async def resume_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Continue all paused processes, or those of a definition."""
         resumed = await orchestrator.processes.pause_all(
-            ActKind.RESUME, by=body.by.strip(), why=body.why, definition=definition
+            ActKind.RESUME, by=acting_name(body.by), why=body.why, definition=definition
         )
         return json_response({"processes": resumed})
 
@@ -92,7 +92,7 @@ def add_repairs(app: FastAPI, at: Components) -> None:
             at.plain_id(process_id),
             kind,
             token,
-            by=body.by.strip(),
+            by=acting_name(body.by),
             why=body.why,
             to=body.to if isinstance(body, MoveRequest) else None,
             values=body.variables,
@@ -107,7 +107,9 @@ def add_repairs(app: FastAPI, at: Components) -> None:
     )
     async def release(process_id: str, key: str, body: PauseRequest) -> Response:
         """Release what is reserved for a part of a process; the next activity of it reserves again."""
-        await orchestrator.processes.release(at.plain_id(process_id), key, by=body.by.strip(), why=body.why)
+        await orchestrator.processes.release(
+            at.plain_id(process_id), key, by=acting_name(body.by), why=body.why
+        )
         return await process_response(at, process_id)
 
     @app.post(

@@ -21,6 +21,7 @@ from services.task_orchestrator.responses import (
     MappingView,
     json_response,
 )
+from services.task_orchestrator.routes.resources import acting_name
 from services.task_orchestrator.views import (
     agent_views,
     mapping_use,
@@ -100,6 +101,6 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def set_mapping(body: MappingRequest) -> Response:
         """Replace the mapping; it applies to Tasks that are posted later."""
         table = await orchestrator.deployments.set_mapping(
-            body.entries, by=body.by.strip(), why=body.why, version=body.version
+            body.entries, by=acting_name(body.by), why=body.why, version=body.version
         )
         return json_response(mapping_view(table))

@@ -20,7 +20,7 @@ from services.task_orchestrator.responses import (
     MigrationView,
     json_response,
 )
-from services.task_orchestrator.routes.resources import of_definition, of_process
+from services.task_orchestrator.routes.resources import acting_name, of_definition, of_process
 from services.task_orchestrator.views import migration_of_all_view, migration_view
 
 
@@ -84,7 +84,7 @@ def add_migration(app: FastAPI, at: Components) -> None:
         return Act(
             orchestrator.clock(),
             ActKind.MIGRATE,
-            body.by.strip(),
+            acting_name(body.by),
             why=body.why,
             values=body.variables or None,
             mapping=body.mapping or None,

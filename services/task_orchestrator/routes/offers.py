@@ -14,6 +14,7 @@ from services.task_orchestrator.operations.offering import OfferReader
 from services.task_orchestrator.records import OfferStatus
 from services.task_orchestrator.requests import OfferRequest
 from services.task_orchestrator.responses import OfferView, json_response
+from services.task_orchestrator.routes.resources import acting_name
 
 OFFER: dict[int | str, dict[str, Any]] = {200: {"model": OfferView}}
 
@@ -62,7 +63,7 @@ def add_offers(app: FastAPI, at: Components) -> None:
     async def accept(offer: str, body: OfferRequest) -> Response:
         """Deploy what is offered; it takes effect for Tasks that are posted later."""
         return json_response(
-            await reader.view(await at.offers.accept(offer, by=body.by.strip(), why=body.why))
+            await reader.view(await at.offers.accept(offer, by=acting_name(body.by), why=body.why))
         )
 
     @app.post(
@@ -74,7 +75,7 @@ def add_offers(app: FastAPI, at: Components) -> None:
     async def reject(offer: str, body: OfferRequest) -> Response:
         """Reject an offer: the same content of the entity is not offered again."""
         return json_response(
-            await reader.view(await at.offers.reject(offer, by=body.by.strip(), why=body.why))
+            await reader.view(await at.offers.reject(offer, by=acting_name(body.by), why=body.why))
         )
 
     @app.post(

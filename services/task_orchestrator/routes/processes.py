@@ -25,7 +25,12 @@ from services.task_orchestrator.responses import (
     json_response,
 )
 from services.task_orchestrator.routes.process_response import PROCESS, process_content, process_response
-from services.task_orchestrator.routes.resources import definition_id, of_definition_query, of_process
+from services.task_orchestrator.routes.resources import (
+    acting_name,
+    definition_id,
+    of_definition_query,
+    of_process,
+)
 from services.task_orchestrator.views import (
     period_view,
     process_summary,
@@ -113,7 +118,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
     async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
         await orchestrator.processes.cancel(
-            at.plain_id(process_id), body.by.strip() if body and body.by else None
+            at.plain_id(process_id), acting_name((body and body.by) or "") or None
         )
         return await process_response(at, process_id)
 
@@ -126,6 +131,6 @@ def add_processes(app: FastAPI, at: Components) -> None:
     async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
         await orchestrator.processes.retry(
-            at.plain_id(process_id), settings.entity_id("Task", task_id), body.by.strip()
+            at.plain_id(process_id), settings.entity_id("Task", task_id), acting_name(body.by)
         )
         return await process_response(at, process_id)

@@ -8,11 +8,19 @@ exist has the resource `*`: only a caller with a grant for everything learns tha
 from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
+from handover.security.audit_trail import current_request
 from handover.security.guard import ResourceOf
 from handover.security.resource_patterns import ANY_RESOURCE
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.records import ProcessRecord, TaskRecord
+
+
+def acting_name(given: str) -> str:
+    """Return the name under which the caller of the current request acts; `given` counts without accounts."""
+    act = current_request()
+    caller = None if act is None else act.caller
+    return given.strip() if caller is None else caller.acting_name(given)
 
 
 def of_definition(registry: DefinitionRegistry) -> ResourceOf:

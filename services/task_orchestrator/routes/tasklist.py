@@ -270,5 +270,5 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
         activity,
         resolved=None if task.status in {TaskStatus.COMPLETED, TaskStatus.FAILED} else _form(at, task),
         acts=own,
-        history=task_history(task, earlier, [move for move in moves if move.task == task.id], own),
+        history=task_history(task, earlier, [move for move in moves if move.task == task.id], acts),
     )

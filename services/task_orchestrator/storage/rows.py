@@ -80,6 +80,7 @@ def mapping_row(table: MappingTable) -> dict[str, Any]:
         "why": table.why,
         "at": as_column(table.at),
         "entries": orjson.dumps(entries).decode(),
+        "verified": table.verified,
     }
 
 
@@ -125,7 +126,7 @@ def offer_row(offer: OfferRecord) -> dict[str, Any]:
     """Return the row of an offer."""
     row = plain_row(offer, but=("faults", "warnings", "decisions"))
     decisions = [
-        {name: getattr(each, name) for name in ("at", "status", "by", "why", "deployed")}
+        {name: getattr(each, name) for name in ("at", "status", "by", "why", "deployed", "verified")}
         for each in offer.decisions
     ]
     return {
@@ -164,7 +165,7 @@ def _fault(values: Mapping[str, Any]) -> Fault:
 def _decision(values: Mapping[str, Any]) -> Decision:
     deployed = tuple((str(name), int(version)) for name, version in values["deployed"])
     status, at = OfferStatus(values["status"]), to_time(values["at"])
-    return Decision(at, status, values["by"], values["why"], deployed)
+    return Decision(at, status, values["by"], values["why"], deployed, values.get("verified", False))
 
 
 def _unallocated_values(each: Unallocated) -> dict[str, Any]:
@@ -230,7 +231,8 @@ def to_task(row: Mapping[str, Any]) -> TaskRecord:
 
 def to_task_act(row: Mapping[str, Any]) -> TaskAct:
     """Return the record of the row of an act."""
-    return TaskAct(**{**row, "at": to_time(row["at"]), "kind": TaskActKind(row["kind"])})
+    changed = {"at": to_time(row["at"]), "kind": TaskActKind(row["kind"]), "verified": bool(row["verified"])}
+    return TaskAct(**{**row, **changed})
 
 
 def _act(values: Mapping[str, Any]) -> Act:

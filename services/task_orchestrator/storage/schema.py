@@ -4,6 +4,7 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Connection,
     Engine,
     Index,
     Integer,
@@ -17,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _meta = MetaData()
 definitions = Table(
@@ -159,6 +160,7 @@ task_acts = Table(
     Column("by", String(200), nullable=False),
     Column("at", String(40), nullable=False),
     Column("text", Text),
+    Column("verified", Boolean),
     Index("orchestrator_task_acts_process", "process", "at"),
 )
 forms = Table(
@@ -225,6 +227,7 @@ mappings = Table(
     Column("why", Text),
     Column("at", String(40), nullable=False),
     Column("entries", Text, nullable=False),
+    Column("verified", Boolean),
 )
 offers = Table(
     "orchestrator_offers",
@@ -256,4 +259,12 @@ def migrate(engine: Engine) -> None:
 
     Raises `UsageError` if they are of a later release, or of a format that was never released.
     """
-    migrations.migrate(engine, _meta, component="orchestrator", version=SCHEMA_VERSION)
+    migrations.migrate(
+        engine, _meta, component="orchestrator", version=SCHEMA_VERSION, steps={1: _add_verified}
+    )
+
+
+def _add_verified(connection: Connection) -> None:
+    """Add whether names are verified; it is null, which is unverified, for what was stored before."""
+    for table in (task_acts, mappings):
+        connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN verified BOOLEAN")

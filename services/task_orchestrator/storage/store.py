@@ -161,7 +161,8 @@ class Store:
             statement = statement.where(table.c.version == version)
         for row in self._rows(statement):
             entries = tuple(MappingEntry.model_validate(each) for each in orjson.loads(row["entries"]))
-            return MappingTable(row["version"], entries, row["confirmed_by"], row["why"], to_time(row["at"]))
+            by, verified = row["confirmed_by"], bool(row["verified"])
+            return MappingTable(row["version"], entries, by, row["why"], to_time(row["at"]), verified)
         return None
 
     def offers(self) -> list[OfferRecord]:

@@ -1,4 +1,4 @@
-/** Comments on a Task or process. Nobody has verified the names yet. */
+/** Comments on a Task or process. A name is verified if its person was signed in. */
 import { MessageSquarePlus } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";

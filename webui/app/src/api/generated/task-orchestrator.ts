@@ -8,7 +8,7 @@
 export type ActKind = "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate" | "release";
 
 /**
- * An action of a person on a process; nobody has verified the name `by` while `verified` is false.
+ * An action of a person on a process; `verified`: `by` is the name of who was signed in.
  *
  * `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
  * are the variables that were set, `mapping` the elements that have another id in the new version.
@@ -379,7 +379,7 @@ export interface MappingUse {
   missing: MissingSkills[];
 }
 
-/** A version of the mapping; nobody has verified the name `by` while `verified` is false. */
+/** A version of the mapping; `verified`: `by` is the name of who was signed in. */
 export interface MappingView {
   version: number;
   by: string | null;
@@ -730,7 +730,7 @@ export interface StatusChange {
 /** What a person does with a Task, or says of a Task or process. */
 export type TaskActKind = "claim" | "return" | "decline" | "complete" | "comment";
 
-/** A comment on a Task or process; nobody has verified the name `by` while `verified` is false. */
+/** A comment on a Task or process; `verified`: `by` is the name of who was signed in. */
 export interface TaskComment {
   id: string;
   task: string | null;
