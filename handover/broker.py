@@ -17,7 +17,7 @@ import orjson
 
 from datamodels.entities import Entity
 from handover.errors import HandoverError, Problem
-from handover.http_client import BodyReadingHttpClient, HttpResponse, SendError, address
+from handover.http_client import Address, BodyReadingHttpClient, HttpResponse, SendError, address
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -59,6 +59,10 @@ class Credentials(Protocol):
 
     async def headers(self) -> Mapping[str, str]:
         """Return the headers of a request; empty while no account exists."""
+        ...
+
+    def renew(self, refused: Mapping[str, str]) -> bool:
+        """Forget headers that were refused with 401; return whether the next `headers` differ."""
         ...
 
 
@@ -267,26 +271,41 @@ class BrokerClient:
         query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
         url = replace(self._base, target=f"{self._base.target}{path}{query}")
         headers = self._headers if body is None else self._with_body
-        if self.credentials is not None:
-            try:
-                if own := await self.credentials.headers():
-                    headers = (*headers, *own.items())
-            except HandoverError as error:
-                raise BrokerUnavailable(503, "No credentials", str(error)) from error
         content = b"" if body is None else orjson.dumps(body)
+        own = await self._own_headers()
+        response = await self._send(method, url, (*headers, *own.items()), content)
+        if response.status == HTTPStatus.UNAUTHORIZED and self.credentials is not None:
+            if self.credentials.renew(own):
+                own = await self._own_headers()
+                response = await self._send(method, url, (*headers, *own.items()), content)
+            if response.status == HTTPStatus.UNAUTHORIZED:
+                # The clocks differ, or accounts has just been set up: that is no property of the request.
+                refusal = _refusal(response, f"{method} {path}")
+                raise BrokerUnavailable(refusal.status, refusal.title, refusal.detail, refusal.type)
+        if 200 <= response.status < 300:
+            return response
+        raise _refusal(response, f"{method} {path}")
+
+    async def _own_headers(self) -> Mapping[str, str]:
+        if self.credentials is None:
+            return {}
+        try:
+            return await self.credentials.headers()
+        except HandoverError as error:
+            raise BrokerUnavailable(503, "No credentials", str(error)) from error
+
+    async def _send(
+        self, method: str, url: Address, headers: Iterable[tuple[str, str]], content: bytes
+    ) -> HttpResponse:
         try:
             if self._transport is None:
-                response = await self._http.request(method, url, headers, content, self._timeout_s)
-            else:
-                response = await self._send_by(self._transport, method, url.target, headers, content)
+                return await self._http.request(method, url, list(headers), content, self._timeout_s)
+            return await self._send_by(self._transport, method, url.target, headers, content)
         except (SendError, httpx.TransportError, asyncio.IncompleteReadError) as error:
             reason = str(error) or type(error).__name__
             raise BrokerUnavailable(
                 503, "Broker unavailable", f"{self.url} does not answer: {reason}"
             ) from error
-        if 200 <= response.status < 300:
-            return response
-        raise _refusal(response, f"{method} {path}")
 
     async def _send_by(
         self,
@@ -309,6 +328,12 @@ class BrokerClient:
         return HttpResponse(response.status_code, dict(response.headers), body)
 
 
+_TRANSIENT: Final = frozenset(
+    {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
+)
+"""Refusals that concern the moment and not the request."""
+
+
 def _refusal(response: HttpResponse, act: str) -> BrokerError:
     try:
         problem = orjson.loads(response.body)
@@ -325,7 +350,7 @@ def _refusal(response: HttpResponse, act: str) -> BrokerError:
         error_class = NotFound
     elif status == HTTPStatus.CONFLICT:
         error_class = AlreadyExists
-    elif status >= HTTPStatus.INTERNAL_SERVER_ERROR or status == HTTPStatus.TOO_MANY_REQUESTS:
+    elif status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _TRANSIENT:
         error_class = BrokerUnavailable
     return error_class(status, title, f"{detail} ({act})", kind)
 

@@ -87,6 +87,8 @@ class FinishedTasks:
     async def record(self, task_id: str, end: End) -> None:
         """Record the end of a Task durably: it survives `kill -9` and a power cut.
 
+        A recorded `completed` is not replaced by `failed`: what was done stays done.
+
         Raises `OSError` when it cannot be written, `TypeError` when the outputs are no plain JSON.
         """
         outputs = orjson.dumps(dict(end.outputs)).decode()
@@ -152,7 +154,9 @@ class FinishedTasks:
     def _record(self, task_id: str, status: str, outputs: str) -> None:
         with self._transaction() as connection:
             connection.execute(
-                "INSERT OR REPLACE INTO finished VALUES (?, ?, ?, ?)",
+                "INSERT INTO finished VALUES (?, ?, ?, ?) ON CONFLICT (task) DO UPDATE SET "
+                "status = excluded.status, outputs = excluded.outputs, recorded_s = excluded.recorded_s "
+                "WHERE finished.status <> 'completed' OR excluded.status = 'completed'",
                 (task_id, status, outputs, self._clock()),
             )
             connection.execute("DELETE FROM acts WHERE task = ?", (task_id,))

@@ -69,6 +69,8 @@ class Job:
         self._records = records
         self._requested: RequestedStatus | None = None
         self._requested_at: datetime | None = None
+        self._earlier_request: tuple[RequestedStatus, datetime | None] | None = None
+        """A request that was read once and is older than the present one by its time."""
         self._holds: dict[str, None] = {}
         self._gone = False
         self._action_changed = asyncio.Event()
@@ -262,8 +264,14 @@ class Job:
         request = seen.requested_status
         if request is not None:
             at = request.observed_at
-            if self._requested_at is None or at is None or at >= self._requested_at:
+            is_later = self._requested_at is None or at is None or at >= self._requested_at
+            # Clocks are set back: what lowers counts at once, and the rest when it is read a second time.
+            is_lowering = request.value is not RequestedStatus.IN_PROGRESS
+            if is_later or is_lowering or self._earlier_request == (request.value, at):
                 self._requested, self._requested_at = request.value, at
+                self._earlier_request = None
+            else:
+                self._earlier_request = request.value, at
         self._decide()
 
     def _decide(self) -> None:

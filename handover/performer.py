@@ -12,8 +12,10 @@ How it works:
 2. Each resource has a `ResourceQueue` with one worker, so a resource executes one Task at a time: first one
    that was started before a crash, then by priority, due date and arrival.
 3. After a crash, a Task that was started is executed again. A Task whose end was recorded
-   (`finished_tasks`) is not: the recorded end is reported again. What must not be repeated is done by
-   `Job.once`: a Task that a crash has interrupted within it fails with an unknown outcome.
+   (`finished_tasks`) is not: the recorded end is reported again, at each reconciliation until the broker
+   has it. A recorded `completed` is never replaced: work that was done is not reported as failed. What must
+   not be repeated is done by `Job.once`: a Task that a crash has interrupted within it fails with an unknown
+   outcome.
 """
 
 import asyncio
@@ -52,6 +54,8 @@ MAX_SELECTED = 20
 MAX_ANNOUNCED = 200
 """Resources in a request that announces the performer of each."""
 MAX_SELECTION_ATTEMPTS = 5
+REFUSED_CONTENT = frozenset({400, 413, 422})
+"""The answers of a broker that refuses the outputs themselves; any other may be different later."""
 MAX_REMEMBERED = 10_000
 """Ended Tasks that are remembered, so that a late notification does not start them again."""
 
@@ -97,6 +101,8 @@ class Performer(ABC):
         self._jobs: dict[str, Job] = {}
         self._ended: OrderedDict[str, None] = OrderedDict()
         self._finished = FinishedTasks(settings, name)
+        self._unreported: dict[str, End] = {}
+        """The ends that the broker has not accepted yet."""
         self._announced: set[str] = set()
         self._subscribed = False
         self._selects_own = False
@@ -290,7 +296,9 @@ class Performer(ABC):
 
     async def _accept(self, task: Task) -> None:
         resource = await self._resource_for(task)
-        end = await self._finished.find(task.id) if resource is not None else None
+        end = self._unreported.get(task.id)
+        if end is None and resource is not None:
+            end = await self._finished.find(task.id)
         if resource is None or resource not in self._queues:
             return
         if task.id in self._jobs or task.id in self._ended:
@@ -326,6 +334,7 @@ class Performer(ABC):
         except BrokerError as error:
             log.warning("end of a finished task not reported again", task=task.id, error=str(error))
             return  # the next reconciliation finds it unfinished
+        self._unreported.pop(task.id, None)
         log.warning("end of a finished task reported again", task=task.id, status=end.status.value)
         OUTCOMES.labels(self.name, "reported_again").inc()
 
@@ -363,10 +372,10 @@ class Performer(ABC):
             try:
                 await self._work_on(job)
             except Exception:
+                # The next reconciliation reports its end again, or begins it if it has none.
                 log.exception("end of a job not reported", task=job.task.id)
                 OUTCOMES.labels(self.name, "unreported").inc()
                 self._jobs.pop(job.task.id, None)
-                self._remember(job)  # a repetition would fail in the same way
 
     async def _work_on(self, job: Job) -> None:
         with working_on(task=job.task.id, resource=job.resource), DURATION.labels(self.name).time():
@@ -401,20 +410,28 @@ class Performer(ABC):
             return "failed"
         try:
             await self._finish(job, TaskStatus.COMPLETED, outputs)
-        except (BrokerError, TypeError) as error:  # the outputs themselves cannot be written
-            await self._finish(
-                job, TaskStatus.FAILED, {"reason": f"the result could not be reported: {error}"}
-            )
+        except TypeError as error:  # the outputs are no plain JSON
+            await self._finish(job, TaskStatus.FAILED, {"reason": _not_reportable(error)})
             return "failed"
+        except BrokerError as error:
+            if error.status not in REFUSED_CONTENT:
+                raise
+            await self._finish(job, TaskStatus.COMPLETED, {"reason": _not_reportable(error)})
         return "completed"
 
     async def _finish(self, job: Job, status: TaskStatus, outputs: Mapping[str, Any]) -> None:
         """Record the end of the job, then report it: after a crash in between it is not executed again."""
+        self._unreported[job.task.id] = end = End(status, outputs)
         try:
-            await self._finished.record(job.task.id, End(status, outputs))
+            await self._finished.record(job.task.id, end)
         except (OSError, TypeError) as error:
             log.warning("end of a task not recorded", task=job.task.id, error=str(error))
-        await job.finish(status, outputs)
+        try:
+            await job.finish(status, outputs)
+        except TaskGone:
+            self._unreported.pop(job.task.id, None)
+            raise
+        self._unreported.pop(job.task.id, None)
 
     async def _refresh(self, job: Job) -> None:
         """Read the Task again before the work starts: the notification may have been old."""
@@ -452,6 +469,10 @@ class Performer(ABC):
 
 def _type_in(resource: str) -> str:
     return resource.split(":")[2] if resource.count(":") >= 3 else "Device"
+
+
+def _not_reportable(error: Exception) -> str:
+    return f"the result could not be reported: {error}"
 
 
 def _as_task(entity: Mapping[str, Any]) -> Task | None:

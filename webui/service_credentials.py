@@ -20,13 +20,23 @@ class ServiceCredentials(httpx.Auth):
         self._origins = frozenset(_origin(httpx.URL(url)) for url in urls)
 
     async def async_auth_flow(self, request: httpx.Request) -> AsyncGenerator[httpx.Request, httpx.Response]:
-        """Add the token; raise `httpx.RequestError` if there is none."""
-        if _origin(request.url) in self._origins:
-            try:
-                request.headers.update(await self._access.headers())
-            except (AccountsUnavailable, UsageError) as error:
-                raise httpx.RequestError(str(error), request=request) from None
-        yield request
+        """Add the token, and another one if it is refused; raise `httpx.RequestError` if there is none."""
+        if _origin(request.url) not in self._origins:
+            yield request
+            return
+        own = await self._add_token(request)
+        response = yield request
+        if response.status_code == httpx.codes.UNAUTHORIZED and self._access.renew(own):
+            await self._add_token(request)
+            yield request
+
+    async def _add_token(self, request: httpx.Request) -> dict[str, str]:
+        try:
+            own = await self._access.headers()
+        except (AccountsUnavailable, UsageError) as error:
+            raise httpx.RequestError(str(error), request=request) from None
+        request.headers.update(own)
+        return own
 
 
 def _origin(url: httpx.URL) -> tuple[str, str, int | None]:

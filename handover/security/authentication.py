@@ -8,6 +8,7 @@ A caller is one of these:
 - without credentials: the local owner, if the request is local and no account exists (`local_mode`).
 """
 
+import math
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
@@ -15,6 +16,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from handover.background_tasks import BackgroundTasks
+from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
 from handover.retry import Backoff
 from handover.security.accounts_mark import AccountsMark
@@ -62,7 +64,7 @@ class Guard:
         self._followed = FollowedRevocations() if revocations is None else None
         self._revocations: RevocationState = revocations or self._followed  # type: ignore[assignment]
         self._introspect = introspect or self._ask_accounts
-        self._remembered: OrderedDict[str, Caller] = OrderedDict()
+        self._remembered: OrderedDict[str, tuple[Caller, Lifetime]] = OrderedDict()
         self._tasks = BackgroundTasks(f"guard of {service}")
 
     async def __aenter__(self) -> Self:
@@ -147,12 +149,12 @@ class Guard:
 
     def _remembered_caller(self, token: str) -> Caller | None:
         key = token_hash(token)
-        caller = self._remembered.get(key)
-        if caller is None:
+        known = self._remembered.get(key)
+        if known is None:
             return None
-        is_expired = caller.expires_s is not None and caller.expires_s <= time.time()
+        caller, life = known
         # A secret token outlives the revocation of its grants: `accounts` is asked about it again.
-        if is_expired or self._revocations.is_revoked(caller):
+        if life.is_over() or self._revocations.is_revoked(caller):
             del self._remembered[key]
             return None
         return caller
@@ -160,7 +162,9 @@ class Guard:
     def _remember(self, token: str, caller: Caller) -> None:
         if len(self._remembered) >= MAX_REMEMBERED_TOKENS:
             self._remembered.popitem(last=False)
-        self._remembered[token_hash(token)] = caller
+        # By both clocks: one that is set back must not lengthen what was known of a token.
+        left_s = math.inf if caller.expires_s is None else caller.expires_s - time.time()
+        self._remembered[token_hash(token)] = caller, Lifetime.begin(left_s)
 
     async def renewed(self, caller: Caller, address: str | None, headers: Mapping[bytes, bytes]) -> Caller:
         """Return the caller of a connection that lasts longer than a token, with its present grants.

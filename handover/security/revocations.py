@@ -6,10 +6,10 @@ Services follow the stream `GET /revocations` by long polling. A service without
 refuses whatever moves or changes something, since it may have missed a revocation.
 """
 
-import time
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
+from handover.clocks import steady_s
 from handover.security.caller import Caller
 
 MAX_SILENCE_S: Final = 5.0
@@ -46,7 +46,7 @@ class FollowedRevocations:
         for number, name in document["revoked"]:
             self._by_name[str(name)] = int(number)
         self.position = position
-        self._answered_s = time.monotonic()
+        self._answered_s = steady_s()
 
     def is_revoked(self, caller: Caller) -> bool:
         """Return whether a revocation made `caller` invalid."""
@@ -57,4 +57,4 @@ class FollowedRevocations:
 
     def is_current(self) -> bool:
         """Return whether `accounts` answered within `MAX_SILENCE_S`."""
-        return self._answered_s is not None and time.monotonic() - self._answered_s <= MAX_SILENCE_S
+        return self._answered_s is not None and steady_s() - self._answered_s <= MAX_SILENCE_S

@@ -1,22 +1,25 @@
 """Service access: the credentials that a service sends with its own requests, and its requests to `accounts`.
 
 A service has a secret token: the setting `HANDOVER_SERVICE_TOKEN`, or the file `service-tokens/<service>` in
-the security directory. `accounts` exchanges it for an access token of five minutes. A program that is no
+the security directory. `accounts` exchanges it for an access token of five minutes. It is renewed at half of
+its life, by the steady and by the wall clock, by which others check it; a request that is answered 401 all
+the same is repeated once with another token (`BrokerClient`, `ServiceAccess.send`). A program that is no
 service of the cell, a script for example, has another secret token in that setting, and sends it as it is.
 """
 
 import asyncio
 import math
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final, Self
 
 import orjson
 
+from handover.clocks import Lifetime
 from handover.errors import HandoverError, UsageError
-from handover.http_client import BodyReadingHttpClient, SendError
+from handover.http_client import BodyReadingHttpClient, HttpResponse, SendError
 from handover.security.caller import CallerKind
 from handover.security.keys_in_force import KeysInForce
 from handover.security.secret_tokens import is_secret_token, kind_of
@@ -28,6 +31,8 @@ UNAUTHORIZED: Final = 401
 MAX_ANSWER_BYTES: Final = 1024 * 1024
 _RENEW_AT: Final = 0.5
 """Part of the life of a token after which it is renewed."""
+MIN_TOKEN_AGE_S: Final = 1.0
+"""A younger token that is refused is not renewed."""
 
 
 def service_token_file(settings: Settings, service: str) -> Path:
@@ -57,8 +62,12 @@ class AccountsUnavailable(HandoverError):
 @dataclass(frozen=True, slots=True)
 class _IssuedToken:
     token: str
-    renew_s: float
-    expires_s: float
+    life: Lifetime
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether it need not be renewed yet."""
+        return not self.life.is_over(_RENEW_AT)
 
 
 class ServiceAccess:
@@ -100,24 +109,24 @@ class ServiceAccess:
 
     async def _token(self) -> str:
         issued = self._issued
-        if issued is not None and time.monotonic() < issued.renew_s:
+        if issued is not None and issued.is_fresh:
             return issued.token
         async with self._renewing:
             issued = self._issued
-            if issued is not None and time.monotonic() < issued.renew_s:
+            if issued is not None and issued.is_fresh:
                 return issued.token
             try:
                 self._issued = await self._exchange()
             except AccountsUnavailable:
-                if issued is None or time.monotonic() >= issued.expires_s:
+                if issued is None or issued.life.is_over():
                     raise
                 return issued.token
             return self._issued.token
 
     async def _exchange(self) -> _IssuedToken:
-        asked_s, secret = time.monotonic(), self._secret()
+        asked, secret = Lifetime.begin(math.inf), self._secret()
         if is_secret_token(secret) and kind_of(secret) != CallerKind.SERVICE:
-            return _IssuedToken(secret, math.inf, math.inf)
+            return _IssuedToken(secret, asked)
         try:
             document = await self.call("POST", "/service-tokens", {}, bearer=secret)
         except AccountsUnavailable as error:
@@ -128,8 +137,42 @@ class ServiceAccess:
                 "`handover accounts set-up`, which writes a new one, and start the service again",
                 error.problem,
             ) from None
-        life_s = float(document["expiresInS"])
-        return _IssuedToken(str(document["token"]), asked_s + life_s * _RENEW_AT, asked_s + life_s)
+        return _IssuedToken(str(document["token"]), replace(asked, life_s=float(document["expiresInS"])))
+
+    def renew(self, refused: Mapping[str, str]) -> bool:
+        """Forget the credentials that were `refused` with 401; return whether the next `headers` differ.
+
+        A token that has just been issued is not renewed: then another one is refused, too.
+        """
+        issued = self._issued
+        if issued is None or refused.get("Authorization") != f"Bearer {issued.token}":
+            return bool(refused)
+        if not math.isfinite(issued.life.life_s) or issued.life.age_s() < MIN_TOKEN_AGE_S:
+            return False
+        self._issued = None
+        return True
+
+    async def send(
+        self,
+        http: BodyReadingHttpClient,
+        method: str,
+        url: str,
+        headers: Iterable[tuple[str, str]],
+        body: bytes,
+        *,
+        timeout_s: float,
+    ) -> HttpResponse:
+        """Send a request with our credentials to a service; repeat it once if they are refused with 401.
+
+        Raises `SendError`, `OSError`, `AccountsUnavailable`, `UsageError`.
+        """
+        listed = list(headers)
+        own = await self.headers()
+        response = await http.request(method, url, [*listed, *own.items()], body, timeout_s)
+        if response.status == HTTPStatus.UNAUTHORIZED and self.renew(own):
+            own = await self.headers()
+            response = await http.request(method, url, [*listed, *own.items()], body, timeout_s)
+        return response
 
     def _secret(self) -> str:
         if self._settings.service_token is not None:
@@ -161,15 +204,17 @@ class ServiceAccess:
         timeout_s: float = REQUEST_TIMEOUT_S,
     ) -> dict[str, Any]:
         """Send a request to `accounts`; return its JSON object. Raises `AccountsUnavailable`."""
-        token = bearer if bearer is not None else await self._token()
-        headers = [("Authorization", f"Bearer {token}"), ("Accept", "application/json")]
+        headers = [("Accept", "application/json")]
         if body is not None:
             headers.append(("Content-Type", "application/json"))
         url = f"{self._settings.accounts}{path}"
+        content = b"" if body is None else orjson.dumps(body)
         try:
-            response = await self._http.request(
-                method, url, headers, b"" if body is None else orjson.dumps(body), timeout_s
-            )
+            if bearer is None:
+                response = await self.send(self._http, method, url, headers, content, timeout_s=timeout_s)
+            else:
+                headers.append(("Authorization", f"Bearer {bearer}"))
+                response = await self._http.request(method, url, headers, content, timeout_s)
             document = orjson.loads(response.body) if response.body else {}
         except (SendError, OSError, orjson.JSONDecodeError) as error:
             raise AccountsUnavailable(f"accounts at {url}: {error}") from None

@@ -186,7 +186,8 @@ class Broker:
         tenant = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         rights = self.authorization.rights_of(caller, tenant.decode("latin-1"))
         record = AccessRecord(rights, operation, request, names)
-        await self.access_log.begin(record)
+        if record.is_change:
+            await self._in_own_task(self.access_log.begin(record))
         try:
             answer = await self._execute(operation, request, names, caller, record)
         except Problem as problem:

@@ -5,14 +5,21 @@ Its id is computed from that of the Task: after a crash the Task finds its comma
 the device receives it once. What the device reports is the Task's progress and result.
 """
 
+import asyncio
 import hashlib
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Any, Final
+
+from sqlalchemy.exc import SQLAlchemyError
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.device_gateway.commands.command import Command, CommandState
 from services.device_gateway.commands.dispatcher import Dispatcher
@@ -26,6 +33,17 @@ MAX_TIMEOUT_S: Final = 86_400.0
 WAIT_S: Final = 0.5
 """Period in which a running command is compared with the requests of clients."""
 _NOT_PARAMETERS: Final = frozenset({"operation", "timeoutS", "description"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """The command of a Task."""
+
+    device: str
+    name: str
+    parameters: Mapping[str, Any]
+    timeout_s: float
+    identifier: str
 
 
 class DeviceTasks(Performer):
@@ -62,20 +80,63 @@ class DeviceTasks(Performer):
         ):
             raise TaskFailed("timeoutS must be a number of seconds, more than 0 and at most 86400")
         identifier = f"task-{hashlib.sha256(job.task.id.encode()).hexdigest()[:32]}"
-        try:
-            device = self._gateway.device(self._names[job.resource])
-            command = await self._dispatcher.order(
-                device.name,
-                device.stored.description,
-                operation,
-                {name: value for name, value in parameters.items() if name not in _NOT_PARAMETERS},
-                timeout_s=float(timeout_s),
-                identifier=identifier,
-            )
-        except Problem as problem:
-            raise TaskFailed(problem.detail) from None
+        order = _Order(
+            self._names[job.resource],
+            operation,
+            {name: value for name, value in parameters.items() if name not in _NOT_PARAMETERS},
+            float(timeout_s),
+            identifier,
+        )
+        command = await self._ordered(job, order)
         command = await self._follow_to_end(job, command)
         return self._outputs(command)
+
+    async def _ordered(self, job: Job, order: "_Order") -> Command:
+        """Order a command until it is stored; raise `TaskFailed` if it is refused.
+
+        A database that restarts concerns the moment and not the command, of which nothing was sent. Its id
+        is that of the Task, so a command that was stored all the same is not given twice.
+        """
+        backoff = Backoff()
+        while True:
+            try:
+                return await self._order_once(job, order)
+            except Problem as problem:
+                if problem.status < HTTPStatus.INTERNAL_SERVER_ERROR:
+                    raise TaskFailed(problem.detail) from None
+                reason = problem.detail
+            except SQLAlchemyError as error:
+                reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+            log.warning("command not stored yet", device=order.device, command=order.name, reason=reason)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(backoff.next_delay_s()):
+                    await job.changed(since=job.requested_action)
+            await job.checkpoint()
+
+    async def _order_once(self, job: Job, order: "_Order") -> Command:
+        """Order a command; if the Task is cancelled before it is stored, it is not sent."""
+        device = self._gateway.device(order.device)
+        ordering = asyncio.create_task(
+            self._dispatcher.order(
+                device.name,
+                device.stored.description,
+                order.name,
+                order.parameters,
+                timeout_s=order.timeout_s,
+                identifier=order.identifier,
+            )
+        )
+        try:
+            while not ordering.done():
+                changing = asyncio.create_task(job.changed(since=job.requested_action))
+                await asyncio.wait({ordering, changing}, return_when=asyncio.FIRST_COMPLETED)
+                changing.cancel()
+                if job.requested_action is RequestedAction.CANCEL and not ordering.done():
+                    with suppress(Problem, SQLAlchemyError):
+                        await self._dispatcher.cancel(device.name, order.identifier)
+            return await ordering
+        finally:
+            ordering.cancel()
 
     async def _follow_to_end(self, job: Job, command: Command) -> Command:
         dispatcher = self._dispatcher

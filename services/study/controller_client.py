@@ -62,8 +62,11 @@ class ControllerClient:
         if self._http is None:
             raise ControllerUnavailable("the client is closed")
         try:
-            headers = await self._credentials.headers()
-            response = await self._http.request(method, path, json=body, headers=dict(headers))
+            own = await self._credentials.headers()
+            response = await self._http.request(method, path, json=body, headers=dict(own))
+            if response.status_code == httpx.codes.UNAUTHORIZED and self._credentials.renew(own):
+                own = await self._credentials.headers()
+                response = await self._http.request(method, path, json=body, headers=dict(own))
             response.raise_for_status()
         except (httpx.HTTPError, HandoverError) as error:
             raise ControllerUnavailable(f"{self._url}: {str(error) or type(error).__name__}") from None

@@ -11,13 +11,14 @@ import hmac
 import time
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from handover.client_networks import network_of
+from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.origin_guard import send_problem
@@ -49,7 +50,8 @@ class PageAccess:
     caller: Caller
     token: str
     csrf: str
-    renew_s: float
+    life: Lifetime
+    """Until it is renewed."""
     is_station: bool = False
     network: str | None = None
     """The only network from which the session may be used."""
@@ -98,7 +100,7 @@ class PageGuard(Guard):
         """Return the access of a session. Raises `Problem`: 401 if it has ended, 503 without `accounts`."""
         key = token_hash(session)
         access = self._accesses.get(key)
-        if access is not None and time.monotonic() < access.renew_s and self.is_valid(access.caller):
+        if access is not None and not access.life.is_over() and self.is_valid(access.caller):
             return access
         if key not in self._exchanging:  # the requests of a page that loads share one exchange
             task = self._exchanging[key] = asyncio.create_task(self._exchange(key, session))
@@ -107,7 +109,7 @@ class PageGuard(Guard):
 
     async def _exchange(self, key: str, session: str) -> PageAccess:
         self._accesses.pop(key, None)
-        asked_s = time.monotonic()
+        asked = Lifetime.begin(0)
         document = await self.ask_accounts("/session-tokens", {"session": session})
         keys = self._keys.keys()
         if keys is None:
@@ -124,7 +126,7 @@ class PageGuard(Guard):
             caller,
             token,
             str(document["csrf"]),
-            asked_s + float(document["expiresInS"]) - RENEW_BEFORE_S,
+            replace(asked, life_s=float(document["expiresInS"]) - RENEW_BEFORE_S),
             document.get("isStation") is True,
             document.get("network"),
         )

@@ -211,7 +211,7 @@ class AccessLog:
 
     async def begin(self, record: AccessRecord) -> None:
         """Record the intent of a change. Raises `Problem` 503 if that is not possible."""
-        if record.is_change and not record.is_lowering:
+        if not record.is_lowering:
             if not self._is_started:
                 await self.start()
             (record.intent,) = await self.trail.store([record.intended()])

@@ -7,7 +7,8 @@ from functools import partial
 from pydantic import ValidationError
 from sqlalchemy import Engine
 
-from handover.broker import BrokerClient, Credentials
+from handover.broker import BrokerClient
+from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from services.device_gateway.anomalies.baseline import keep_baselines
 from services.device_gateway.anomalies.delivery import AlarmDelivery
@@ -29,7 +30,7 @@ class Anomalies:
         engine: Engine,
         writer: HistoryWriter,
         broker: BrokerClient,
-        credentials: Credentials,
+        credentials: ServiceAccess,
     ) -> None:
         file = settings.device_rules
         self.in_file = read_rules(file) if file is not None else {}

@@ -18,11 +18,12 @@ from sqlalchemy import Connection
 
 from handover.alert_catalogue import DEVICE_ANOMALY
 from handover.alerts import alert_id, clear_alert, raise_alert
-from handover.broker import BrokerClient, BrokerError, Credentials
+from handover.broker import BrokerClient, BrokerError
 from handover.errors import HandoverError, Problem
 from handover.http_client import BodyReadingHttpClient, SendError
 from handover.messages import Message, message
 from handover.retry import Backoff
+from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.anomalies.monitor import Monitor, Watch, WatchKey
@@ -35,6 +36,8 @@ log = get_logger(__name__)
 
 MAX_START_S: Final = 300.0
 REQUEST_TIMEOUT_S: Final = 5.0
+_TRANSIENT: Final = frozenset({401, 408, 425, 429})
+"""Refusals that concern the moment and not the request: the process is started later."""
 LEARNED_INTERVAL_S: Final = 60.0
 SILENCE_INTERVAL_S: Final = 1.0
 MAX_ROWS: Final = 500
@@ -49,7 +52,7 @@ class AlarmDelivery:
         monitor: Monitor,
         writer: HistoryWriter,
         broker: BrokerClient,
-        credentials: Credentials,
+        credentials: ServiceAccess,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._settings = settings
@@ -174,18 +177,18 @@ class AlarmDelivery:
             },
         }
         try:
-            headers = {**await self._credentials.headers(), "Content-Type": "application/json"}
-            response = await self._http.request(
+            response = await self._credentials.send(
+                self._http,
                 "POST",
                 f"{self._settings.orchestrator}/processes",
-                headers.items(),
+                [("Content-Type", "application/json")],
                 orjson.dumps(body),
-                REQUEST_TIMEOUT_S,
+                timeout_s=REQUEST_TIMEOUT_S,
             )
         except (SendError, OSError, HandoverError) as error:
             log.warning("process not started yet", definition=start.definition, error=str(error))
             return False
-        if response.status >= 500:
+        if response.status >= 500 or response.status in _TRANSIENT:
             return False
         is_started = response.status < 300  # 200: the key has started one before
         metrics.PROCESSES.labels("started" if is_started else "refused").inc()

@@ -8,7 +8,6 @@ order, since who waits for the same writing continues in the order of waiting.
 """
 
 import asyncio
-import time
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
+from handover.clocks import SteadyTime
 from handover.errors import Problem
 from handover.messages import Message, message, message_in, with_code
 from handover.security.audit_trail import current_request
@@ -92,12 +92,13 @@ class Dispatcher:
         engine: Engine,
         writer: HistoryWriter,
         ack_timeout_s: float,
-        clock: Callable[[], float] = time.time,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         self._engine = engine
         self._writer = writer
         self._ack_timeout_s = ack_timeout_s
-        self._clock = clock
+        # A deadline is a span of time: a wall clock that is set must not let all commands expire at once.
+        self._clock = SteadyTime() if clock is None else clock
         self._links: dict[str, CommandLink] = {}
         self._open: defaultdict[str, dict[str, _Open]] = defaultdict(dict)
         self._ended: OrderedDict[tuple[str, str], _Open] = OrderedDict()
@@ -360,7 +361,23 @@ class Dispatcher:
                 link.send(_message(one.command, now_s))
 
     def _send_motion(self, one: _Open, link: CommandLink) -> None:
-        """Send a motion once, if the connection that it was accepted for still exists."""
+        """Send a motion once, if the connection that it was accepted for still exists.
+
+        One that was cancelled, or is too late, when it is stored at last, is not sent.
+        """
+        if one.is_cancelling:
+            one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
+            self._writer.add(commands=[_row(one.command)])
+            self._close_if_ended(one)
+            return
+        if self._clock() >= one.command.deadline_s:
+            late = message(
+                "device.command_too_late", "it was stored after its deadline; the motion was not sent"
+            )
+            one.change(one.command.ended(CommandState.FAILED, late))
+            self._writer.add(commands=[_row(one.command)])
+            self._close_if_ended(one)
+            return
         if self._links.get(one.command.device) is link:
             one.sent = Sent(1, self._clock())
             link.send(_message(one.command, self._clock()))

@@ -43,8 +43,10 @@ class BreakProposals:
         }
         url = f"{self._settings.orchestrator}/messages"
         try:
-            headers = [("Content-Type", "application/json"), *(await self._access.headers()).items()]
-            answer = await self._http.request("POST", url, headers, orjson.dumps(body), TIMEOUT_S)
+            headers = [("Content-Type", "application/json")]
+            answer = await self._access.send(
+                self._http, "POST", url, headers, orjson.dumps(body), timeout_s=TIMEOUT_S
+            )
         except (SendError, OSError, HandoverError) as error:
             log.warning("break not proposed", error=str(error))
             return

@@ -225,8 +225,8 @@ class OperatorMachine(Machine):
     async def _ask(
         self, method: str, url: str, body: bytes = b"", media_type: str = "application/json"
     ) -> dict[str, Any]:
-        headers = [("Content-Type", media_type), *(await self._access.headers()).items()]
-        answer = await self._http.request(method, url, headers, body, TIMEOUT_S)
+        headers = [("Content-Type", media_type)]
+        answer = await self._access.send(self._http, method, url, headers, body, timeout_s=TIMEOUT_S)
         if answer.status >= 300:
             raise TrialFailed(f"{method} {url} answered {answer.status}: {answer.body[:200].decode()}")
         document: dict[str, Any] = orjson.loads(answer.body)
