@@ -40,10 +40,17 @@ class Entities:
         assert answer.status_code == 201, answer.text
         return str(task["id"])
 
+    def _read(self, task: str) -> httpx.Response | None:
+        """Return the answer of the broker; None while it cannot ask accounts about the token."""
+        answer = httpx.get(f"{self._url}/{task}", headers=self.headers, timeout=120, trust_env=False)
+        if answer.status_code == 503:
+            return None
+        assert answer.status_code == 200, answer.text
+        return answer
+
     def of(self, task: str) -> dict[str, Any]:
         """Return the status and the outputs of a Task."""
-        answer = httpx.get(f"{self._url}/{task}", headers=self.headers, timeout=120, trust_env=False)
-        assert answer.status_code == 200, answer.text
+        answer = wait_for(lambda: self._read(task), 90, "the broker refuses to be read")
         entity: dict[str, Any] = answer.json()
         outputs = entity.get("outputParameters", {}).get("value", {})
         return {"status": entity["status"]["value"], "outcome": outputs.get("outcome"), "outputs": outputs}
