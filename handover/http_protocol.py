@@ -3,6 +3,10 @@
 uvicorn parses requests; this module adds limits, so that no client keeps a connection with an incomplete
 request. `Connections` checks all connections of a server once a second, so requests need no timers:
 
+- The head of a request has at most `MAX_HEAD_BYTES` and `MAX_HEAD_LINES`; what goes beyond is refused (431)
+  before it is parsed. The same limits apply to what a chunked body has between its chunks: extensions and
+  trailers, which no application sees.
+- At most `MAX_PIPELINED` requests of a connection wait for the response to the one before (429).
 - An unfinished request is ended (408) when its head takes longer than `http_header_timeout_s`, when no byte
   of its body comes for `http_body_timeout_s`, or when its body comes slower than `http_min_body_bytes_per_s`
   after that time. Time in which the service itself does not read does not count.
@@ -13,6 +17,11 @@ request. `Connections` checks all connections of a server once a second, so requ
   services, and behind a proxy all people, come from one address.
 - A server has at most `http_max_connections`. The oldest unfinished ones give way to a newcomer, then those
   that have been idle for longest; if all are in use the newcomer is refused (503).
+
+How heads are counted: a head ends with an empty line, and llhttp accepts nothing but CR LF as the end of a
+line. Received bytes that are within the limits as a whole are parsed at once, which is the usual case. Others
+are parsed in pieces that end where a head ends, each counted first. A piece that begins in a body may contain
+the begin of the next head; it has at most `MAX_HEAD_BYTES`, and what comes after the body counts afterwards.
 
 `HttpToolsProtocol` is no public API of uvicorn: pyproject.toml bounds its version, and a test names it.
 """
@@ -48,6 +57,18 @@ YOUNG_S: Final = 1.0
 RESERVED_FILES: Final = 128
 """Open files that a service needs for other things than connections."""
 MAX_FILES: Final = 65_536
+MAX_HEAD_BYTES: Final = 32 * 1024
+MAX_HEAD_LINES: Final = 100
+"""The request line and the headers, without the empty line at the end."""
+MAX_WEBSOCKET_LINE_BYTES: Final = 8190
+"""The library that speaks WebSocket refuses a longer line of the handshake."""
+MAX_PIPELINED: Final = 100
+MAX_DISCARDED_BYTES: Final = 1 << 20
+DISCARD_S: Final = 2.0
+"""How long a connection stays open after a refusal for the client to read it: a connection that is closed
+while bytes come in is reset, and the client may lose the response."""
+
+_END_OF_HEAD: Final = b"\r\n\r\n"
 
 # What a connection does. Constants of the module: a member of an Enum costs ten times as much to read (3.11).
 AWAITED: Final = "awaited"
@@ -56,7 +77,10 @@ HEAD: Final = "head"
 BODY: Final = "body"
 IN_USE: Final = "in use"
 IDLE: Final = "idle"
-UNFINISHED: Final = frozenset({AWAITED, HEAD, BODY})
+REFUSED: Final = "refused"
+"""It is only read until the client has the refusal."""
+UPGRADED: Final = "upgraded"
+UNFINISHED: Final = frozenset({AWAITED, HEAD, BODY, REFUSED})
 
 OPEN = Gauge("handover_http_connections", "Connections by what they do", ["state"])
 CLOSED = Counter("handover_http_connections_closed_total", "Connections that the server ended", ["reason"])
@@ -142,8 +166,9 @@ class HttpProtocol(HttpToolsProtocol):
 
     # uvicorn's protocol has so many attributes that more would make all of them slower.
     __slots__ = (
-        "_body_of", "_body_s", "_quiet_s", "_seen_bytes", "_stalled_s", "_unread_bytes",
-        "body_bytes", "limits", "phase", "since_s",
+        "_body_of", "_body_s", "_discarded_bytes", "_head_bytes", "_head_end", "_head_lines", "_quiet_s",
+        "_refusal", "_seen_bytes", "_stalled_s", "_unread_bytes", "body_bytes", "body_piece", "limits",
+        "phase", "since_s",
     )  # fmt: skip
 
     def __init__(
@@ -160,12 +185,99 @@ class HttpProtocol(HttpToolsProtocol):
         self.phase: str = AWAITED
         self.since_s = 0.0
         self.body_bytes = 0
+        self.body_piece = b""
+        """The last part of a body in what is parsed, unless the body has ended with an empty chunk."""
         self._body_of: Any = None
         """The request whose body was looked at last; how long it took so far, and how long nothing came."""
         self._body_s = self._quiet_s = 0.0
         self._seen_bytes = 0
         self._unread_bytes = 0
         self._stalled_s = 0.0
+        self._head_bytes = self._head_lines = 0
+        """The size of the unfinished head, or of what came in a body since the last byte of its content."""
+        self._head_end = b""
+        """The last bytes of the unfinished head: its end may come in two pieces."""
+        self._refusal: Problem | None = None
+        """Is sent after the responses to the requests before."""
+        self._discarded_bytes = 0
+
+    # Receiving
+
+    def data_received(self, data: bytes) -> None:
+        """Parse received bytes, unless a head goes beyond its limits."""
+        if (
+            not self._head_bytes
+            and len(data) <= MAX_HEAD_BYTES
+            and data.count(b"\n") <= MAX_HEAD_LINES
+            and self.phase is not REFUSED
+        ):
+            self._parse(data)
+            return
+        while data and self.phase is not REFUSED and self.phase is not UPGRADED:
+            if self.transport.is_closing():
+                return
+            if self.phase is BODY:
+                piece = data[:MAX_HEAD_BYTES]
+            else:
+                if self.phase is not HEAD:
+                    data = data.lstrip(b"\r\n")  # as the parser does
+                piece = data[: self._end_of_head(data)]
+                # The empty line, which a complete head has, does not count.
+                lines = self._head_lines + piece.count(b"\n") - self._ends_head(piece)
+                if self._head_bytes + len(piece) > MAX_HEAD_BYTES or lines > MAX_HEAD_LINES:
+                    self._refuse_in_turn(_too_large_head())
+                    return
+            data = data[len(piece) :]
+            self._parse(piece)
+        if self.phase is REFUSED:
+            self._discard(data)
+
+    def _end_of_head(self, data: bytes) -> int | None:
+        """Return the length of the unfinished head in `data`; None without its end."""
+        end = (self._head_end + data[:3]).find(_END_OF_HEAD)
+        if end >= 0:
+            return end + 4 - len(self._head_end)
+        end = data.find(_END_OF_HEAD)
+        return None if end < 0 else end + 4
+
+    def _ends_head(self, piece: bytes) -> bool:
+        return (self._head_end + piece[-4:]).endswith(_END_OF_HEAD)
+
+    def _parse(self, piece: bytes) -> None:
+        """Parse `piece`, and count what it has of a head that is unfinished afterwards."""
+        phase, body_bytes = self.phase, self.body_bytes
+        super().data_received(piece)
+        body, self.body_piece = self.body_piece, b""
+        if self.phase is HEAD:
+            self._count_unfinished(piece, body, is_new=self.body_bytes > body_bytes)
+        elif self.phase is BODY and phase is BODY and self.body_bytes == body_bytes:
+            self._head_bytes += len(piece)
+            self._head_lines += piece.count(b"\n")
+        else:
+            self._head_bytes = self._head_lines = 0
+            self._head_end = b""
+            return
+        if self._head_bytes > MAX_HEAD_BYTES or self._head_lines > MAX_HEAD_LINES:
+            self._refuse_in_turn(_too_large_head())
+
+    def _count_unfinished(self, piece: bytes, body: bytes, *, is_new: bool) -> None:
+        """Count the head at the end of `piece`; `body` is the last part of a body in it, if it has a length.
+
+        An unfinished head has no empty line, so it comes after the last one: that before the body or in it.
+        """
+        if is_new or _END_OF_HEAD in piece:
+            self._head_bytes = self._head_lines = 0
+            self._head_end = b""
+            piece = piece[_after_empty_line(piece) :]
+            piece = piece[len(body) - _after_empty_line(body) :]
+        self._head_bytes += len(piece)
+        self._head_lines += piece.count(b"\n")
+        self._head_end = (self._head_end + piece[-3:])[-3:]
+
+    def _discard(self, data: bytes) -> None:
+        self._discarded_bytes += len(data)
+        if self._discarded_bytes > MAX_DISCARDED_BYTES:
+            self.flow.pause_reading()
 
     # Events of uvicorn's parser
 
@@ -184,13 +296,42 @@ class HttpProtocol(HttpToolsProtocol):
 
     def on_headers_complete(self) -> None:
         """Take a request whose head is there."""
+        self.require_acceptable_head()
         self.phase = BODY
         super().on_headers_complete()
+        if not self.parser.should_upgrade():
+            self.headers = []  # trailers go here, and not to the headers that the application has
+
+    def require_acceptable_head(self) -> None:
+        """Raise `_Refused` for a head with too many lines, or one too many requests that wait.
+
+        The parser ends when it is raised, and calls `send_400_response`.
+        """
+        self.body_piece = b""
+        if len(self.headers) >= MAX_HEAD_LINES:
+            self._refusal = _too_large_head()
+        elif len(self.pipeline) >= MAX_PIPELINED:
+            self._refusal = Problem(
+                429,
+                "Too many requests",
+                f"more than {MAX_PIPELINED} requests of a connection wait for a response; send fewer at once",
+            )
+        if self._refusal is not None:
+            raise _Refused
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, or what a limit refuses."""
+        self._refuse_in_turn(self._refusal or Problem(400, "Bad request", msg))
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
         self.body_bytes += len(body)
+        self.body_piece = body
         super().on_body(body)
+
+    def on_chunk_header(self) -> None:
+        """Begin a chunk of a body: the last one has no content."""
+        self.body_piece = b""
 
     def on_message_complete(self) -> None:
         """Note that a request is there as a whole."""
@@ -204,19 +345,32 @@ class HttpProtocol(HttpToolsProtocol):
         self.server_state.total_requests += 1
         if self.transport.is_closing():
             return
-        self.flow.resume_reading()
         if self.pipeline:
             self._start_asgi_task(*self.pipeline.pop())
-        elif self.phase is IN_USE:
+        elif self.phase is REFUSED and self._refusal is not None:
+            self.refuse(self._refusal)
+        if self.pipeline:
+            return  # reading more would let them grow
+        self.flow.resume_reading()
+        if self._is_answering():
+            return
+        if self.phase is IN_USE:
             self.phase, self.since_s = IDLE, self.loop.time()
 
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection over, unless there are too many."""
-        if self.limits.may_be_websocket():
+        if any(len(name) + len(value) + 4 > MAX_WEBSOCKET_LINE_BYTES for name, value in self._handshake()):
+            self.refuse(_too_large_head())
+        elif self.limits.may_be_websocket():
+            self.phase = UPGRADED
             super().handle_websocket_upgrade()
         else:
             CLOSED.labels("too many websockets").inc()
             self.refuse(Problem(503, "Too many WebSockets", "close another page, and try again in a moment"))
+
+    def _handshake(self) -> Iterator[tuple[bytes, bytes]]:
+        yield self.url, b" HTTP/1.1 "
+        yield from self.headers
 
     # What is looked at once a second
 
@@ -228,7 +382,10 @@ class HttpProtocol(HttpToolsProtocol):
             return "in use"
         self._stalled_s = 0.0
         waited_s = now_s - self.since_s
-        if self.phase is IDLE:
+        if self.phase is REFUSED:
+            if waited_s > DISCARD_S and self._refusal is None:
+                self.transport.abort()
+        elif self.phase is IDLE:
             if waited_s > self.timeout_keep_alive:
                 self.end("idle")
         elif self.phase is BODY:
@@ -273,23 +430,66 @@ class HttpProtocol(HttpToolsProtocol):
     def end(self, reason: str) -> None:
         """End the connection; a client that has sent a part of a request learns why."""
         CLOSED.labels(reason).inc()
+        self.end_with(Problem(408, "Request timeout", f"the request did not come in time ({reason})"))
+
+    def end_with(self, problem: Problem) -> None:
+        """End the connection; a client that has sent a part of a request gets `problem`."""
         waits_for_us = self._is_answering() and not getattr(self.cycle, "response_started", False)
-        if (self.phase is HEAD and not self._is_answering()) or (self.phase is BODY and waits_for_us):
-            self.refuse(Problem(408, "Request timeout", f"the request did not come in time ({reason})"))
+        if (self.phase is HEAD and not self._is_answering()) or (
+            self.phase is BODY and waits_for_us and not self.pipeline
+        ):
+            self.refuse(problem)
         else:
             self.transport.abort()
 
+    def _refuse_in_turn(self, problem: Problem) -> None:
+        """Refuse what came last, after the responses to the requests before."""
+        CLOSED.labels("refused request").inc()
+        if self.phase is BODY:
+            self.end_with(problem)
+        elif self._is_answering():
+            self.phase, self._refusal = REFUSED, problem
+            self.flow.pause_reading()
+        else:
+            self.refuse(problem)
+
     def refuse(self, problem: Problem) -> None:
-        """Answer with `problem`, and close the connection."""
+        """Answer with `problem`, and close the connection when the client has had time to read it."""
+        if self.transport.is_closing():
+            return
+        self.phase, self.since_s, self._refusal = REFUSED, self.loop.time(), None
         cycle: Any = self.cycle
         if cycle is not None:
             cycle.disconnected = True
+            cycle.message_event.set()
         body = orjson.dumps(problem.body())
         self.transport.write(
             STATUS_LINE[problem.status] + b"content-type: application/problem+json\r\ncontent-length: "
             b"%d\r\nconnection: close\r\n\r\n%b" % (len(body), body)
         )
-        self.transport.close()
+        if self.transport.can_write_eof():
+            self.transport.write_eof()
+        else:
+            self.transport.close()
+
+
+def _after_empty_line(piece: bytes) -> int:
+    """Return where the rest of `piece` begins after its last empty line; 0 without one."""
+    found = piece.rfind(_END_OF_HEAD)
+    return 0 if found < 0 else found + len(_END_OF_HEAD)
+
+
+class _Refused(Exception):
+    """Ends the parser; the connection has the reason."""
+
+
+def _too_large_head() -> Problem:
+    return Problem(
+        431,
+        "Request head too large",
+        f"the request line and the headers have more than {MAX_HEAD_BYTES} bytes or {MAX_HEAD_LINES} lines; "
+        "send fewer and shorter ones",
+    )
 
 
 def raise_file_limit() -> int:

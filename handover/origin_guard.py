@@ -2,6 +2,7 @@
 
 A foreign web page must not use a server only because the browser can reach it:
 
+- A request of HTTP/1.1 has exactly one `Host` (RFC 9112, 3.2), else it is refused (400).
 - `Host`: a foreign name that resolves to this machine (DNS rebinding) is refused. Accepted are loopback
   names, numeric addresses, the host names in our own `HANDOVER_*_URL` settings, and `HANDOVER_ALLOWED_HOSTS`.
 - `Origin`: the page must be the server's own (same host and port), or be listed in
@@ -43,7 +44,7 @@ class OriginPolicy:
     def __init__(self, hosts: Iterable[str] = (), origins: Iterable[str] = ()) -> None:
         self._hosts = frozenset(host.lower().rstrip(".") for host in hosts)
         self._origins = frozenset(origin.lower().rstrip("/") for origin in origins)
-        self._known: set[bytes | None] = {None}
+        self._known: set[bytes | None] = set()
 
     @classmethod
     def of(cls, settings: Settings, urls: Iterable[str] = ()) -> Self:
@@ -60,16 +61,25 @@ class OriginPolicy:
         )
 
     def refusal(
-        self, method: str, path: str, headers: Mapping[bytes, bytes], *, scheme: str = "http"
+        self,
+        method: str,
+        path: str,
+        headers: Mapping[bytes, bytes],
+        *,
+        scheme: str = "http",
+        needs_host: bool = True,
     ) -> Problem | None:
         """Return why a request is refused; None if it is accepted. `headers` are by name in lower case."""
         given = headers.get(b"host")
         host = "" if given is None else given.decode("latin-1")
-        if given not in self._known:
+        if (given is None and needs_host) or "," in host:  # repeated headers are joined by commas
+            REFUSED.labels("host").inc()
+            return Problem(400, "Bad request", "a request of HTTP/1.1 needs one Host header; send one")
+        if given is not None and given not in self._known:
             parts = host_and_port(host, scheme)
             if parts is not None and is_known_host(parts[0], self._hosts):
                 if len(self._known) >= MAX_REMEMBERED_HOSTS:
-                    self._known = {None}
+                    self._known = set()
                 self._known.add(given)
             elif method not in _READS or path not in OPEN_BY_ANY_NAME:
                 REFUSED.labels("host").inc()
@@ -116,7 +126,13 @@ class OriginGuard:
         refusal = None
         if not self._policy.is_known(headers):
             method = scope["method"] if scope["type"] == "http" else "CONNECT"
-            refusal = self._policy.refusal(method, scope["path"], headers, scheme=scope["scheme"])
+            refusal = self._policy.refusal(
+                method,
+                scope["path"],
+                headers,
+                scheme=scope["scheme"],
+                needs_host=scope.get("http_version") != "1.0",
+            )
         if refusal is None:
             await self._app(scope, receive, send)
         elif scope["type"] == "http":

@@ -98,6 +98,7 @@ class BrokerProtocol(HttpProtocol):
                 super().on_header(*header)
             super().on_headers_complete()
             return
+        self.require_acceptable_head()
         self.phase = BODY
         target = httptools.parse_url(self.url)
         method = self.parser.get_method().decode("ascii")
@@ -126,6 +127,7 @@ class BrokerProtocol(HttpProtocol):
             super().on_body(body)
             return
         self.body_bytes += len(body)
+        self.body_piece = body
         if not cycle.response_complete:
             cycle.take(body)
 
@@ -184,7 +186,7 @@ class RequestCycle:
 
     __slots__ = (
         "_context", "_data_arrived", "_expects", "_protocol", "_request", "_work", "body", "disconnected",
-        "keep_alive", "more_body", "response_complete",
+        "keep_alive", "more_body", "needs_host", "response_complete",
     )  # fmt: skip
 
     def __init__(self, protocol: BrokerProtocol, request: Request) -> None:
@@ -194,6 +196,7 @@ class RequestCycle:
         self.more_body = True
         headers, parser = request.headers, protocol.parser
         # HTTP/1.0 keeps a connection only if the client asks for it; that is not supported.
+        self.needs_host = b"host" not in headers and parser.get_http_version() != "1.0"
         is_plain = b"connection" not in headers or parser.get_http_version() != "1.0"
         self.keep_alive: bool = is_plain and parser.should_keep_alive()
         self._protocol = protocol
@@ -223,7 +226,9 @@ class RequestCycle:
         is_whole = not (self.more_body or self._expects)
         request, policy = self._request, self._protocol.policy
         if not policy.is_known(request.headers) and (
-            refusal := policy.refusal(request.method, request.path, request.headers)
+            refusal := policy.refusal(
+                request.method, request.path, request.headers, needs_host=self.needs_host
+            )
         ):
             self._end(problem_response(refusal))
             return
@@ -272,7 +277,7 @@ class RequestCycle:
 
     def _send(self, answer: Response) -> None:
         protocol = self._protocol
-        if protocol.transport.is_closing():
+        if self.disconnected or protocol.transport.is_closing():
             return
         head = [STATUS_LINE[answer.status], protocol.constant_headers()]
         for name, value in answer.headers:

@@ -2,7 +2,10 @@
 
 import json
 import re
-from collections.abc import Iterator
+import select
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from http.client import HTTPConnection, HTTPResponse
 from ipaddress import ip_address
 
@@ -17,6 +20,7 @@ from services.context_broker.app import operations_of
 from services.context_broker.settings import BrokerSettings
 from tests.kit.cell import Cell, new_cell
 from tests.kit.sockets import listening_sockets
+from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow
 
@@ -128,6 +132,73 @@ def test_a_page_of_another_site_reads_and_changes_nothing(cell: Cell, service: s
     for headers in ({"origin": "http://evil.example"}, {"origin": "null"}, {"sec_fetch_site": "cross-site"}):
         for method in ("GET", "POST", "OPTIONS"):
             assert asked(cell, service, method, READ[service], **headers).status == 403, (headers, method)
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_request_needs_one_host(cell: Cell, service: str) -> None:
+    port = cell.ports[service]
+    for path in (READ[service], "/healthz"):
+        for hosts in (b"", b"Host: 127.0.0.1\r\nHost: 127.0.0.1\r\n"):
+            request = b"GET %b HTTP/1.1\r\n%bConnection: close\r\n\r\n" % (path.encode(), hosts)
+            assert status_of(port, [request]) == 400, (path, hosts)
+        assert status_of(port, [b"GET %b HTTP/1.0\r\n\r\n" % path.encode()]) == 200
+
+
+def status_of(port: int, sent: Iterable[bytes]) -> int | None:
+    """Send pieces until the server has answered or closed the connection; None if it has not answered."""
+    with socket.create_connection(("127.0.0.1", port), timeout=scaled(120)) as link:
+        with suppress(ConnectionError):
+            for piece in sent:
+                link.sendall(piece)
+                if select.select([link], [], [], 0)[0]:
+                    break
+        answer = b""
+        with suppress(ConnectionError):
+            while piece := link.recv(65536):
+                answer += piece
+    return int(answer.split(maxsplit=2)[1]) if answer.startswith(b"HTTP/1.1 ") else None
+
+
+def endless(begin: bytes, again: bytes) -> Iterator[bytes]:
+    """Yield what never ends; a test that is not refused runs into its time limit."""
+    yield begin
+    while True:
+        yield again * (65_536 // len(again))
+
+
+ENDLESS = {
+    "request line": (b"GET /", b"x"),
+    "headers": (b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n", b"a: b\r\n"),
+    "header": (b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: ", b"c"),
+    "name": (b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n", b"n"),
+    "handshake": (b"GET /api/live HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n", b"a: b\r\n"),
+    "chunk extension": (b"POST /x HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n1;", b"e"),
+}
+IN_A_BODY = frozenset({"chunk extension"})
+"""The request may be answered before its body ends."""
+
+
+def test_an_endless_head_is_refused_on_every_port(cell: Cell) -> None:
+    """Of every socket that accepts connections; another client is served meanwhile."""
+    found = listening_sockets(process.pid for process in cell.processes.values())
+    ports = {one.port for one in found if one.protocol == "tcp"}
+    assert ports >= {cell.ports[name] for name in (*SERVICES, "glove", "devices")}
+    for port in sorted(ports):
+        is_http = port in {cell.ports[name] for name in SERVICES}
+        for name, (begin, again) in ENDLESS.items():
+            status = status_of(port, endless(begin, again))
+            if is_http and name not in IN_A_BODY:
+                assert status == 431, (port, name)
+            assert status is None or status >= 400, (port, name)
+    for service in SERVICES:
+        assert asked(cell, service, "GET", READ[service]).status == 200
+
+
+@pytest.mark.parametrize("service", WEBSOCKETS)
+def test_a_long_header_of_a_handshake_is_refused(cell: Cell, service: str) -> None:
+    lines = ("Host: 127.0.0.1", "Upgrade: websocket", "Connection: Upgrade", f"Cookie: {'c' * 10_000}")
+    request = "\r\n".join((f"GET {WEBSOCKETS[service]} HTTP/1.1", *lines, "", ""))
+    assert status_of(cell.ports[service], [request.encode()]) == 431
 
 
 @pytest.mark.parametrize("service", SERVICES)
