@@ -171,6 +171,14 @@ SUBSCRIPTION_CHANGED: Final = AlertType(
     "Somebody changed or deleted a subscription of a service; the service has restored it.",
     "Find out who or what did: the audit log of the broker names accounts.",
 )
+SERVICE_RESTARTED: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "serviceRestarted",
+    Severity.HIGH,
+    "Device",
+    "A service did not answer although it worked, and was restarted by the watchdog.",
+    "Look at the work of the service, and report its log to its maintainers.",
+)
 ROS_PROBLEM: Final = AlertType(
     AlertCategory.ROS,
     None,
@@ -197,6 +205,7 @@ CATALOGUE: Final = (
     SPECIFICATIONS_NOT_WRITTEN,
     CERTIFICATE_EXPIRES,
     CERTIFICATE_NOT_LOADED,
+    SERVICE_RESTARTED,
     ROS_PROBLEM,
 )
 

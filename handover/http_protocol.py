@@ -6,7 +6,8 @@ request. `Connections` checks all connections of a server once a second, so requ
 - The head of a request has at most `MAX_HEAD_BYTES` and `MAX_HEAD_LINES`; what goes beyond is refused (431)
   before it is parsed. The same limits apply to what a chunked body has between its chunks: extensions and
   trailers, which no application sees.
-- At most `MAX_PIPELINED` requests of a connection wait for the response to the one before (429).
+- Of a connection about `MAX_PIPELINED` requests wait for the response to the one before. What comes after is
+  neither parsed nor read until they are answered.
 - An unfinished request is ended (408) when its head takes longer than `http_header_timeout_s`, when no byte
   of its body comes for `http_body_timeout_s`, or when its body comes slower than `http_min_body_bytes_per_s`
   after that time. Time in which the service itself does not read does not count.
@@ -36,6 +37,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 from prometheus_client import Counter, Gauge
+from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from handover.errors import Problem
@@ -167,8 +169,8 @@ class HttpProtocol(HttpToolsProtocol):
     # uvicorn's protocol has so many attributes that more would make all of them slower.
     __slots__ = (
         "_body_of", "_body_s", "_discarded_bytes", "_head_bytes", "_head_end", "_head_lines", "_quiet_s",
-        "_refusal", "_seen_bytes", "_stalled_s", "_unread_bytes", "body_bytes", "body_piece", "limits",
-        "phase", "since_s",
+        "_refusal", "_rest", "_seen_bytes", "_stalled_s", "_unread_bytes", "body_bytes", "body_piece",
+        "limits", "phase", "since_s",
     )  # fmt: skip
 
     def __init__(
@@ -200,21 +202,33 @@ class HttpProtocol(HttpToolsProtocol):
         self._refusal: Problem | None = None
         """Is sent after the responses to the requests before."""
         self._discarded_bytes = 0
+        self._rest = b""
+        """What came after the requests that wait."""
 
     # Receiving
 
     def data_received(self, data: bytes) -> None:
         """Parse received bytes, unless a head goes beyond its limits."""
-        if (
-            not self._head_bytes
-            and len(data) <= MAX_HEAD_BYTES
-            and data.count(b"\n") <= MAX_HEAD_LINES
-            and self.phase is not REFUSED
+        if self._rest:
+            self._rest += data
+        elif (
+            self._head_bytes
+            or len(data) > MAX_HEAD_BYTES
+            or data.count(b"\n") > MAX_HEAD_LINES
+            or self.phase is REFUSED
+            or len(self.pipeline) >= MAX_PIPELINED
         ):
+            self._receive_in_pieces(data)
+        else:
             self._parse(data)
-            return
+
+    def _receive_in_pieces(self, data: bytes) -> None:
         while data and self.phase is not REFUSED and self.phase is not UPGRADED:
             if self.transport.is_closing():
+                return
+            if len(self.pipeline) >= MAX_PIPELINED:
+                self._rest = data
+                self.flow.hold()
                 return
             if self.phase is BODY:
                 piece = data[:MAX_HEAD_BYTES]
@@ -231,6 +245,14 @@ class HttpProtocol(HttpToolsProtocol):
             self._parse(piece)
         if self.phase is REFUSED:
             self._discard(data)
+
+    def _continue(self) -> None:
+        """Parse what came after the requests that had to wait."""
+        rest, self._rest = self._rest, b""
+        if rest and not self.transport.is_closing():
+            self.data_received(rest)
+        if not self._rest:
+            self.flow.release()
 
     def _end_of_head(self, data: bytes) -> int | None:
         """Return the length of the unfinished head in `data`; None without its end."""
@@ -284,6 +306,7 @@ class HttpProtocol(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
+        self.flow = _Flow(transport)
         self.since_s = self.loop.time()
         if not self.limits.opened(self, self.connections):
             CLOSED.labels("refused").inc()
@@ -303,20 +326,13 @@ class HttpProtocol(HttpToolsProtocol):
             self.headers = []  # trailers go here, and not to the headers that the application has
 
     def require_acceptable_head(self) -> None:
-        """Raise `_Refused` for a head with too many lines, or one too many requests that wait.
+        """Raise `_Refused` for a head with too many lines.
 
         The parser ends when it is raised, and calls `send_400_response`.
         """
         self.body_piece = b""
         if len(self.headers) >= MAX_HEAD_LINES:
             self._refusal = _too_large_head()
-        elif len(self.pipeline) >= MAX_PIPELINED:
-            self._refusal = Problem(
-                429,
-                "Too many requests",
-                f"more than {MAX_PIPELINED} requests of a connection wait for a response; send fewer at once",
-            )
-        if self._refusal is not None:
             raise _Refused
 
     def send_400_response(self, msg: str) -> None:
@@ -345,16 +361,14 @@ class HttpProtocol(HttpToolsProtocol):
         self.server_state.total_requests += 1
         if self.transport.is_closing():
             return
+        self.flow.resume_reading()
         if self.pipeline:
             self._start_asgi_task(*self.pipeline.pop())
+            if self._rest and not self.pipeline:  # which may have the body of the request that has started
+                self.loop.call_soon(self._continue)
         elif self.phase is REFUSED and self._refusal is not None:
             self.refuse(self._refusal)
-        if self.pipeline:
-            return  # reading more would let them grow
-        self.flow.resume_reading()
-        if self._is_answering():
-            return
-        if self.phase is IN_USE:
+        elif self.phase is IN_USE:
             self.phase, self.since_s = IDLE, self.loop.time()
 
     def handle_websocket_upgrade(self) -> None:
@@ -477,6 +491,27 @@ def _after_empty_line(piece: bytes) -> int:
     """Return where the rest of `piece` begins after its last empty line; 0 without one."""
     found = piece.rfind(_END_OF_HEAD)
     return 0 if found < 0 else found + len(_END_OF_HEAD)
+
+
+class _Flow(FlowControl):
+    """The flow control of a connection; while it is held nothing is read, whatever a request wants."""
+
+    _is_held = False
+
+    def hold(self) -> None:
+        """Stop to read until `release`."""
+        self._is_held = True
+        self.pause_reading()
+
+    def release(self) -> None:
+        """Read again."""
+        self._is_held = False
+        self.resume_reading()
+
+    def resume_reading(self) -> None:
+        """Read again, unless the connection is held."""
+        if not self._is_held:
+            super().resume_reading()
 
 
 class _Refused(Exception):

@@ -26,6 +26,7 @@ from handover.ports import held
 from handover.retry import Backoff
 from handover.settings import LIFELINE, Settings
 from handover.tls_trust import client_context, handshake_fault
+from handover.watchdog import Watchdog
 from services.context_broker.settings import BrokerSettings
 
 READY_WITHIN_S = 30.0
@@ -185,9 +186,16 @@ class Launcher:
         )
 
     async def _keep(self, running: Running) -> None:
+        watchdog = running.url and Watchdog(running.name, running.url, self._settings, self._say)
         while True:
-            assert running.process is not None  # noqa: S101 - started before it is watched
-            code = await running.process.wait()
+            process = running.process
+            assert process is not None  # noqa: S101 - started before it is watched
+            watch = watchdog and asyncio.create_task(watchdog.watch(process.pid, process.kill))
+            try:
+                code = await process.wait()
+            finally:
+                if watch:
+                    watch.cancel()
             if self._stopping:
                 return
             if running.url is None and code == NO_USE:

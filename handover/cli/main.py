@@ -30,6 +30,7 @@ from handover.cli.doctor import examine
 from handover.cli.glove import bridge_arguments, change_token
 from handover.cli.launcher import Launcher
 from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
+from handover.cli.supervisor import run_watched
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
 from handover.sqlite_files import REMEDY, renew_marks
@@ -152,6 +153,10 @@ def run(
         str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)))
     ],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
+    watch: Annotated[
+        bool,
+        typer.Option("--watch", help="Restart it when it does not answer although it works (Linux)."),
+    ] = False,
     data_dir: DataDir = None,
 ) -> None:
     """Run one service in the foreground."""
@@ -160,7 +165,9 @@ def run(
     secure.wait_for_security("HANDOVER_TLS_KEY", "HANDOVER_TLS_CERTIFICATE")
     if port is not None:
         os.environ[chosen.port_setting] = str(port)
-    _settings(data_dir)
+    settings = _settings(data_dir)
+    if watch:
+        run_watched(chosen.name, chosen.url(), settings, say)  # returns in the process of the service
     runpy.run_module(chosen.module, run_name="__main__", alter_sys=True)
 
 

@@ -52,7 +52,7 @@ def texts(of: Any) -> list[str]:
 
 def test_every_service_of_the_command_line_has_a_container_of_its_name() -> None:
     run = {name: each["command"] for name, each in OURS.items() if each["command"][:2] == ["handover", "run"]}
-    assert run == {service.name: ["handover", "run", service.name] for service in SERVICES}
+    assert run == {service.name: ["handover", "run", "--watch", service.name] for service in SERVICES}
 
 
 def test_the_simulated_operator_is_not_there_unless_it_is_chosen() -> None:

@@ -87,7 +87,7 @@ def test_a_pod_has_no_privileges_and_a_read_only_file_system(name: str) -> None:
 @every_one_of_ours
 def test_a_service_runs_with_settings_that_exist_and_is_asked_where_it_listens(name: str) -> None:
     container, service = container_of(name), KNOWN[name]
-    assert container["command"] == ["handover", "run", name]
+    assert container["command"] == ["handover", "run", "--watch", name]
     given = {one["name"] for one in container.get("env", ())} | set(SETTINGS)
     assert given <= known_settings()
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
