@@ -173,6 +173,8 @@ class HttpProtocol(HttpToolsProtocol):
         "limits", "phase", "since_s",
     )  # fmt: skip
 
+    flow: "_Flow"
+
     def __init__(
         self,
         config: "Config",
