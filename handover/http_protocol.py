@@ -8,6 +8,9 @@ request. `Connections` checks all connections of a server once a second, so requ
   trailers, which no application sees.
 - Of a connection about `MAX_PIPELINED` requests wait for the response to the one before. What comes after is
   neither parsed nor read until they are answered.
+- In one turn of the event loop at most `MAX_STARTS_PER_TURN` requests start, those of connections first that
+  had the least lately. So hundreds of connections that send request after request, and read no response, do
+  not delay others.
 - An unfinished request is ended (408) when its head takes longer than `http_header_timeout_s`, when no byte
   of its body comes for `http_body_timeout_s`, or when its body comes slower than `http_min_body_bytes_per_s`
   after that time. Time in which the service itself does not read does not count.
@@ -17,7 +20,8 @@ request. `Connections` checks all connections of a server once a second, so requ
   a second; the oldest are closed. Connections in use are not limited per address: on one machine all
   services, and behind a proxy all people, come from one address.
 - A server has at most `http_max_connections`. The oldest unfinished ones give way to a newcomer, then those
-  that have been idle for longest; if all are in use the newcomer is refused (503).
+  that have been idle for longest, then those whose client reads nothing of the response; if all are in use
+  the newcomer is refused (503).
 
 How heads are counted: a head ends with an empty line, and llhttp accepts nothing but CR LF as the end of a
 line. Received bytes that are within the limits as a whole are parsed at once, which is the usual case. Others
@@ -32,6 +36,7 @@ import math
 import os
 from collections import Counter as Tally
 from collections.abc import Iterator
+from heapq import heappop, heappush
 from ipaddress import ip_network
 from typing import TYPE_CHECKING, Any, Final
 
@@ -64,7 +69,13 @@ MAX_HEAD_LINES: Final = 100
 """The request line and the headers, without the empty line at the end."""
 MAX_WEBSOCKET_LINE_BYTES: Final = 8190
 """The library that speaks WebSocket refuses a longer line of the handshake."""
-MAX_PIPELINED: Final = 100
+STALLED_S: Final = 5.0
+"""A client that reads nothing for so long gives way to a newcomer where the server is full."""
+MAX_PIPELINED: Final = 16
+MAX_STARTS_PER_TURN: Final = 4
+"""A start costs about a millisecond."""
+CREDIT: Final = 2
+"""So many rounds a connection is ahead of those that always have a request waiting."""
 MAX_DISCARDED_BYTES: Final = 1 << 20
 DISCARD_S: Final = 2.0
 """How long a connection stays open after a refusal for the client to read it: a connection that is closed
@@ -98,6 +109,12 @@ class Connections:
         self._open: set[Any] = set()
         self._looked_s = 0.0
         self._is_looking = False
+        self._waiting: list[tuple[int, int, HttpProtocol, Any, Any]] = []
+        """The requests that wait for their start: a heap by round, then by arrival."""
+        self._round = 0
+        self._arrivals = 0
+        self._started = 0
+        """Starts in this turn of the event loop."""
 
     def opened(self, connection: "HttpProtocol", everything: set[Any]) -> bool:
         """Take note of a new connection; say whether it may stay. `everything` are those of the server."""
@@ -109,6 +126,32 @@ class Connections:
         if len(everything) <= self.max_open:
             return True
         return self._make_way(connection)
+
+    def start(self, connection: "HttpProtocol", cycle: Any, app: Any) -> None:
+        """Start a request, at once if there are few, else in its turn (start-time fair queueing)."""
+        if self._started == 0:
+            connection.loop.call_soon(self._next_turn, connection.loop)
+        turn = max(connection.last_round + 1, self._round - CREDIT)
+        connection.last_round = turn
+        if self._started < MAX_STARTS_PER_TURN and not self._waiting:
+            self._started += 1
+            self._round = max(self._round, turn)
+            connection.start(cycle, app)
+            return
+        self._started = max(self._started, 1)
+        self._arrivals += 1
+        heappush(self._waiting, (turn, self._arrivals, connection, cycle, app))
+
+    def _next_turn(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._started = 0
+        while self._waiting and self._started < MAX_STARTS_PER_TURN:
+            turn, _, connection, cycle, app = heappop(self._waiting)
+            self._round = max(self._round, turn)
+            if not connection.transport.is_closing():
+                self._started += 1
+                connection.start(cycle, app)
+        if self._started:
+            loop.call_soon(self._next_turn, loop)
 
     def may_be_websocket(self) -> bool:
         """Say whether one more connection may become a WebSocket."""
@@ -123,7 +166,8 @@ class Connections:
         others.sort(key=lambda one: one.since_s or math.inf)
         waiting = [one for one in others if one.phase in UNFINISHED]
         idle = [one for one in others if one.phase is IDLE]
-        victims = (waiting + idle)[: max(1, self.max_open // 50)]
+        stalled = [one for one in others if one.has_stalled()]
+        victims = (waiting + idle + stalled)[: max(1, self.max_open // 50)]
         for victim in victims:
             victim.end("too many")
         return bool(victims)
@@ -170,7 +214,7 @@ class HttpProtocol(HttpToolsProtocol):
     __slots__ = (
         "_body_of", "_body_s", "_discarded_bytes", "_head_bytes", "_head_end", "_head_lines", "_quiet_s",
         "_refusal", "_rest", "_seen_bytes", "_stalled_s", "_unread_bytes", "body_bytes", "body_piece",
-        "limits", "phase", "since_s",
+        "last_round", "limits", "phase", "since_s",
     )  # fmt: skip
 
     flow: "_Flow"
@@ -186,6 +230,7 @@ class HttpProtocol(HttpToolsProtocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self.limits = connections
+        self.last_round = 0
         self.phase: str = AWAITED
         self.since_s = 0.0
         self.body_bytes = 0
@@ -373,6 +418,13 @@ class HttpProtocol(HttpToolsProtocol):
         elif self.phase is IN_USE:
             self.phase, self.since_s = IDLE, self.loop.time()
 
+    def _start_asgi_task(self, cycle: Any, app: Any) -> None:
+        self.limits.start(self, cycle, app)
+
+    def start(self, cycle: Any, app: Any) -> None:
+        """Start a request now."""
+        super()._start_asgi_task(cycle, app)
+
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection over, unless there are too many."""
         if any(len(name) + len(value) + 4 > MAX_WEBSOCKET_LINE_BYTES for name, value in self._handshake()):
@@ -437,6 +489,10 @@ class HttpProtocol(HttpToolsProtocol):
         if self._stalled_s > settings.http_send_timeout_s:
             CLOSED.labels("send timeout").inc()
             self.transport.abort()
+
+    def has_stalled(self) -> bool:
+        """Say whether the client reads nothing of its response."""
+        return self._stalled_s >= STALLED_S
 
     def _is_answering(self) -> bool:
         """Say whether the answer to a request whose head is there has not been sent yet."""

@@ -99,11 +99,8 @@ def serve(
         proxy_headers=False,  # uvicorn trusts every program of this machine by default
         http=_protocol(made, policy, Connections(settings)),
     )
-    server = (
-        uvicorn.Server(config)
-        if certificate is None
-        else TlsServer(config, settings, certificate, CertificateWatch(certificate, settings, service))
-    )
+    watch = None if certificate is None else CertificateWatch(certificate, settings, service)
+    server = Server(config, settings, certificate, watch)
     try:
         with held_port, suppress(KeyboardInterrupt):  # uvicorn has already shut down after Ctrl-C
             server.run()
@@ -123,8 +120,8 @@ def behind_proxies(application: ASGIApp, settings: Settings) -> ASGIApp:
     return cast("ASGIApp", ProxyHeadersMiddleware(cast("Any", application), list(settings.trusted_proxies)))
 
 
-class TlsServer(uvicorn.Server):
-    """A uvicorn server whose listener does TLS: handshakes are bounded, the certificate is watched.
+class Server(uvicorn.Server):
+    """A uvicorn server with a listener of ours: with TLS its certificate is watched.
 
     `startup` with sockets, and `servers`, are no public API of uvicorn: pyproject.toml bounds its
     version, and a test names it.
@@ -134,8 +131,8 @@ class TlsServer(uvicorn.Server):
         self,
         config: uvicorn.Config,
         settings: Settings,
-        certificate: ServerCertificate,
-        watch: CertificateWatch,
+        certificate: ServerCertificate | None,
+        watch: CertificateWatch | None,
     ) -> None:
         super().__init__(config)
         self._settings = settings
@@ -144,7 +141,7 @@ class TlsServer(uvicorn.Server):
         self._watching: asyncio.Task[None] | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:  # noqa: ARG002 - see above
-        """Start the application, then listen with TLS."""
+        """Start the application, then listen."""
         await super().startup(sockets=[])
         config = self.config
         try:
@@ -161,7 +158,8 @@ class TlsServer(uvicorn.Server):
             await self.lifespan.shutdown()
             raise SystemExit(1) from None
         self.servers = cast("list[asyncio.Server]", [listener])
-        self._watching = asyncio.create_task(self._watch.run())
+        if self._watch is not None:
+            self._watching = asyncio.create_task(self._watch.run())
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop to watch the certificate, and shut down."""

@@ -217,7 +217,18 @@ class Settings(BaseSettings):
     http_max_unfinished_per_address: int = Field(
         100, ge=1, description="maximum connections of one address with incomplete requests"
     )
-    http_max_websockets: int = Field(1000, ge=1, description="maximum WebSockets of a server")
+    http_max_websockets: int = Field(
+        1000,
+        ge=1,
+        description="maximum WebSockets of a server; a tenth, at most 50, is kept for what moves or changes "
+        "something and for services",
+    )
+    http_max_websockets_per_session: int = Field(
+        64, ge=1, description="maximum WebSockets of a session or a token at one server"
+    )
+    http_max_websockets_per_person: int = Field(
+        128, ge=1, description="maximum WebSockets of a person at one server"
+    )
     database_password: SecretStr | None = Field(
         None, description="the password for database URLs that name a user but no password"
     )

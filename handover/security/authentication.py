@@ -29,6 +29,7 @@ from handover.security.resource_patterns import ANY_RESOURCE
 from handover.security.revocations import LONG_POLL_S, FollowedRevocations, RevocationState
 from handover.security.secret_tokens import is_secret_token, token_hash
 from handover.security.service_access import REQUEST_TIMEOUT_S, AccountsUnavailable, ServiceAccess
+from handover.security.websocket_places import WebSocketPlaces
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -66,6 +67,7 @@ class Guard:
         self._introspect = introspect or self._ask_accounts
         self._remembered: OrderedDict[str, tuple[Caller, Lifetime]] = OrderedDict()
         self._tasks = BackgroundTasks(f"guard of {service}")
+        self.places = WebSocketPlaces(settings)
 
     async def __aenter__(self) -> Self:
         self._keys.keys()

@@ -100,8 +100,10 @@ class Requirement:
                 act.resource = _used(caller, permission, resources)
             require_any(guard, caller, permission, resources)
             connection.scope[_REQUIRED] = permission, resources
-        if act is not None and connection.scope["type"] == "websocket":
-            await act.trail.open(act)
+        if connection.scope["type"] == "websocket":
+            guard.places.take(caller, permission, connection.scope)
+            if act is not None:
+                await act.trail.open(act)
         return caller
 
     def _act(

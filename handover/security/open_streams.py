@@ -85,6 +85,7 @@ class _WebSocketStream:
         try:
             await app(self._scope, self._receive_until_ended, self._send_until_ended)
         finally:
+            self._guard.places.free(self._scope)
             watching.cancel()
             self._ended.cancel()
 

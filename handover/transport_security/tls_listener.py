@@ -1,5 +1,9 @@
-"""TLS listeners: handshakes are bounded in time and number, so that slow clients do not keep others out.
+"""Listeners with and without TLS: clients that are many or slow do not keep others out.
 
+A listener accepts up to `MAX_ACCEPTED_AT_ONCE` connections in a turn of the event loop. The loop's own
+servers accept one, so that a client waits behind hundreds of others for as many turns.
+
+With TLS, handshakes are bounded in time and number.
 A connection belongs to the protocol of the application only after its handshake. Until then it counts as
 pending. A listener has at most `MAX_PENDING` of them; beyond that, the oldest handshake of the address that
 has most of them is ended. So one address cannot keep out the others.
@@ -22,7 +26,7 @@ log = get_logger(__name__)
 
 MAX_PENDING: Final = 1000
 DEFAULT_HANDSHAKE_TIMEOUT_S: Final = 10.0
-MAX_ACCEPTED_AT_ONCE: Final = 32
+MAX_ACCEPTED_AT_ONCE: Final = 128
 ACCEPT_RETRY_S: Final = 0.1
 RELOAD_EVERY_S: Final = 2.0
 SHUTDOWN_TIMEOUT_S: Final = 5.0
@@ -62,10 +66,11 @@ async def listen(
     an `ssl_object`.
     """
     loop = asyncio.get_running_loop()
+    sockets = await _listening(host, port, backlog)
     if certificate is None:
-        return await loop.create_server(make_protocol, host, port, backlog=backlog)
+        return _PlainListener(sockets, make_protocol, loop)
     pending = _PendingHandshakes(make_protocol, certificate, handshake_timeout_s, max_pending)
-    return _TlsListener(await _listening(host, port, backlog), pending)
+    return _TlsListener(sockets, pending)
 
 
 async def _listening(host: str, port: int, backlog: int) -> list[socket.socket]:
@@ -90,6 +95,56 @@ async def _listening(host: str, port: int, backlog: int) -> list[socket.socket]:
             one.close()
         raise
     return sockets
+
+
+class _PlainListener:
+    def __init__(
+        self,
+        sockets: list[socket.socket],
+        make_protocol: Callable[[], asyncio.Protocol],
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.sockets = sockets
+        self._make_protocol = make_protocol
+        self._loop = loop
+        self._opening: set[asyncio.Task[Any]] = set()
+        for one in sockets:
+            self._listen(one)
+
+    def close(self) -> None:
+        for one in self.sockets:
+            self._loop.remove_reader(one)
+            one.close()
+        self.sockets = []
+
+    async def wait_closed(self) -> None:
+        await asyncio.gather(*self._opening, return_exceptions=True)
+
+    def _listen(self, listening: socket.socket) -> None:
+        if listening in self.sockets:
+            self._loop.add_reader(listening, self._accept, listening)
+
+    def _accept(self, listening: socket.socket) -> None:
+        try:
+            for _ in range(MAX_ACCEPTED_AT_ONCE):
+                connection, _ = listening.accept()
+                connection.setblocking(False)
+                task = self._loop.create_task(self._open(connection))
+                self._opening.add(task)
+                task.add_done_callback(self._opening.discard)
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            pass
+        except OSError as error:  # too many open files
+            log.debug("connection not accepted", error=str(error))
+            self._loop.remove_reader(listening)
+            self._loop.call_later(ACCEPT_RETRY_S, self._listen, listening)
+
+    async def _open(self, connection: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(self._make_protocol, connection)
+        except OSError as error:  # the client has gone
+            log.debug("connection not opened", error=str(error))
+            connection.close()
 
 
 class _TlsListener:

@@ -4,7 +4,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -261,3 +261,37 @@ def test_too_many_attempts_are_answered_with_the_time_to_wait(cell: Cell, owner:
     assert answers[0].status_code == 401
     assert answers[-1].status_code == 429
     assert int(answers[-1].headers["retry-after"]) >= 1
+
+
+def test_a_viewer_who_opens_many_websockets_keeps_nobody_out(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with new_cell(tmp_path_factory.mktemp("cell")) as cell, ExitStack() as stack:
+        cell.extra["HANDOVER_HTTP_MAX_WEBSOCKETS_PER_SESSION"] = "6"
+        cell.start("context_broker", "accounts", "trajectory_tool", "webui", within_s=90)
+        owner = Browser(cell)
+        owner.begin("/api/session/link-use", {"link": set_up(cell), "name": "Olga", "password": PASSWORD})
+        viewer = invited(cell, owner, "Vera", {"role": "viewer", "resource": "*"})
+        other = invited(cell, owner, "Otto", {"role": "viewer", "resource": "*"})
+        driver = invited(cell, owner, "Dora", {"role": "engineer", "resource": "*"})
+        url = cell.url("webui").replace("http", "ws", 1)
+
+        def live(browser: Browser, path: str = "/api/live") -> ClientConnection:
+            headers = {"Cookie": browser.cookies()}
+            opened = connect(
+                f"{url}{path}",
+                origin=cell.url("webui"),  # type: ignore[arg-type]
+                additional_headers=headers,
+                proxy=None,
+                open_timeout=60,
+            )
+            return stack.enter_context(opened)
+
+        for _ in range(6):
+            assert live(viewer).recv(timeout=60)
+        for _ in range(20):
+            with pytest.raises(InvalidStatus):
+                live(viewer)
+        assert live(other).recv(timeout=60)
+        control = live(driver, "/api/trajectory-tool/robots/ur10-1/control")
+        assert control.recv(timeout=60)

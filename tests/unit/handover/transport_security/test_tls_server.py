@@ -19,7 +19,7 @@ from handover.certificate_watch import CertificateWatch
 from handover.errors import UsageError
 from handover.http_client import BodyReadingHttpClient, SendError
 from handover.http_protocol import Connections, HttpProtocol
-from handover.serving import TlsServer
+from handover.serving import Server
 from handover.settings import Settings
 from handover.tls_trust import AuthorityUnreadable, client_context, handshake_fault
 from handover.transport_security.local_authority import ServerFiles
@@ -81,7 +81,7 @@ async def serving(files: ServerFiles, **more: float) -> AsyncIterator[_Server]:
     config = uvicorn.Config(
         answer, host="127.0.0.1", port=port, log_config=None, http=protocol, timeout_graceful_shutdown=1
     )
-    server = TlsServer(config, settings, certificate, CertificateWatch(certificate, settings, "lamp"))
+    server = Server(config, settings, certificate, CertificateWatch(certificate, settings, "lamp"))
     running = asyncio.create_task(server.serve())
     try:
         await until(lambda: server.started and server.servers)
