@@ -1,12 +1,20 @@
-"""URDF and SRDF files of strangers: read without entities and network, and checked to be one tree."""
+"""URDF and SRDF files of strangers: read without entities and network, and checked to be one tree.
+
+Meshes are named relative to the file or by `package://`. With an address or a path of the machine, a program
+that draws the robot would read what the author of the file wants.
+"""
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from lxml import etree
 
 from handover.errors import UsageError
+
+_PACKAGE = "package://"
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
 def parse_robot_xml(text: str, what: str) -> Any:
@@ -41,8 +49,22 @@ def link_of(joint: Any, end: str) -> str:
     return "" if element is None else str(element.get("link") or "")
 
 
+def mesh_faults(root: Any) -> Iterator[str]:
+    """Yield each mesh and texture of a URDF that is neither relative to it nor in a package."""
+    for element in root.iter("mesh", "texture"):
+        name = (element.get("filename") or "").strip()
+        path = name.removeprefix(_PACKAGE)
+        is_elsewhere = path.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", path)
+        if is_elsewhere or _SCHEME.match(path):
+            yield (
+                f'the {element.tag} "{name[:200]}" is outside of the robot; name it relative to the URDF, '
+                "or by package://"
+            )
+
+
 def tree_faults(root: Any) -> Iterator[str]:
-    """Yield why the links and joints of a URDF are no tree whose parts have names of their own."""
+    """Yield why a URDF is no tree whose parts have names of their own, and no meshes from elsewhere."""
+    yield from mesh_faults(root)
     links = [link.get("name") for link in root.findall("link")]
     joints = root.findall("joint")
     if not links:
@@ -67,20 +89,36 @@ def tree_faults(root: Any) -> Iterator[str]:
     yield from _shape_faults(links, parents)
 
 
+def loop_faults(root: Any) -> Iterator[str]:
+    """Yield where the joints of a URDF close a loop, as far as their ends are named."""
+    parents: dict[str, list[str]] = {}
+    for joint in root.findall("joint"):
+        parent, child = link_of(joint, "parent"), link_of(joint, "child")
+        if parent and child:
+            parents.setdefault(child, []).append(parent)
+    yield from _loops(parents)
+
+
 def _shape_faults(links: list[str], parents: Mapping[str, list[str]]) -> Iterator[str]:
-    for child, above in parents.items():
-        if len(above) > 1:
-            yield f'the link "{child}" has {len(above)} parents, a closed loop; cut it: keep one joint'
     roots = [link for link in links if link not in parents]
     if not roots:
         yield "the joints form a loop without a root link; a robot description is a tree"
     if len(roots) > 1:
         yield f"there are {len(roots)} root links: {', '.join(roots)}; connect them by fixed joints"
+    yield from _loops(parents)
+
+
+def _loops(parents: Mapping[str, list[str]]) -> Iterator[str]:
+    for child, above in parents.items():
+        if len(above) > 1:
+            yield f'the link "{child}" has {len(above)} parents, a closed loop; cut it: keep one joint'
+    is_checked: set[str] = set()
     for start in parents:
         seen, link = {start}, start
-        while link in parents:
+        while link in parents and link not in is_checked:
             link = parents[link][0]
             if link in seen:
                 yield f'the joints form a loop at "{link}"; a robot description is a tree'
                 return
             seen.add(link)
+        is_checked |= seen

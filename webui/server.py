@@ -166,8 +166,12 @@ class Components:
             processes.on_write(service, path)
             comments.on_write(service, path)
 
-        async def headers_of(request: Request) -> Mapping[str, str]:
-            return await guard.service_headers(dict(request.scope["headers"]))
+        async def headers_of(request: Request, is_refused: bool) -> Mapping[str, str]:
+            headers = dict(request.scope["headers"])
+            session = guard.session_of(headers)
+            if is_refused and session is not None:
+                guard.forget(session)
+            return await guard.service_headers(headers)
 
         self.control = ControlProxy(urls, guard, settings.ca_files)
         self.streams = StreamProxy(urls, guard, settings.ca_files)

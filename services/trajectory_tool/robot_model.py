@@ -18,6 +18,7 @@ from lxml import etree
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
+from handover.robot_xml import loop_faults, mesh_faults
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Frame, Pose, Vector, cross, turn
 from services.trajectory_tool.robot import Joints, Unreachable
@@ -362,6 +363,8 @@ def _model(
     if root.tag != "robot":
         raise _InvalidUrdf(f"its root element is <{root.tag}>, not <robot>")
     elements = _chain(root, tip)
+    for fault in (*mesh_faults(root), *loop_faults(root)):
+        raise _InvalidUrdf(fault)
     joints: list[Joint] = []
     segments: list[_Segment] = []
     flange_at = 0

@@ -59,7 +59,7 @@ class PersonRemoval:
 
     async def remove(self, name: str, person: str, request: Request) -> RemovedPerson:
         """Delete the person `name` with the entity id `person`."""
-        headers = await self._headers_of(request)
+        headers = await self._headers_of(request, False)
         parts = [
             await self._part(service, path.format(person=quote(name, safe="")), headers)
             for service, path in PATHS.items()

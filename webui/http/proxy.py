@@ -54,8 +54,8 @@ MAX_BUFFERED_BODY_BYTES: Final = 256 * 1024
 CONNECTION_LIMITS: Final = httpx.Limits(
     max_connections=UPLOADS.per_service + READS.per_service, max_keepalive_connections=16
 )
-HeadersOf = Callable[[Request], Awaitable[Mapping[str, str]]]
-"""Returns headers that replace those of the browser: the credentials of its user."""
+HeadersOf = Callable[[Request, bool], Awaitable[Mapping[str, str]]]
+"""Returns headers that replace those of the browser: the credentials of its user, if need be new ones."""
 OnWrite = Callable[[str, str, str], None]
 """Called after a successful write, with the method, the service and the path."""
 
@@ -128,7 +128,7 @@ class ServiceProxy:
                     service=service,
                 ),
             )
-        credentials = {} if self._headers_of is None else await self._headers_of(request)
+        credentials = {} if self._headers_of is None else await self._headers_of(request, False)
         content = await _read_body(request)
         limits = UPLOADS if isinstance(content, AsyncIterator) else READS
         active = self._active.admit(request.client.host if request.client else "", service, limits)
@@ -139,6 +139,12 @@ class ServiceProxy:
                 )
             else:
                 response = await self._send(service, path, request, content or b"", credentials)
+                if response.status == 401 and credentials and self._headers_of is not None:
+                    # The service may know of new grants before this server: then the token is an old one.
+                    # A request that is not authenticated has done nothing.
+                    response.close()
+                    credentials = await self._headers_of(request, True)
+                    response = await self._send(service, path, request, content or b"", credentials)
         except asyncio.CancelledError:
             self._active.release(active)
             if not active.is_evicted:

@@ -4,12 +4,14 @@ A file comes from a client, so entities and external references are not resolved
 """
 
 import math
+from itertools import chain
 from typing import Final
 
 from lxml import etree
 
 from handover.errors import Problem
 from handover.messages import Message, message
+from handover.robot_xml import loop_faults, mesh_faults
 from services.device_gateway.model.description import Joint
 
 MAX_URDF_BYTES: Final = 4 * 1024 * 1024
@@ -35,6 +37,9 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
         )
     if root.getroottree().docinfo.internalDTD is not None:
         raise _refused(message("device.urdf_document_type", "it has a document type; remove that"))
+    fault = next(chain(mesh_faults(root), loop_faults(root)), None)
+    if fault is not None:
+        raise _refused(message("device.urdf_fault", "{fault}", fault=fault[:500]))
     found: list[Joint] = []
     for element in root.findall("joint"):
         kind = element.get("type")

@@ -295,3 +295,16 @@ def test_a_viewer_who_opens_many_websockets_keeps_nobody_out(
         assert live(other).recv(timeout=60)
         control = live(driver, "/api/trajectory-tool/robots/ur10-1/control")
         assert control.recv(timeout=60)
+
+
+def test_an_admin_who_changes_the_own_grants_is_not_refused_for_a_moment(cell: Cell, owner: Browser) -> None:
+    """Accounts knows the new grants before the page server, which has an older token."""
+    me = owner.send("GET", "/api/accounts/me").json()["subject"]
+    grant = {"subject": me, "role": "viewer", "resource": "Device:robot-*"}
+    for number in range(10):
+        granted = owner.send("POST", "/api/accounts/grants", grant | {"resource": f"Device:{number}"})
+        assert granted.status_code == 201, granted.text
+        assert owner.send("GET", "/api/accounts/users").status_code == 200
+        removed = owner.send("DELETE", f"/api/accounts/grants/{granted.json()['id']}")
+        assert removed.status_code == 204, removed.text
+        assert owner.send("GET", "/api/accounts/users").status_code == 200
