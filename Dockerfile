@@ -52,7 +52,8 @@ RUN if [ "$LOCK" = physics ] || [ "$LOCK" = whole-body ]; then \
         apt-get update && apt-get install --yes --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*; \
     fi
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
-    && install -d -o handover -g handover -m 0700 /data /secrets /authority /security \
+    && install -d -o handover -g handover -m 0700 /data /secrets /authority /security /secrets-of \
+        /secrets-of/gloves /secrets-of/databases /secrets-of/recordings \
     && install -d -o handover -g handover -m 0755 /tls /tls/clients /tls/context-broker /tls/task-orchestrator \
         /tls/gesture-controller /tls/trajectory-tool /tls/study /tls/alert-router /tls/accounts /tls/device-gateway /tls/webui /tls/human-state /tls/assistive-devices \
         /tls/whole-body-control /tls/ros-bridge /tls/operator

@@ -4,15 +4,18 @@ import os
 from pathlib import Path
 
 
-def replace_durably(path: Path, content: bytes, *, mode: int = 0o666) -> None:
+def replace_durably(path: Path, content: bytes, *, mode: int | None = None) -> None:
     """Replace a file such that after a power cut it has either content as a whole. Raises `OSError`.
 
-    `mode` are the permissions of the file, less the umask.
+    `mode` are the permissions of the file, whatever the umask; without it the umask decides.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
     new.unlink(missing_ok=True)
-    with os.fdopen(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode), "wb") as file:
+    created = os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666 if mode is None else mode)
+    with os.fdopen(created, "wb") as file:
+        if mode is not None and os.name == "posix":
+            os.fchmod(created, mode)
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

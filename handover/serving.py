@@ -23,6 +23,7 @@ from handover.errors import UsageError
 from handover.http_protocol import KEEP_ALIVE_S, Connections, HttpProtocol
 from handover.origin_guard import OriginGuard, OriginPolicy
 from handover.ports import hold_when_free
+from handover.private_files import UMASK, make_private
 from handover.security.protection import require_protection
 from handover.settings import LIFELINE, PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
@@ -76,7 +77,10 @@ def serve(
     try:
         set_up_logging(settings, service)
         require_protection(settings, settings.host, "HANDOVER_HOST")
+        os.umask(UMASK)
         require_writable(settings.data_dir)
+        for line in make_private(settings.data_dir):
+            log.warning("private files", what=line)
         certificate = ServerCertificate.of(settings)
         # Reserved until the server listens: otherwise a connection of the service itself could get the port.
         held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)

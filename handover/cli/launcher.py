@@ -146,7 +146,7 @@ class Launcher:
         return {"HANDOVER_OUTBOUND_ALLOW": self._broker_outbound_allow} if name == BROKER else {}
 
     async def _start(self, running: Running) -> None:
-        running.log.parent.mkdir(parents=True, exist_ok=True)
+        running.log.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if running.log.exists() and running.log.stat().st_size > MAX_LOG_BYTES:
             running.log.replace(running.log.with_suffix(".log.1"))
         environment = {
@@ -156,7 +156,7 @@ class Launcher:
             "HANDOVER_DATA_DIR": str(self._data_dir),
             "PYTHONUNBUFFERED": "1",
         }
-        with running.log.open("ab") as log:
+        with os.fdopen(os.open(running.log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600), "ab") as log:
             running.process = await self._starter.start(running.command, environment, log)
         running.started_s = time.monotonic()
 
@@ -212,7 +212,7 @@ class Launcher:
 def require_space(data_dir: Path) -> None:
     """Create the data directory; raise `UsageError` in one line when it is not writable or full."""
     try:
-        data_dir.mkdir(parents=True, exist_ok=True)
+        data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         probe = data_dir / ".writable"
         probe.write_bytes(b"x" * 4096)
         probe.unlink()

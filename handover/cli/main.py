@@ -32,6 +32,8 @@ from handover.cli.launcher import Launcher
 from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
 from handover.cli.supervisor import run_watched
 from handover.errors import HandoverError, Problem, UsageError
+from handover.private_files import faults_of as open_files
+from handover.private_files import owner_of
 from handover.settings import Settings, origins
 from handover.sqlite_files import REMEDY, renew_marks
 from handover.telemetry import log_to_stderr
@@ -226,6 +228,10 @@ def check(
     key_faults = faults_of_keys()
     for fault in key_faults:
         say(f"damaged  {fault}")
+    for line in open_files(folder):
+        say(f"open     {line}")
+    if (line := owner_of(folder)) is not None:
+        say(f"accepted {line}")
     if is_damaged:
         say(f"remedy: {REMEDY}")
     if is_damaged or key_faults:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import typer
 
+from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.settings import PREFIX, SECRETS_DIR, Settings
 
@@ -41,6 +42,18 @@ def make_in(folder: Path) -> None:
             typer.echo(f"{name}: created in {folder / name}")
         else:
             typer.echo(f"{name}: exists in {folder / name}")
+
+
+def give(folder: Path, readers: Iterable[tuple[Path, tuple[str, ...]]]) -> None:
+    """Copy secrets of `folder` into the folders of those who read them, and say which have changed there."""
+    for reader, names in readers:
+        for name in names:
+            if name not in SECRETS:
+                raise UsageError(f'there is no secret "{name}"; the secrets are {", ".join(SECRETS)}')
+            file, content = reader / name, f"{_read(folder / name)}\n".encode()
+            if not file.exists() or file.read_bytes() != content:
+                replace_durably(file, content, mode=0o600)
+                typer.echo(f"{name}: copied to {file}")
 
 
 def _random(name: str) -> str:

@@ -8,7 +8,7 @@ at each start.
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -59,6 +59,14 @@ Trust = Annotated[
         "--trust", help="A folder of clients, which gets the certificate of the authority; repeatable."
     ),
 ]
+Secrets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--secret",
+        help="FOLDER=NAME,NAME: a folder that gets a copy of these secrets of HANDOVER_SECRETS_DIR, for one "
+        "reader; repeatable.",
+    ),
+]
 Compose = Annotated[
     Path | None,
     typer.Option(
@@ -77,6 +85,7 @@ class Plan:
     servers: tuple[tuple[Path, tuple[str, ...]], ...] = ()
     clients: tuple[tuple[Path, str], ...] = ()
     trusting: tuple[Path, ...] = ()
+    secrets: tuple[tuple[Path, tuple[str, ...]], ...] = ()
 
     @classmethod
     def of(
@@ -84,6 +93,7 @@ class Plan:
         servers: Sequence[str] | None = None,
         clients: Sequence[str] | None = None,
         trusting: Sequence[str] | None = None,
+        secrets: Sequence[str] | None = None,
     ) -> "Plan":
         """Return the plan in the options of the command; raise `UsageError`."""
         return cls(
@@ -93,6 +103,7 @@ class Plan:
                 for folder, names in (_folder_and_names(one, "--client FOLDER=NAME") for one in clients or ())
             ),
             tuple(map(Path, trusting or ())),
+            tuple(_folder_and_names(one, "--secret FOLDER=NAME,NAME") for one in secrets or ()),
         )
 
     def token_files(self) -> dict[str, Path]:
@@ -113,6 +124,7 @@ def secure(  # noqa: PLR0917 - the options of the command
     server: Servers = None,
     client: Clients = None,
     trust: Trust = None,
+    secret: Secrets = None,
     compose: Compose = None,
     data_dir: DataDir = None,
 ) -> None:
@@ -128,13 +140,13 @@ def secure(  # noqa: PLR0917 - the options of the command
         write_override(compose, settings.data_dir, name or (), make_for_containers)
         return
     authority = LocalAuthority(_authority_folder(settings))
-    plan = Plan.of(server, client, trust)
+    plan = Plan.of(server, client, trust, secret)
     if plan.servers:
         make(authority, plan, settings)
         return
     folder = authority.folder / "server"
     names = tuple(dict.fromkeys((*(name or authority.names_of(folder)), *settings.allowed_hosts)))
-    plan = Plan(((folder, names),), plan.clients, plan.trusting)
+    plan = replace(plan, servers=((folder, names),))
     (one,) = make(authority, plan, settings, hosts=_host_names(names))
     _print_next(one, _host_names(names))
 
@@ -151,6 +163,7 @@ def make(
         _print_server(one)
     if settings.secrets_dir is not None:
         secrets.make_in(settings.secrets_dir)
+        secrets.give(settings.secrets_dir, plan.secrets)
     # Last, since it ends local mode: a service that sees the keys needs its token.
     page = WebuiSettings.load(
         tls_certificate=settings.tls_certificate or made[0].certificate,
@@ -162,7 +175,7 @@ def make(
 
 def _make_for_containers(words: Sequence[str], environment: Mapping[str, str], names: Sequence[str]) -> None:
     """Do what the init container does with the arguments `words`, with folders of this machine."""
-    options: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": []}
+    options: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": [], "--secret": []}
     for word in words:
         option, _, value = word.partition("=")
         if option in options:
@@ -173,7 +186,7 @@ def _make_for_containers(words: Sequence[str], environment: Mapping[str, str], n
         authority_dir=Path(environment["HANDOVER_AUTHORITY_DIR"]),
         secrets_dir=Path(environment["HANDOVER_SECRETS_DIR"]),
     )
-    plan = Plan.of(options["--server"], options["--client"], options["--trust"])
+    plan = Plan.of(*options.values())
     make(LocalAuthority(_authority_folder(settings)), plan, settings, hosts=_host_names(names))
 
 

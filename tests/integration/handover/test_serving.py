@@ -82,3 +82,19 @@ def test_a_service_waits_for_a_connection_that_has_its_port_and_then_starts(cell
             assert broker.poll() is None
             outgoing.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         cell.wait_ready("context_broker", 60)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have no modes on this system")
+def test_a_start_takes_the_permissions_of_others_with_one_log_line(cell: Cell) -> None:
+    cell.start("context_broker")
+    cell.kill("context_broker")
+    cell.data_dir.chmod(0o755)
+    for file in cell.data_dir.glob("broker.*"):
+        file.chmod(0o644)
+    earlier = cell.log("context_broker").count("others could read")
+    cell.start("context_broker")
+    assert cell.log("context_broker").count("others could read") == earlier + 1
+    assert cell.data_dir.stat().st_mode & 0o777 == 0o700
+    stored = list(cell.data_dir.glob("broker.*"))
+    assert stored
+    assert [file for file in stored if file.stat().st_mode & 0o077] == []

@@ -68,18 +68,39 @@ def test_no_secret_is_printed_in_the_repository() -> None:
     assert "POSTGRES_PASSWORD" not in CONTAINERS["postgres"]["environment"]
 
 
+def readers() -> dict[str, str]:
+    """Return the volumes in which there are copies of secrets, with their folder in the first container."""
+    targets = dict(mount.split(":")[:2] for mount in OURS[INIT]["volumes"])
+    return {name: at for name, at in targets.items() if name.startswith("secret-")}
+
+
+def given_to(mount: str) -> set[str]:
+    """Return the secrets in the volume of a mount."""
+    folder = readers()[mount.split(":", maxsplit=1)[0]]
+    copied = plan_of(OURS[INIT]["command"][1:]).secrets
+    return {name for at, names in copied if str(at) == folder for name in names}
+
+
 def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_that_ends() -> None:
     for name, each in CONTAINERS.items():
         assert INIT not in each.get("depends_on", {}), "podman would never restart it"
-        mounts = [mount for mount in each.get("volumes", []) if mount.startswith("secrets:")]
+        mounts = [mount for mount in each.get("volumes", []) if mount.startswith("secret")]
         said = each.get("environment", {})
         if name == INIT:
-            assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets"], "/secrets")
-        elif set(SECRETS) & set(said):
-            assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets:ro"], "/secrets")
+            assert set(mounts) == {
+                "secrets:/secrets",
+                *(f"{volume}:{at}" for volume, at in readers().items()),
+            }
+            assert said["HANDOVER_SECRETS_DIR"] == "/secrets"
+        elif used := set(SECRETS) & set(said):
+            assert said["HANDOVER_SECRETS_DIR"] == "/secrets"
+            assert {secret for mount in mounts for secret in given_to(mount)} == used, (
+                "what it uses and no more"
+            )
+            assert all(mount.endswith(":/secrets:ro") for mount in mounts)
             assert each["command"][:2] in (["handover", "run"], ["handover", "glove"]), "these wait for it"
         elif name == "postgres":
-            assert mounts == ["secrets:/secrets:ro"]
+            assert given_to(*mounts) == {"HANDOVER_DATABASE_PASSWORD"}
             assert "/secrets/HANDOVER_DATABASE_PASSWORD" in each["entrypoint"][2]
         else:
             assert mounts == [], name
@@ -95,13 +116,17 @@ def test_the_first_container_makes_what_is_secret_as_the_user_of_the_image() -> 
     folders = {
         each["environment"][f"HANDOVER_{name}_DIR"] for name in ("DATA", "AUTHORITY", "SECURITY", "SECRETS")
     }
-    assert {target for target in targets if not target.startswith("/tls/")} == folders
+    copies = {target for target in targets if target.startswith("/secrets-of/")}
+    assert {target for target in targets - copies if not target.startswith("/tls/")} == folders
     dockerfile = (REPOSITORY / "Dockerfile").read_text().replace("\\\n", " ")
     made = [
         set(found.split())
         for found in re.findall(r"install -d -o handover -g handover -m 07\d\d ([^&\n]*)", dockerfile)
     ]
-    assert made == [folders, {"/tls", *targets - folders}], "an empty volume gets the owner of the folder"
+    assert made == [
+        {*folders, "/secrets-of", *copies},
+        {"/tls", *targets - folders - copies},
+    ], "an empty volume gets the owner of the folder"
 
 
 def test_each_service_has_a_certificate_of_its_name_and_a_token_of_its_own() -> None:
@@ -122,11 +147,11 @@ def test_each_service_has_a_certificate_of_its_name_and_a_token_of_its_own() -> 
 
 def plan_of(words: list[str]) -> Plan:
     """Return what the arguments of the first container ask for, with nothing edited."""
-    given: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": []}
+    given: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": [], "--secret": []}
     for word in words:
         option, _, value = word.partition("=")
         given[option].append(VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
-    return Plan.of(given["--server"], given["--client"], given["--trust"])
+    return Plan.of(*given.values())
 
 
 def test_a_container_mounts_its_own_certificate_and_token_alone() -> None:

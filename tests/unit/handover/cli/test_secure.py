@@ -139,3 +139,20 @@ def test_a_service_waits_for_its_files_and_names_the_one_that_is_missing(
     monkeypatch.setenv("HANDOVER_TLS_KEY", str(tmp_path / "key.pem"))
     with pytest.raises(UsageError, match="HANDOVER_TLS_KEY is"):
         wait_for_security("HANDOVER_TLS_KEY", timeout_s=0)
+
+
+def test_a_reader_gets_a_copy_of_the_secrets_that_it_uses_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
+    monkeypatch.setenv("HANDOVER_SECRETS_DIR", str(tmp_path / "secrets"))
+    words = ("--secret", f"{tmp_path / 'gloves'}=HANDOVER_GLOVE_TOKEN")
+    run(*words)
+    copy, secret = tmp_path / "gloves" / "HANDOVER_GLOVE_TOKEN", tmp_path / "secrets" / "HANDOVER_GLOVE_TOKEN"
+    assert [one.name for one in (tmp_path / "gloves").iterdir()] == ["HANDOVER_GLOVE_TOKEN"]
+    assert copy.read_bytes() == secret.read_bytes()
+    assert copy.stat().st_mode & 0o777 == 0o600
+    secret.unlink()
+    run(*words)
+    assert copy.read_bytes() == secret.read_bytes(), "a secret that was replaced is replaced there"
+    with pytest.raises(UsageError, match="there is no secret"):
+        run("--secret", f"{tmp_path / 'gloves'}=HANDOVER_NOTHING")
