@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from services.human_state.fusion.plausibility import MIN_QUALITY, Series, stale_after_s
-from services.human_state.model.features import Feature, FeatureName, Status
+from services.human_state.fusion.plausibility import Series, stale_after_s
+from services.human_state.model.features import MIN_QUALITY, Feature, FeatureName, Status
 from services.human_state.model.signals import LinkState, SensorReport
 
 MAX_APART_BPM: Final = 15.0
@@ -94,7 +94,7 @@ class PersonState:
             return
         for (_, source), kept in self._kept.items():
             if source == report.source:
-                kept.series = Series()
+                kept.series = kept.series.broken()
                 kept.is_faulty = True
 
     def forget(self, source: str) -> None:

@@ -5,8 +5,14 @@ faster than a body can. The first plausible value only starts a series: a value 
 that agrees with the one before. So a single outlier never counts, and neither does the first value after a
 fault, a lost contact or a pause.
 
+A heart rate that falls is doubted: a detector that misses every second beat looks like a heart that calms
+down. After a break (a fault, a pause, a value that is no continuation) a value that is more than
+`MAX_FALL_BPM` below those that counted before does not count within `DOUBT_S` of the last of them; nor does
+one that glides down by more than `MAX_GLIDE_BPM` in that time. A rise counts at once: it restricts more.
+
 Example: 70, 71, 140, 72 bpm at 1 Hz. 70 starts the series, 71 counts, 140 is too fast (20 bpm/s at most) and
 starts a series of its own, 72 does not agree with 140 and starts another one; the next value near 72 counts.
+Example: 190 bpm, a fault of 4 s, then 100 bpm: the first value that counts comes 10 s after the last 190.
 """
 
 import math
@@ -14,15 +20,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from services.human_state.model.features import Feature, FeatureName, Status
+from services.human_state.model.features import MIN_QUALITY, Feature, FeatureName, Status
 
-MIN_QUALITY: Final = 0.5
 STALE_S: Final = 3.0
 STALE_PERIODS: Final = 3.0
 EVENTS: Final = frozenset({FeatureName.APNOEA_EVENT})
 """Features that say that something happened; they feed no limit."""
 MAX_PERIOD_S: Final = 60.0
 """A sensor cannot extend its own staleness beyond three of these."""
+
+DOUBT_S: Final = 10.0
+MAX_FALL_BPM: Final = 15.0
+MAX_GLIDE_BPM: Final = 40.0
+HELD_S: Final = 4.0
+"""The lowest value of so long a time is what the next ones are compared with: no short peak is."""
+MAX_COUNTED: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +79,12 @@ class Series:
 
     last: Feature | None = None
     agreeing: int = 0
+    counted: tuple[tuple[float, float], ...] = ()
+    """Times and heart rates that counted in the last `DOUBT_S`, oldest first; they outlast a break."""
+
+    def broken(self) -> "Series":
+        """Return the series after a fault: the next value starts another one."""
+        return Series(counted=self.counted)
 
     def take(self, feature: Feature) -> tuple["Series", Feature | None]:
         """Return the series with the next value, and the value with its status.
@@ -76,16 +94,41 @@ class Series:
         last = self.last
         if not math.isfinite(feature.at_s) or (last is not None and feature.at_s <= last.at_s):
             return self, None
-        if feature.status is Status.STALE:
-            return Series(), feature
-        if not _is_acceptable(feature):
-            return Series(), replace(feature, status=Status.IMPLAUSIBLE)
+        if feature.status is Status.STALE or not _is_acceptable(feature):
+            is_stale = feature.status is Status.STALE
+            return self.broken(), feature if is_stale else replace(feature, status=Status.IMPLAUSIBLE)
         if last is None or feature.at_s - last.at_s > stale_after_s(last.period_s):
             # an event happens once: no second one agrees with it
-            return Series(feature, 1), feature if feature.name in EVENTS else None
+            return replace(self, last=feature, agreeing=1), feature if feature.name in EVENTS else None
         if not _is_reachable(last, feature):
-            return Series(feature, 1), replace(feature, status=Status.IMPLAUSIBLE)
-        return Series(feature, self.agreeing + 1), feature
+            return replace(self, last=feature, agreeing=1), replace(feature, status=Status.IMPLAUSIBLE)
+        return self._continued(feature)
+
+    def _continued(self, feature: Feature) -> tuple["Series", Feature]:
+        continued = replace(self, last=feature, agreeing=self.agreeing + 1)
+        if feature.name is not FeatureName.HEART_RATE:
+            return continued, feature
+        if self._is_doubtful_fall(feature):
+            return continued, replace(feature, status=Status.IMPLAUSIBLE)
+        return replace(continued, counted=_with(self.counted, feature)), feature
+
+    def _is_doubtful_fall(self, feature: Feature) -> bool:
+        """Return whether a heart rate is lower than a body explains after those that counted."""
+        recent = [(at_s, bpm) for at_s, bpm in self.counted if at_s >= feature.at_s - DOUBT_S]
+        if not recent:
+            return False
+        newest_s = recent[-1][0]
+        is_continued = self.last is not None and newest_s >= self.last.at_s
+        held_until_s = feature.at_s - DOUBT_S + HELD_S if is_continued else newest_s
+        held = [bpm for at_s, bpm in recent if held_until_s - HELD_S <= at_s <= held_until_s]
+        return bool(held) and float(feature.value) < min(held) - (
+            MAX_GLIDE_BPM if is_continued else MAX_FALL_BPM
+        )
+
+
+def _with(counted: tuple[tuple[float, float], ...], feature: Feature) -> tuple[tuple[float, float], ...]:
+    kept = [pair for pair in counted if pair[0] >= feature.at_s - DOUBT_S]
+    return (*kept[1 - MAX_COUNTED :], (feature.at_s, float(feature.value)))
 
 
 def _is_acceptable(feature: Feature) -> bool:

@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
+
+MIN_QUALITY: Final = 0.5
+"""A value with less does not count, and is never `valid`."""
 
 
 class FeatureName(StrEnum):
@@ -80,6 +84,9 @@ class Status(StrEnum):
 class Feature:
     """One value of one sensor.
 
+    Invariant: a `valid` one has a quality of `MIN_QUALITY` at least; with less it becomes `implausible` here,
+    so that a reader of the status needs no threshold.
+
     `at_s` is the time of the newest sample that it depends on, in s since 1970; `window_s` the length of the
     signal that it was computed from. `period_s` is the time to the next value while the signal lasts.
     """
@@ -96,3 +103,7 @@ class Feature:
     period_s: float = 1.0
     is_calibrated: bool = True
     """False: never feeds a limit (SpO2 of an uncalibrated sensor)."""
+
+    def __post_init__(self) -> None:
+        if self.status is Status.VALID and not self.quality >= MIN_QUALITY:
+            object.__setattr__(self, "status", Status.IMPLAUSIBLE)

@@ -31,16 +31,28 @@ from scipy import signal as dsp
 Floats = NDArray[np.float64]
 
 WINDOW_S: Final = 10.0
-LEARNING_S: Final = 6.0
+LEARNING_S: Final = 4.0
+"""At least; three beats are needed, so a heart of 30 bpm takes 6 s."""
 SHORTEST_S: Final = 2.0
-DECISION_DELAY_S: Final = 1.0
+DECISION_DELAY_S: Final = 0.7
 MAX_DECISION_DELAY_S: Final = 1.5
 REFRACTORY_S: Final = 0.24
 TEMPLATE_HALF_S: Final = 0.08
+ALIKE: Final = 0.85
+"""The correlation of two beats with the same shape."""
+MIN_ALIKE: Final = 4
+"""Three may be the T waves of a slow heart, one of whose beats lies at the edge."""
+BEAT_MATCH: Final = 0.7
+BEAT_LIKENESS: Final = 0.85
+"""From both on a maximum of `match` is a beat, as far as the noise is concerned."""
 CLEAN_SIGMA: Final = 0.17
 MAX_PENALTY: Final = 5.0
 """The cost of an interval that does not fit the rhythm, as a log-likelihood: about 1 of 150."""
 MAX_GAIN: Final = 12.0
+CLEAR_GAIN: Final = 3.0
+"""A candidate that is a beat without the help of any rhythm: about 20 to 1."""
+MIN_CLEAR: Final = 3
+MAX_SAME_TEMPO: Final = 0.15
 WIDE_BEAT_S: Final = 0.034
 """Standard deviation of a Gaussian as wide as a ventricular QRS complex, 0.14 s from foot to foot."""
 WIDE_PENALTY: Final = 1.0
@@ -154,15 +166,14 @@ class BeatDetector:
         """Learn the QRS complex from the strongest beats of the window."""
         energy = self._energy(y)
         inside = slice(self._margin, len(y) - self._margin)
-        distance = max(1, int(0.35 * self.rate_hz))
+        distance = max(1, int(REFRACTORY_S * self.rate_hz))
         peaks, _ = dsp.find_peaks(energy[inside], distance=distance)
         peaks = peaks + self._margin
         if len(peaks) < 3:
             return
-        strength = energy[peaks]
-        count = max(3, int(len(y) / self.rate_hz))
-        level = np.sort(strength)[::-1][:count]
-        peaks = peaks[strength >= 0.6 * np.median(level)]
+        peaks = peaks[self._alike(y, peaks, energy[peaks])]
+        if len(peaks) < 3:
+            return
         snippets = np.array([y[p - self._half : p + self._half + 1] for p in peaks])
         # Align on the strongest deflection of the median polarity, then twice on the mean shape.
         sign = 1.0 if np.median(snippets.max(1) + snippets.min(1)) >= 0 else -1.0
@@ -188,7 +199,38 @@ class BeatDetector:
         self._amplitude = float(np.median(match[usable]))
         self._amplitudes.extend(match[usable].tolist())
         intervals = np.diff(np.sort(usable)) / self.rate_hz
-        self._intervals.extend(intervals[(intervals > 0.3) & (intervals < 2)].tolist())
+        self._intervals.extend(intervals[(intervals > 0.25) & (intervals < 2.5)].tolist())
+
+    def _alike(self, y: Floats, peaks: NDArray[np.int_], strength: Floats) -> NDArray[np.bool_]:
+        """Return which peaks of the energy are beats: the largest group of the same shape and strength.
+
+        Movements are stronger than beats, but no two of them are alike; T waves are alike, but weaker. In
+        noise no peaks are alike, and the strongest ones are taken.
+        """
+        # A slow heart has no more beats than these, and many other peaks.
+        level = np.sort(strength)[::-1][: max(3, int(0.5 * len(y) / self.rate_hz))]
+        strongest = strength >= max(0.6 * float(np.median(level)), 0.35 * float(level[0]))
+        wide = 2 * self._half
+        inside = np.flatnonzero((peaks >= wide) & (peaks < len(y) - wide))
+        centres = [
+            p - self._half + int(np.argmax(np.abs(y[p - self._half : p + self._half + 1])))
+            for p in peaks[inside]
+        ]
+        if len(centres) < 3:
+            return np.asarray(strongest, bool)
+        shapes = np.array([y[c - self._half : c + self._half + 1] for c in centres])
+        shapes /= np.sqrt(np.sum(shapes**2, axis=1, keepdims=True)) + 1e-12
+        ratio = strength[inside][:, None] / strength[inside][None, :]
+        same = (shapes @ shapes.T > ALIKE) & (ratio > 0.6) & (ratio < 1 / 0.6)
+        sizes = same.sum(axis=1)
+        # As many stronger peaks are the beats, and these are their T waves.
+        is_group = (sizes >= MIN_ALIKE) & ((ratio < 0.6).sum(axis=1) < sizes / 2)
+        best = int(np.argmax(is_group * sizes * strength[inside]))
+        if not is_group[best]:
+            return np.asarray(strongest, bool)
+        kept = np.zeros(len(peaks), bool)
+        kept[inside[same[best]]] = True
+        return kept
 
     def _mean_shape(self, y: Floats, centres: NDArray[np.int_]) -> Floats:
         inside = centres[(centres >= self._half) & (centres < len(y) - self._half)]
@@ -215,7 +257,7 @@ class BeatDetector:
         if end - begin < 0.2 * rate:
             return []
         maxima = 1 + np.flatnonzero((match[1:-1] > match[:-2]) & (match[1:-1] >= match[2:]))
-        self.sigma = self._noise_of(match[:end])
+        self.sigma = self._noise_of(match[:end], maxima[(maxima < end) & (match[maxima] > BEAT_MATCH)], y)
         usual = maxima[(maxima >= begin) & (maxima < end) & (match[maxima] > 0.25)]
         scores = self._ratio(match[usual])
         unusual, their_scores = self._wide_beats(match, begin, end)
@@ -234,9 +276,18 @@ class BeatDetector:
             found.append(self._accept(int(at[index]), bool(is_usual[index]), match, y))
         return found
 
-    def _noise_of(self, match: Floats) -> float:
-        """Return the standard deviation of `match` outside beats: robust, beats are few of the samples."""
-        outside = np.abs(match)[np.abs(match) < 0.9]
+    def _noise_of(self, match: Floats, peaks: NDArray[np.int_], y: Floats) -> float:
+        """Return the standard deviation of `match` outside beats, of which `peaks` are candidates.
+
+        The flanks of a beat are no noise: at 190 bpm they are half of all samples. Those of an artefact are,
+        so only a candidate with the shape of a beat counts as one.
+        """
+        is_outside = np.abs(match) < 0.9
+        for at in peaks:
+            part = slice(max(0, at - self._half), at + self._half + 1)
+            if match[at] * self._amplitude >= BEAT_LIKENESS * float(np.sqrt(np.sum(y[part] ** 2))):
+                is_outside[part] = False
+        outside = np.abs(match)[is_outside]
         if len(outside) < 10:
             return 1.0
         return float(max(0.03, np.sqrt(np.mean(np.minimum(outside, 0.5) ** 2))))
@@ -261,10 +312,25 @@ class BeatDetector:
 
     def _best_sequence(self, at_s: Floats, gains: Floats, last_s: float | None, end_s: float) -> list[int]:
         """Return the indices of the most likely sequence of candidates, oldest first."""
-        count = len(at_s)
-        if not count:
+        if not len(at_s):
             return []
-        median_s = float(np.median(self._intervals)) if self._intervals else 0.8
+        usual_s = float(np.median(self._intervals)) if self._intervals else 0.8
+        total, path = self._sequence_at(usual_s, at_s, gains, last_s, end_s)
+        # The rate may have changed: what the clear candidates say by themselves may explain more of them.
+        clear_s = at_s[gains >= CLEAR_GAIN]
+        if len(clear_s) >= MIN_CLEAR:
+            other_s = float(np.median(np.diff(clear_s)))
+            if other_s >= REFRACTORY_S and abs(other_s / usual_s - 1) > MAX_SAME_TEMPO:
+                other_total, other = self._sequence_at(other_s, at_s, gains, last_s, end_s)
+                if other_total > total + MAX_PENALTY:
+                    return other
+        return path
+
+    def _sequence_at(
+        self, median_s: float, at_s: Floats, gains: Floats, last_s: float | None, end_s: float
+    ) -> tuple[float, list[int]]:
+        """Return the most likely sequence where `median_s` is the usual interval, and its log-likelihood."""
+        count = len(at_s)
         spread_s = 0.08 * median_s + 0.02
         value = np.empty(count)
         before = np.full(count, -1)
@@ -286,12 +352,12 @@ class BeatDetector:
         total = value - np.where(end_s - at_s > median_s + 3 * spread_s, MAX_PENALTY, 0)
         index = int(np.argmax(total))
         if total[index] <= 0:
-            return []
-        path = []
+            return 0.0, []
+        likelihood, path = float(total[index]), []
         while index >= 0:
             path.append(index)
             index = int(before[index])
-        return path[::-1]
+        return likelihood, path[::-1]
 
     def _accept(self, at: int, is_usual: bool, match: Floats, y: Floats) -> Beat:
         assert self._template is not None  # noqa: S101

@@ -1,17 +1,21 @@
-"""ECG to heart rate, variability and breathing: beats of the first channel, then the rhythm of the beats."""
+"""ECG to heart rate, variability and breathing: beats of the first channel, then the rhythm of the beats.
+
+A heart rate is valid only while a second estimate, which does not use the beats, agrees (`envelope`).
+"""
 
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from services.human_state.model.features import Feature
+from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo
 from services.human_state.processing.beats import Beat, BeatDetector
 from services.human_state.processing.breathing import BeatBreathing
+from services.human_state.processing.envelope import EnvelopeRate
 from services.human_state.processing.rhythm import Rhythm
 
-METHOD: Final = "ecg-1"
+METHOD: Final = "ecg-2"
 """The version of the algorithm; it changes when values change."""
 BLOCK_S: Final = 0.5
 SHORT_FAULTS: Final = frozenset(
@@ -20,6 +24,8 @@ SHORT_FAULTS: Final = frozenset(
 """Faults after which the electrodes still sit where they sat: the learned shape of a beat stays."""
 RELEARN_BELOW: Final = 0.3
 RELEARN_AFTER_S: Final = 15.0
+RELEARN_UNCONFIRMED_S: Final = 6.0
+"""So long a rate without confirmation comes from a wrong shape."""
 
 
 class EcgProcessor:
@@ -31,11 +37,13 @@ class EcgProcessor:
         self._rate_hz: Final = info.rate_hz
         self._detector: Final = BeatDetector(info.rate_hz)
         self._rhythm: Final = Rhythm(METHOD)
+        self._envelope: Final = EnvelopeRate(info.rate_hz)
         self._breathing: Final = BeatBreathing(METHOD)
         self._pending: list[Samples] = []
         self._waiting = 0
         self._fed = 0
         self._poor_s = 0.0
+        self._unconfirmed_s = 0.0
 
     @property
     def rhythm(self) -> Rhythm:
@@ -54,14 +62,16 @@ class EcgProcessor:
         self._pending.clear()
         self._fed += self._waiting
         self._waiting = 0
+        self._envelope.feed(block, end_s)
         beats = self._detector.feed(block)
         for beat in beats:
             at_s = end_s - (self._fed - 1 - beat.position) / self._rate_hz
             self._rhythm.add_beat(at_s, beat.quality * quality, is_usual_shape=beat.is_usual_shape)
             self._breathing.add_beat(at_s, beat.height, beat.quality * quality)
-        self._relearn_if_poor(beats, len(block) / self._rate_hz)
-        found = self._rhythm.features(samples.source, end_s, max(1.0, len(block) / self._rate_hz))
+        block_s = len(block) / self._rate_hz
+        found = self._rhythm.features(samples.source, end_s, max(1.0, block_s), self._envelope.rates_bpm)
         found += self._breathing.features(samples.source, end_s)
+        self._relearn_if_poor(beats, found, block_s)
         return found
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
@@ -69,19 +79,24 @@ class EcgProcessor:
         if report.fault is not None or report.has_contact is False:
             self._detector.reset(keep_shape=report.fault in SHORT_FAULTS)
             self._rhythm.reset()
+            self._envelope.reset()
             self._breathing.reset()
             self._pending.clear()
             self._waiting = self._fed = 0
-            self._poor_s = 0.0
+            self._poor_s = self._unconfirmed_s = 0.0
         return []
 
-    def _relearn_if_poor(self, beats: list[Beat], block_s: float) -> None:
-        """Learn the shape again when nothing has matched for 15 s: the electrodes were moved."""
+    def _relearn_if_poor(self, beats: list[Beat], found: list[Feature], block_s: float) -> None:
+        """Learn the shape again when nothing matches it, or when what matches it is not the heart."""
         is_good = any(beat.quality >= RELEARN_BELOW for beat in beats)
         self._poor_s = 0.0 if is_good else self._poor_s + block_s
-        if self._poor_s > RELEARN_AFTER_S:
+        for feature in found:
+            if feature.name is FeatureName.HEART_RATE:
+                is_confirmed = feature.status is Status.VALID
+                self._unconfirmed_s = 0.0 if is_confirmed else self._unconfirmed_s + block_s
+        if self._poor_s > RELEARN_AFTER_S or self._unconfirmed_s > RELEARN_UNCONFIRMED_S:
             self._detector.reset()
             self._rhythm.reset()
             self._breathing.reset()
             self._fed = 0
-            self._poor_s = 0.0
+            self._poor_s = self._unconfirmed_s = 0.0

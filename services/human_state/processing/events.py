@@ -25,7 +25,6 @@ import numpy as np
 
 from services.human_state.model.features import Feature, FeatureName, Status
 
-MIN_QUALITY: Final = 0.5
 HISTORY_S: Final = 600.0
 PAUSE_S: Final = 10.0
 MAX_PAUSE_S: Final = 120.0
@@ -79,11 +78,7 @@ class PersonAnalysis:
         """Take features of the person's sensors; return those that follow."""
         found: list[Feature] = []
         for feature in features:
-            if (
-                isinstance(feature.value, str)
-                or feature.status is not Status.VALID
-                or feature.quality < MIN_QUALITY
-            ):
+            if isinstance(feature.value, str) or feature.status is not Status.VALID:
                 continue
             self._newest[feature.name] = feature.at_s, float(feature.value)
             if feature.name is FeatureName.HEART_RATE:
