@@ -13,19 +13,23 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
+import orjson
+
 from handover.alert_catalogue import SUBSCRIPTION_CHANGED
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NgsiLd, NotFound
-from handover.content_digest import digest_of
 from handover.messages import message
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
-_COUNTED: Final = frozenset(
-    {"status", "timesSent", "timesFailed", "lastNotification", "lastSuccess", "lastFailure"}
+_COMPARED: Final = (
+    *("entities", "watchedAttributes", "q", "geoQ", "scopeQ", "csf", "isActive", "expiresAt", "throttling"),
+    *("timeInterval", "notificationTrigger", "notification"),
 )
+_COMPARED_OF_NOTIFICATION: Final = ("endpoint", "format", "attributes", "pick", "omit", "join", "joinLevel")
+"""Members that are compared if the broker has no `modifiedAt`; counts change by themselves."""
 
 
 @dataclass(slots=True)
@@ -98,7 +102,9 @@ class OwnSubscriptions:
         if document is None:
             return None
         modified = document.get("modifiedAt")
-        return modified if isinstance(modified, str) else digest_of(_without_counts(document))
+        if isinstance(modified, str):
+            return modified
+        return orjson.dumps(_compared(document), option=orjson.OPT_SORT_KEYS).decode()
 
     async def _raise_alert(self, subscription_id: str) -> None:
         try:
@@ -125,9 +131,11 @@ class OwnSubscriptions:
         return f"changed {subscription_id.rpartition(':')[2]}"
 
 
-def _without_counts(document: Mapping[str, Any]) -> dict[str, Any]:
-    notification = document.get("notification")
-    shown = {name: value for name, value in document.items() if name not in _COUNTED}
+def _compared(document: Mapping[str, Any]) -> dict[str, Any]:
+    shown = {name: document[name] for name in _COMPARED if name in document}
+    notification = shown.get("notification")
     if isinstance(notification, Mapping):
-        shown["notification"] = {name: value for name, value in notification.items() if name not in _COUNTED}
+        shown["notification"] = {
+            name: notification[name] for name in _COMPARED_OF_NOTIFICATION if name in notification
+        }
     return shown

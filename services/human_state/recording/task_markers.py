@@ -72,7 +72,8 @@ class TaskMarkers:
         """Check the subscription regularly until cancelled."""
         while True:
             await asyncio.sleep(with_jitter(self._settings.reconcile_s))
-            self.apply()
+            if self._recordings.recorded():
+                self.apply()
 
     async def _synchronize(self) -> None:
         if self._recordings.recorded():
