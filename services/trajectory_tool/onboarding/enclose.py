@@ -36,10 +36,13 @@ def enclose(name: str, meshes: str) -> None:
     for link, place in mapping.places.items():
         surfaces.setdefault(place.link, []).extend(mapped[link])
     root = etree.fromstring(urdf.read_bytes())
-    pieces = {
-        link: pieces_of(np.concatenate([surface.triangles for surface in found]))
-        for link, found in surfaces.items()
-    }
+    fingers = {finger.joint for finger in model.fingers}
+    moved = {one.find("child").get("link") for one in root.findall("joint") if one.get("name") in fingers}
+    pieces = {}
+    for link, found in surfaces.items():
+        triangles = np.concatenate([surface.triangles for surface in found])
+        # Between parts in a bin it counts how thin a finger is at its end.
+        pieces[link] = pieces_of(triangles, 2, 1e-6) if link in moved else pieces_of(triangles)
     for link in root.findall("link"):
         if link.get("name") in pieces:
             for replaced in (*link.findall("collision"), *link.findall("collision_checking")):

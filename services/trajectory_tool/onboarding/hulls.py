@@ -46,13 +46,15 @@ class Piece:
         return cls(triangles, enclosing(triangles.reshape(-1, 3)))
 
 
-def pieces_of(triangles: Array, most: int = MAX_PIECES) -> list[Piece]:
+def pieces_of(triangles: Array, most: int = MAX_PIECES, least_gain_m3: float = LEAST_GAIN_M3) -> list[Piece]:
     """Return pieces whose polytopes together contain a mesh: cut where that makes them much smaller."""
     pending = [triangles]
     settled: list[Piece] = []
     while pending:
         part = pending.pop(0)
-        halves = _halves(part) if len(pending) + len(settled) + 1 < most else None
+        halves = (
+            _halves(part, least_gain_m3=least_gain_m3) if len(pending) + len(settled) + 1 < most else None
+        )
         if halves is None:
             settled.append(Piece.around(part))
         else:

@@ -192,13 +192,15 @@ def fingers_of(model: RobotModel) -> Fingers:
             f"bin picking needs a gripper with two fingers that close along x or y; {model.name} has none"
         )
     (low, high) = max(boxes, key=lambda box: float(box[0][0]))
+    ends = [_bounds(compiled, data, body, tip, frame, near_end=True) for body in bodies]
+    end_low, end_high = max(ends, key=lambda box: float(box[0][0]))
     palm_low, palm_high = _bounds(compiled, data, int(compiled.body_parentid[bodies[0]]), tip, frame)
     end = float(high[2])  # the fingers may reach beyond the tip of the URDF
     length = end - float(low[2])
     return Fingers(
         opening=2 * float(low[0]),
-        thickness=float(high[0] - low[0]),
-        width=float(high[1] - low[1]),
+        thickness=float(end_high[0] - end_low[0]),
+        width=float(end_high[1] - end_low[1]),
         length=length,
         palm=(
             float(palm_high[0] - palm_low[0]),
@@ -209,8 +211,10 @@ def fingers_of(model: RobotModel) -> Fingers:
     )
 
 
-def _bounds(model: Any, data: Any, body: int, tip: int, frame: Frame) -> tuple[Array, Array]:
-    """Return the corners of the box around the shapes of a body, in a frame at the tip."""
+def _bounds(
+    model: Any, data: Any, body: int, tip: int, frame: Frame, *, near_end: bool = False
+) -> tuple[Array, Array]:
+    """Return the corners of the box around the shapes of a body, or the last one, in a frame at the tip."""
     rotation = data.site_xmat[tip].reshape(3, 3) @ np.array(frame.rotation)
     origin = data.site_xpos[tip]
     found = []
@@ -222,6 +226,8 @@ def _bounds(model: Any, data: Any, body: int, tip: int, frame: Frame) -> tuple[A
             corner = data.geom_xpos[geom] + matrix @ (middle + half * np.array(signs))
             found.append(rotation.T @ (corner - origin))
     corners = np.array(found)
+    if near_end:
+        corners = max(corners.reshape(-1, 8, 3), key=lambda shape: float(shape[:, 2].max()))
     return corners.min(axis=0), corners.max(axis=0)
 
 
