@@ -230,8 +230,8 @@ def check(
         say(f"damaged  {fault}")
     for line in open_files(folder):
         say(f"open     {line}")
-    if (line := owner_of(folder)) is not None:
-        say(f"accepted {line}")
+    if (owner := owner_of(folder)) is not None:
+        say(f"accepted {owner}")
     if is_damaged:
         say(f"remedy: {REMEDY}")
     if is_damaged or key_faults:

@@ -29,7 +29,7 @@ person, these cannot be deleted."""
 TIMEOUT_S: Final = 30.0
 
 Name = Annotated[str, InPath(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-HeadersOf = Callable[[Request], Awaitable[Mapping[str, str]]]
+HeadersOf = Callable[[Request, bool], Awaitable[Mapping[str, str]]]
 Outcome = Literal["deleted", "nothing", "refused", "unreachable"]
 
 
