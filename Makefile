@@ -85,6 +85,7 @@ test-failed: setup  ## every check, and alone the tests that failed in the last 
 # ours. The wheels are for Python 3.11 on Linux.
 ROS_VENV := $(VENV)-ros
 ROS_TESTS := tests/integration/ros_fiware_bridge/graph tests/integration/ros_fiware_bridge/test_fast_dds.py \
+	tests/integration/ros_fiware_bridge/test_unknown_outcomes.py \
 	tests/integration/ros_fiware_bridge/test_humanoid.py tests/integration/ros_fiware_bridge/test_humanoid_link.py
 
 ros-test: setup  ## the ROS bridge against ROS 2 nodes (rclpy, Fast DDS; Python 3.11 on Linux)

@@ -93,6 +93,8 @@ class GoalEnd(RobotMessage):
     id: int
     succeeded: bool
     reason: str = ""
+    unknown: bool = False
+    """Whether the goal was sent and nobody knows whether it is, or was, carried out."""
 
 
 ArmCommand = Annotated[ArmGoal | ArmCancel | ArmVelocity, Field(discriminator="type")]

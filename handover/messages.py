@@ -8,6 +8,7 @@ the page has a translation for each (`webui/app/src/i18n/*/server.json`). The mo
 the codes in the source, and a test compares them.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any, Self
 
@@ -35,8 +36,29 @@ class Message(str):
 
 
 def message(code: str, template: str, /, **parameters: Parameter) -> Message:
-    """Return the message of `template` (as for `str.format`) with these parameters."""
-    return Message(template.format_map(parameters), code, parameters)
+    """Return the message of `template` (as for `str.format`) with these parameters.
+
+    Numbers with a fraction are rounded for people; see `readable`.
+    """
+    shown = {
+        name: readable(value) if isinstance(value, float) else value for name, value in parameters.items()
+    }
+    return Message(template.format_map(shown), code, shown)
+
+
+def readable(value: float) -> float | int:
+    """Return a number as people read it: with four significant digits, whole from a thousand on."""
+    if not math.isfinite(value):
+        return value
+    whole = round(value)
+    if value == whole or abs(value) >= 1000:
+        return whole
+    return float(f"{value:.4g}")
+
+
+def number_text(value: float) -> str:
+    """Return the text of `readable`, for an English text without a code."""
+    return str(readable(value))
 
 
 def text_of(error: BaseException) -> str:

@@ -53,7 +53,9 @@ def make_app(settings: BridgeSettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        graph = await join(settings, store)
+        graph = await join(
+            settings, store, goals_file=settings.data_dir / f"{settings.bridge_name}-goals.json"
+        )
         try:
             made = planning.make(document, store, settings.factory)
             bridge = Bridge(

@@ -56,11 +56,19 @@ class VendorNotShared(GraphError):
 
 
 class ServiceUnavailable(GraphError):
-    """No server of a service or action was found in time."""
+    """No server of a service or action was found in time; nothing was sent."""
 
 
-class CallTimeout(GraphError):
+class OutcomeUnknown(GraphError):
+    """A request was sent, and nobody knows whether it was carried out, or will be."""
+
+
+class CallTimeout(OutcomeUnknown):
     """A server did not answer in time."""
+
+
+class ServerLost(OutcomeUnknown):
+    """The server of a request went away, or does not know it any more, before it answered."""
 
 
 class GoalRefused(GraphError):
@@ -68,4 +76,8 @@ class GoalRefused(GraphError):
 
 
 class GraphClosed(GraphError):
-    """The graph was closed."""
+    """The graph was closed; nothing was sent."""
+
+
+class ClosedUnanswered(GraphClosed, OutcomeUnknown):
+    """The graph was closed before a server answered."""

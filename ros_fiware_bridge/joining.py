@@ -1,5 +1,7 @@
 """Joins the ROS graph with the settings of the bridge."""
 
+from pathlib import Path
+
 from ros_fiware_bridge.graph import joining
 from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import RosGraph
@@ -7,8 +9,11 @@ from ros_fiware_bridge.settings import BridgeSettings
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-async def join(settings: BridgeSettings, store: TypeStore) -> RosGraph:
-    """Join the graph. Raises `AdapterUnavailable` or `BadName`, which the user can correct."""
+async def join(settings: BridgeSettings, store: TypeStore, *, goals_file: Path | None = None) -> RosGraph:
+    """Join the graph. Raises `AdapterUnavailable` or `BadName`, which the user can correct.
+
+    Only the bridge itself has a `goals_file`: another program with the same one would cancel its goals.
+    """
     asked = JoinSettings(
         node=settings.ros_node,
         namespace=settings.ros_namespace,
@@ -17,5 +22,6 @@ async def join(settings: BridgeSettings, store: TypeStore) -> RosGraph:
         peers=settings.ros_peers,
         max_message_bytes=settings.ros_max_message_bytes,
         rosbridge_url=settings.rosbridge_url,
+        goals_file=goals_file,
     )
     return await joining.join(store, asked, settings.ros_adapter)

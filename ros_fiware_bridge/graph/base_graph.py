@@ -5,6 +5,7 @@ from typing import Any
 from ros_fiware_bridge.errors import GraphClosed, MessageTooBig
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.join_settings import JoinSettings
+from ros_fiware_bridge.graph.own_goals import OwnGoals
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
@@ -14,6 +15,7 @@ class BaseGraph:
     def __init__(self, store: TypeStore, settings: JoinSettings) -> None:
         self.store = store
         self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
+        self.goals = OwnGoals(settings.goals_file)
         self._settings = settings
         self._opened: dict[int, Any] = {}
         self._closed = False

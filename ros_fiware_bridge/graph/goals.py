@@ -3,7 +3,9 @@
 import asyncio
 from typing import TypeVar
 
-from ros_fiware_bridge.errors import CallTimeout, GraphClosed
+from handover.messages import number_text
+from ros_fiware_bridge.errors import CallTimeout, ClosedUnanswered, ServerLost, ServiceUnavailable
+from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT
 
 Result = TypeVar("Result")
 
@@ -13,16 +15,35 @@ async def result_within(pending: "asyncio.Future[Result]", action: str, timeout_
 
     Raises:
         CallTimeout: the goal did not end in time.
-        GraphClosed: `pending` was cancelled, because the action was closed.
+        ClosedUnanswered: `pending` was cancelled, because the action was closed.
     """
     try:
         return await asyncio.wait_for(asyncio.shield(pending), timeout_s)
     except asyncio.CancelledError:
         if pending.cancelled():  # by the adapter, not by the caller
-            raise GraphClosed(f"{action} was closed before the goal ended") from None
+            raise ClosedUnanswered(f"{action} was closed before the goal ended") from None
         raise
     except TimeoutError:
-        raise CallTimeout(f"{action}: the goal did not end within {timeout_s} s") from None
+        raise CallTimeout(
+            f"{action}: the goal did not end within {number_text(timeout_s or 0.0)} s"
+        ) from None
+
+
+def unanswered(service: str, timeout_s: float) -> CallTimeout:
+    """Return the error for a request that was sent and not answered in time."""
+    return CallTimeout(f"{service} did not answer within {number_text(timeout_s)} s")
+
+
+def too_busy(service: str) -> ServiceUnavailable:
+    """Return the error for a request that was not sent, because too many wait for their responses."""
+    return ServiceUnavailable(
+        f"{service} has not answered {MAX_REQUESTS_IN_FLIGHT} earlier requests, so this one was not sent"
+    )
+
+
+def goal_forgotten(action: str) -> ServerLost:
+    """Return the error for a goal that its server does not know any more."""
+    return ServerLost(f"{action}: its server does not know the goal any more; it was started again")
 
 
 class CancelSignal:

@@ -20,6 +20,7 @@ from ros_fiware_bridge.errors import GraphError, VendorNotShared
 from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph
 from ros_fiware_bridge.graph.cyclone.services import VENDOR
 from ros_fiware_bridge.graph.join_settings import JoinSettings
+from ros_fiware_bridge.graph.own_goals import OwnGoals
 from ros_fiware_bridge.graph.port import (
     ActionClient,
     ActionHandler,
@@ -60,13 +61,13 @@ async def join(store: TypeStore, settings: JoinSettings) -> RosGraph:
     if importlib.util.find_spec("rclpy") is None:
         return own
     beside = replace(settings, node=f"{settings.node}_rclpy")
-    return MixedGraph(own, lambda: _join_rclpy(store, beside))
+    return MixedGraph(own, lambda: _join_rclpy(store, beside, own.goals))
 
 
-async def _join_rclpy(store: TypeStore, settings: JoinSettings) -> tuple[RosGraph, str]:
+async def _join_rclpy(store: TypeStore, settings: JoinSettings, goals: OwnGoals) -> tuple[RosGraph, str]:
     from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if needed
 
-    graph = await RosInstalledGraph.join(store, settings)
+    graph = await RosInstalledGraph.join(store, settings, goals=goals)
     return graph, graph.middleware
 
 
@@ -76,6 +77,7 @@ class MixedGraph:
     def __init__(self, own: CycloneGraph, join_rclpy: JoinRclpy) -> None:
         self.own = own
         self.node_name = own.node_name
+        own.goals.graph = self
         self._join_rclpy = join_rclpy
         self._joining: asyncio.Task[tuple[RosGraph, str]] | None = None
 

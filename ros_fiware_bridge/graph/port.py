@@ -170,14 +170,14 @@ class Goal(Protocol):
 
         Raises:
             CallTimeout: it did not end in time; the goal continues and the result may be requested again.
-            ServiceUnavailable: the server went away.
+            ServerLost: the server that accepted it went away, or was started again.
         """
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
         """Ask the server to cancel; True if it agreed (the result then says whether it did).
 
         Raises:
-            CallTimeout, ServiceUnavailable: the server did not answer.
+            CallTimeout, ServerLost, ServiceUnavailable: the server did not answer.
         """
 
 
@@ -195,14 +195,18 @@ class ActionClient(Protocol):
     ) -> Goal:
         """Send a goal and wait until it is accepted.
 
+        A goal whose sender gives up, by an error or a cancellation, is cancelled, also if it is accepted
+        later.
+
         Raises:
             BadMessage: the goal does not fit the definition.
             GoalRefused: the server rejects it.
-            ServiceUnavailable, CallTimeout: no server answers.
+            ServiceUnavailable: there is no server; nothing was sent.
+            OutcomeUnknown: it was sent, and no server answered (`CallTimeout`, `ServerLost`).
         """
 
     async def close(self) -> None:
-        """Release the action; pending goals are not cancelled. Closing twice is harmless."""
+        """Release the action; goals that have not ended are cancelled. Closing twice is harmless."""
 
 
 class ServedGoal(Protocol):
@@ -329,8 +333,8 @@ class RosGraph(Protocol):
 
         Raises:
             UnknownType, UnsupportedType, BadName, BadMessage, VendorNotShared, TypeHashDiffers.
-            ServiceUnavailable: no server was found within the time.
-            CallTimeout: it is served but did not answer within the time.
+            ServiceUnavailable: no server was found within the time; nothing was sent.
+            OutcomeUnknown: it was sent and not answered (`CallTimeout`, `ServerLost`), or not legibly.
         """
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> Served:

@@ -239,6 +239,10 @@ class RosRequestRule(Part):
     outputs: dict[AttributeName, AttributeGiven] = Field(default_factory=dict)
     """The parts of the response to write: outputParameters of the Task, or attributes of the entity."""
     timeout_s: float = Field(10.0, gt=0, le=86_400)
+    again: bool = False
+    """Whether the request may be sent again when nobody knows whether it was carried out (no answer, or a
+    restart of the bridge): its Task then fails like any other, or is performed again. Otherwise the outcome
+    is unknown, and a person decides."""
 
     @model_validator(mode="after")
     def _asked_in_one_way(self) -> Self:
@@ -271,8 +275,6 @@ class ActionGoal(RosRequestRule):
     """The parts of the feedback to write; `progress` ranges from 0 to 1."""
     result_timeout_s: float | None = Field(None, gt=0)
     """Maximum duration of a goal; no limit by default."""
-    again: bool = False
-    """Whether a goal is sent again after a restart of the bridge; otherwise its outcome is unknown."""
     success: PathText | None = None
     message: PathText | None = None
 

@@ -3,7 +3,7 @@
 The messages are those of `datamodels.arm_stream`. A goal takes the place of the one before: a joint
 trajectory controller does that without a stop. The watchdog commands a velocity of 0 when no command has
 come for its time. The end of the stream cancels the goal and commands a velocity of 0, so the arm of a tool
-that was killed comes to rest.
+that was killed comes to rest. A goal that the controller accepts too late is cancelled at once.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from datamodels.arm_stream import (
 )
 from handover.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
-from ros_fiware_bridge.errors import GraphError
+from ros_fiware_bridge.errors import GraphError, OutcomeUnknown
 from ros_fiware_bridge.graph.port import (
     ActionClient,
     Goal,
@@ -49,6 +49,7 @@ log = get_logger(__name__)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DISCOVERY_TIMEOUT_S = 5.0
 MIN_REPORT_PERIOD_S = 0.004
+CANCEL_POLL_S = 0.02
 
 Send = Callable[[BaseModel], None]
 
@@ -129,9 +130,18 @@ class ArmStream:
             self._has_wanted.clear()
             wanted, self._wanted = self._wanted, None
             if isinstance(wanted, ArmGoal):
-                await self._send_goal(wanted)
+                await self._unless_cancelled(asyncio.create_task(self._send_goal(wanted)))
             elif wanted is not None:
                 await self._cancel()
+
+    async def _unless_cancelled(self, sending: asyncio.Task[None]) -> None:
+        """Wait until a goal is accepted or refused; give it up, which cancels it, when the tool cancels."""
+        try:
+            while not sending.done() and not isinstance(self._wanted, ArmCancel):
+                await asyncio.wait([sending], timeout=CANCEL_POLL_S)
+        finally:
+            sending.cancel()
+            await asyncio.wait([sending])
 
     async def _send_goal(self, goal: ArmGoal) -> None:
         assert self._actions is not None  # noqa: S101 - set on entry
@@ -144,7 +154,7 @@ class ArmStream:
                 {"trajectory": trajectory}, timeout_s=DISCOVERY_TIMEOUT_S
             )
         except GraphError as error:
-            self._send(GoalEnd(id=goal.id, succeeded=False, reason=str(error)))
+            self._send(_fault(goal.id, error))
             return
         self._goal = accepted
         self._send(GoalAccepted(id=goal.id))
@@ -154,7 +164,7 @@ class ArmStream:
         try:
             ended = await goal.result()
         except GraphError as error:
-            self._send(GoalEnd(id=number, succeeded=False, reason=str(error)))
+            self._send(_fault(number, error))
             return
         succeeded = ended.status is GoalStatus.SUCCEEDED
         reason = "" if succeeded else str(ended.result.get("error_string") or ended.status.name.lower())
@@ -246,6 +256,11 @@ def _check(goal: ArmGoal, joints: int) -> None:
         before_s = point.time_s
     if any(goal.points[-1].velocities):
         raise ValueError("the last point of a goal is at rest")
+
+
+def _fault(number: int, error: GraphError) -> GoalEnd:
+    unknown = isinstance(error, OutcomeUnknown)
+    return GoalEnd(id=number, succeeded=False, reason=str(error), unknown=unknown)
 
 
 def _point(point: TrajectoryPoint) -> Message:

@@ -87,7 +87,13 @@ class Bridge:
         self.listeners = Listeners(
             settings, broker, receiver, f"{url}/notifications", prefix=f"{name}-rule-", service=name
         )
-        self.tasks = RosTaskPerformer(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
+        self.tasks = RosTaskPerformer(
+            name,
+            settings,
+            broker,
+            notify_url=f"{url}/notifications-of-tasks",
+            on_outcome=self._report_outcome,
+        )
         self.alerts = AlertPublisher(broker, settings)
         self._disabled_rules = DisabledRules(settings.data_dir / f"{name}.json")
         self._entity_forwarders: dict[str, EntityForwarder] = {}
@@ -270,6 +276,14 @@ class Bridge:
     def _report_call(self, name: str, why: str | None) -> None:
         words = f'the rule "{name}" could not call the graph: {why}' if why is not None else ""
         self._alert(f"call {name}", words, active=why is not None)
+
+    def _report_outcome(self, name: str, why: str | None) -> None:
+        """Raise an Alert for a Task with an unknown outcome; the next known one of the rule clears it."""
+        words = (
+            f'the outcome of a Task of the rule "{name}" is unknown: {why}; look at the robot, then retry or '
+            "skip the Task"
+        )
+        self._alert(f"outcome {name}", words if why is not None else "", active=why is not None)
 
     def _report_problems(self) -> None:
         """Raise an Alert for each mismatch with a peer that lasts, and clear it afterwards."""

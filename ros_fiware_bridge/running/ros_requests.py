@@ -1,8 +1,12 @@
-"""Requests to the ROS graph: a Task or a changed attribute calls a service or sends a goal to an action."""
+"""Requests to the ROS graph: a Task or a changed attribute calls a service or sends a goal to an action.
+
+A request that was sent and not answered has an unknown outcome: its Task fails with that reason, and an Alert
+says so, unless the rule permits to send it `again`. A goal that is given up is cancelled by the graph.
+"""
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +21,8 @@ from handover.performer import Performer
 from handover.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
-from ros_fiware_bridge.graph.port import Goal, GoalStatus, Message, RosGraph
+from ros_fiware_bridge.errors import CallTimeout, GraphError, OutcomeUnknown
+from ros_fiware_bridge.graph.port import Goal, GoalResult, GoalStatus, Message, RosGraph
 from ros_fiware_bridge.mapping import paths
 from ros_fiware_bridge.mapping.model import ActionGoal, Change, ServiceCall
 from ros_fiware_bridge.mapping.values import RESOURCE
@@ -35,6 +40,8 @@ log = get_logger(__name__)
 OnFeedback = Callable[[Mapping[str, Any]], None]
 MAX_QUEUED = 16
 CANCEL_TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 10.0
+"""A goal over its time limit ends so soon after its cancellation; otherwise its outcome is unknown."""
 CANCEL_RETRY_S = 1.0
 
 
@@ -55,7 +62,11 @@ class RosRequest:
     graph: RosGraph
 
     async def execute(self, scope: Scope, on_feedback: OnFeedback, job: Job | None = None) -> dict[str, Any]:
-        """Return the outputs. Raises `RequestFailed`, `TaskCancelled`, or another `HandoverError`."""
+        """Return the outputs.
+
+        Raises `RequestFailed`, `TaskCancelled`, `OutcomeUnknown`, or another `HandoverError` if nothing was
+        done.
+        """
         clock = asyncio.get_running_loop().time
         self.stats.count_received(clock())
         try:
@@ -79,33 +90,44 @@ class RosRequest:
     ) -> dict[str, Any]:
         client = await self.graph.action_client(rule.action, rule.type)
         try:
-            goal = await client.send_goal(
+            sending = client.send_goal(
                 request,
                 on_feedback=lambda feedback: self._feed_back(feedback, on_feedback),
                 timeout_s=rule.timeout_s,
             )
-            result = asyncio.ensure_future(goal.result(rule.result_timeout_s))
+            goal = await _unless_cancelled(job, sending, rule.action)
             canceller = asyncio.create_task(_cancel_with_task(job, goal)) if job is not None else None
             try:
-                ended = await result
+                ended = await goal.result(rule.result_timeout_s)
             except asyncio.CancelledError:
                 with suppress(HandoverError, TimeoutError):  # the bridge stops, and so must the goal
                     await goal.cancel(1.0)
                 raise
-            except HandoverError:  # the Task fails, so the robot must not continue
-                with suppress(HandoverError, TimeoutError):
-                    await goal.cancel(CANCEL_TIMEOUT_S)
-                raise
+            except CallTimeout as late:
+                ended = await self._stopped(goal, late)
             finally:
                 if canceller is not None:
                     canceller.cancel()
-                result.cancel()
             outputs = self._outputs(ended.result, rule, ended.status)
             if ended.status is GoalStatus.CANCELED:
                 raise TaskCancelled("cancelled")
             return outputs
         finally:
-            await client.close()
+            await client.close()  # which cancels a goal that has not ended
+
+    async def _stopped(self, goal: Goal, late: CallTimeout) -> GoalResult:
+        """Cancel a goal over its time limit; return its end if it succeeded meanwhile.
+
+        Raises `RequestFailed` for one that has stopped, `OutcomeUnknown` for one that has not.
+        """
+        try:
+            await goal.cancel(CANCEL_TIMEOUT_S)
+            ended = await goal.result(STOP_TIMEOUT_S)
+        except GraphError as error:
+            raise OutcomeUnknown(f"{late}, was cancelled, and has not stopped: {error}") from error
+        if ended.status is GoalStatus.SUCCEEDED:
+            return ended
+        raise RequestFailed(str(late), self._values(self.planned.outputs, ended.result))
 
     def _outputs(
         self, answer: Message, rule: ServiceCall | ActionGoal, status: GoalStatus | None
@@ -135,10 +157,33 @@ class RosRequest:
         return values
 
 
-async def _cancel_with_task(job: Job, goal: Goal) -> None:
-    """Cancel the goal when the Task is cancelled; repeat the request until the goal has ended."""
+async def _cancelled(job: Job) -> None:
+    """Wait until the Task is cancelled."""
     while job.requested_action is not RequestedAction.CANCEL:
         await job.changed(since=job.requested_action)
+
+
+async def _unless_cancelled(job: Job | None, sending: Coroutine[Any, Any, Goal], action: str) -> Goal:
+    """Wait until a goal is accepted; after the cancellation of its Task no longer than a moment."""
+    if job is None:
+        return await sending
+    accepted, cancelled = asyncio.create_task(sending), asyncio.create_task(_cancelled(job))
+    try:
+        await asyncio.wait([accepted, cancelled], return_when=asyncio.FIRST_COMPLETED)
+        if not accepted.done():
+            await asyncio.wait([accepted], timeout=CANCEL_TIMEOUT_S)
+        if accepted.done():
+            return accepted.result()
+        raise OutcomeUnknown(f"{action}: the Task was cancelled before the server answered")
+    finally:
+        cancelled.cancel()
+        accepted.cancel()
+        await asyncio.wait([accepted])
+
+
+async def _cancel_with_task(job: Job, goal: Goal) -> None:
+    """Cancel the goal when the Task is cancelled; repeat the request until the goal has ended."""
+    await _cancelled(job)
     backoff = Backoff(CANCEL_RETRY_S, CANCEL_RETRY_S)
     while True:
         try:
@@ -154,10 +199,22 @@ def _reason(message: str) -> str:
 
 
 class RosTaskPerformer(Performer):
-    """Performs the Tasks that a rule maps to a service or an action."""
+    """Performs the Tasks that a rule maps to a service or an action.
 
-    def __init__(self, name: str, settings: Settings, broker: BrokerClient, *, notify_url: str) -> None:
+    `on_outcome` is called with a rule and the reason of an unknown outcome, or None for a known one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        broker: BrokerClient,
+        *,
+        notify_url: str,
+        on_outcome: Callable[[str, str | None], None],
+    ) -> None:
         super().__init__(name, settings, broker, notify_url=notify_url)
+        self._on_outcome = on_outcome
         self._requests: dict[tuple[str, str], RosRequest] = {}
 
     def add(self, request: RosRequest) -> None:
@@ -170,16 +227,8 @@ class RosTaskPerformer(Performer):
         """Perform the Task by its rule; return the outputs."""
         request = self._request_for(job)
         rule = request.planned.rule
-        if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
-            raise TaskFailed(
-                outcome_unknown(
-                    message(
-                        "ros.goal_interrupted",
-                        "the ROS bridge stopped while {action} was active; such a goal is not sent again",
-                        action=rule.action,
-                    )
-                )
-            )
+        if job.resumed and not rule.again:
+            raise self._unknown(job, request, _interrupted(rule))
 
         def on_feedback(feedback: Mapping[str, Any]) -> None:
             others = {name: value for name, value in feedback.items() if name != "progress"}
@@ -190,13 +239,25 @@ class RosTaskPerformer(Performer):
         try:
             if request.planned.reads_resource:
                 values[RESOURCE] = scope_of(await self.broker.retrieve(job.resource), 0.0).values
-            return await request.execute(Scope(values), on_feedback, job)
+            outputs = await request.execute(Scope(values), on_feedback, job)
         except RequestFailed as failure:
+            self._on_outcome(request.planned.name, None)
             raise TaskFailed(text_of(failure), **failure.outputs) from failure
         except TaskCancelled:
+            self._on_outcome(request.planned.name, None)
             raise
+        except OutcomeUnknown as error:
+            if rule.again:
+                raise TaskFailed(text_of(error)) from error
+            raise self._unknown(job, request, text_of(error)) from error
         except HandoverError as error:
             raise TaskFailed(text_of(error)) from error
+        self._on_outcome(request.planned.name, None)
+        return outputs
+
+    def _unknown(self, job: Job, request: RosRequest, why: str) -> TaskFailed:
+        self._on_outcome(request.planned.name, f"{job.task.id}: {why}")
+        return TaskFailed(outcome_unknown(why))
 
     def _request_for(self, job: Job) -> RosRequest:
         """Return the request of the Task's operation; raise `TaskFailed` without an enabled rule."""
@@ -223,6 +284,20 @@ class RosTaskPerformer(Performer):
                 )
             )
         return request
+
+
+def _interrupted(rule: ServiceCall | ActionGoal) -> str:
+    if isinstance(rule, ActionGoal):
+        return message(
+            "ros.goal_interrupted",
+            "the ROS bridge stopped while {action} was active; such a goal is not sent again",
+            action=rule.action,
+        )
+    return message(
+        "ros.call_interrupted",
+        "the ROS bridge stopped while it called {service}; such a call is not sent again",
+        service=rule.service,
+    )
 
 
 def _fraction(progress: Any) -> float:

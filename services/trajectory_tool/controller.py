@@ -12,6 +12,7 @@ from datamodels.entities import DeviceState
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.messages import message, text_of
+from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.retry import Backoff
 from handover.task_life import type_of
@@ -22,7 +23,7 @@ from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.limits.records import LimitRecords
 from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.people.entities import PersonEntities
-from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.robot import RobotFault, UnknownOutcome
 from services.trajectory_tool.scene_entities import SceneEntities
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
@@ -165,6 +166,9 @@ class Controller(Performer):
         after = DeviceState.IDLE
         try:
             yield
+        except UnknownOutcome as fault:
+            after = DeviceState.ERROR
+            raise TaskFailed(outcome_unknown(text_of(fault))) from fault
         except RobotFault as fault:
             after = DeviceState.ERROR
             raise TaskFailed(

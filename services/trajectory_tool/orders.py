@@ -20,7 +20,7 @@ from handover.retry import Backoff, retry
 from handover.settings import Settings
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
-from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.robot import RobotFault, UnknownOutcome
 
 log = get_logger(__name__)
 
@@ -95,8 +95,8 @@ class Orders:
     async def end_of(self, order: str, within_s: float) -> Ended:
         """Wait for the end of `order`.
 
-        Raises `RobotFault` when no performer accepts it, or when it does not end `within_s`; it is then
-        cancelled.
+        Raises `RobotFault` when no performer accepts it, and `UnknownOutcome` when it does not end
+        `within_s`; it is then cancelled.
         """
         clock = asyncio.get_running_loop().time
         given_s = clock()
@@ -109,7 +109,7 @@ class Orders:
                 return Ended(done, outputs if isinstance(outputs, Mapping) else {})
             if clock() - given_s > within_s:
                 await self._withdraw(order)
-                raise RobotFault(
+                raise UnknownOutcome(
                     message(
                         "robot.motion_overdue",
                         "the motion of {resource} did not end within {within_s} s",
@@ -172,7 +172,7 @@ class Orders:
         try:
             self._task = await self._broker.get(order, Task)
         except NotFound:
-            raise RobotFault(
+            raise UnknownOutcome(
                 message(
                     "robot.order_deleted",
                     "another client has deleted the order {order}",

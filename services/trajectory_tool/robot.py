@@ -40,6 +40,10 @@ class RobotFault(HandoverError):
     """The robot cannot move; the message has the reason and the remedy."""
 
 
+class UnknownOutcome(RobotFault):
+    """An act was commanded, and nobody knows whether it is, or will be, carried out."""
+
+
 class Unreachable(HandoverError):
     """The robot cannot reach a pose or a joint position; the message has the distance or the limit."""
 

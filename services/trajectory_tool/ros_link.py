@@ -103,7 +103,9 @@ class RosLink:
         with self._lock:
             end = self._ends.get(goal)
         if end is None and self._goal_connection != self._connection:
-            return GoalEnd(id=goal, succeeded=False, reason=f"the connection to {self.url} was lost")
+            return GoalEnd(
+                id=goal, succeeded=False, reason=f"the connection to {self.url} was lost", unknown=True
+            )
         return end
 
     def cancel(self) -> None:

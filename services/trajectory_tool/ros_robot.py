@@ -32,6 +32,7 @@ from handover.broker import BrokerClient, BrokerError
 from handover.errors import UsageError
 from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.outcomes import is_outcome_unknown
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.telemetry import get_logger
@@ -42,7 +43,15 @@ from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.limits.jog import Jog
 from services.trajectory_tool.orders import Ended, Orders
 from services.trajectory_tool.poses import Frame, transposed, turn
-from services.trajectory_tool.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
+from services.trajectory_tool.robot import (
+    Joints,
+    JointState,
+    Pace,
+    RobotFault,
+    StopCategory,
+    UnknownOutcome,
+    Velocity,
+)
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.ros_link import RosLink
 from services.trajectory_tool.trajectory import Setpoint, rounded_pace
@@ -410,7 +419,7 @@ class RosRobot(CyclicRobot):
         self.measured()
         end = self.link.end_of(plan.goal)
         if end is not None and not end.succeeded:
-            raise RobotFault(
+            raise (UnknownOutcome if end.unknown else RobotFault)(
                 message(
                     "robot.trajectory_not_followed",
                     "{arm} did not follow the trajectory: {reason}",
@@ -568,7 +577,18 @@ class _GripperOrders:
 
     async def _perform(self, operation: str) -> Ended:
         order = await self._orders.give(operation)
-        return await self._orders.end_of(order, self._within_s)
+        ended = await self._orders.end_of(order, self._within_s)
+        if is_outcome_unknown(ended.outputs):
+            raise UnknownOutcome(
+                message(
+                    "robot.gripper_unknown",
+                    "whether the gripper of {arm} has moved is unknown: {reason}; look what it holds, then "
+                    "free it on the page System, Robots",
+                    arm=self._arm,
+                    reason=ended.reason,
+                )
+            )
+        return ended
 
     async def _try_reconcile(self) -> bool:
         try:

@@ -2,13 +2,13 @@
 
 import asyncio
 import contextlib
-import secrets
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ros_fiware_bridge.errors import GoalRefused
+from ros_fiware_bridge.errors import GoalRefused, OutcomeUnknown
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient
-from ros_fiware_bridge.graph.goals import result_within
+from ros_fiware_bridge.graph.goals import goal_forgotten, result_within
+from ros_fiware_bridge.graph.own_goals import OwnGoals
 from ros_fiware_bridge.graph.port import GoalResult, GoalStatus, Message, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
 from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
@@ -18,6 +18,8 @@ OnFeedback = Callable[[Message], None]
 
 class ActionTransport(Protocol):
     """Creates the services and topics of an action; see `CycloneGraph`."""
+
+    goals: OwnGoals
 
     def client(self, service: str, base: str) -> CycloneClient:
         """Return the client of a service."""
@@ -33,6 +35,8 @@ class CycloneGoal:
 
     def __init__(self, client: "CycloneActionClient", goal_id: bytes) -> None:
         self.goal_id = goal_id
+        self.server: bytes | None = None
+        """The participant that accepted the goal."""
         self._client = client
         self._status = GoalStatus.ACCEPTED
         self._result: asyncio.Task[GoalResult] | None = None
@@ -83,6 +87,7 @@ class CycloneActionClient:
     async def open(self) -> None:
         """Subscribe to the feedback and the states of goals."""
         base = f"{self.name}/_action"
+        await self._transport.goals.watch(self.name)
         self._subscriptions = [
             await self._transport.subscribe(
                 f"{base}/feedback", f"{self.type_name}_FeedbackMessage", self._on_feedback, DEFAULT
@@ -111,34 +116,45 @@ class CycloneActionClient:
         self, goal: Message, *, on_feedback: OnFeedback | None = None, timeout_s: float = 5.0
     ) -> CycloneGoal:
         """Send a goal."""
-        goal_id = secrets.token_bytes(16)
+        own = self._transport.goals
+        goal_id = own.new_id()
         sent = CycloneGoal(self, goal_id)
         # Registered before it is sent: feedback may arrive before the response.
         self._goals[goal_id] = (sent, on_feedback)
         try:
-            answer = await self._send.call({"goal_id": {"uuid": goal_id}, "goal": goal}, timeout_s)
-        except BaseException:
+            answer = await self._send.ask({"goal_id": {"uuid": goal_id}, "goal": goal}, timeout_s)
+        except BaseException as error:
             self._goals.pop(goal_id, None)
+            if isinstance(error, OutcomeUnknown | asyncio.CancelledError):
+                own.give_up(self.name, goal_id)
+            else:
+                own.end(goal_id)
             raise
-        if not answer["accepted"]:
+        if not answer.message["accepted"]:
             del self._goals[goal_id]
+            own.end(goal_id)
             raise GoalRefused(f"{self.name}: the server did not accept the goal")
+        sent.server = answer.server
         return sent
 
     async def ask_result(self, goal: CycloneGoal) -> GoalResult:
-        """Wait for the result of a goal while its server is available."""
-        answer = await self._get_result.call({"goal_id": {"uuid": goal.goal_id}}, None)
+        """Wait for the result of a goal while its own server is there."""
+        answer = await self._get_result.call({"goal_id": {"uuid": goal.goal_id}}, None, goal.server)
         try:
             status = GoalStatus(answer["status"])
         except ValueError:
             status = GoalStatus.UNKNOWN
+        if not status.is_over:
+            raise goal_forgotten(self.name)
         goal.set_status(status)
         self._goals.pop(goal.goal_id, None)
+        self._transport.goals.end(goal.goal_id)
         return GoalResult(status, answer["result"])
 
     async def cancel(self, goal: CycloneGoal, timeout_s: float) -> bool:
         """Request the cancellation of a goal."""
-        answer = await self._cancel.call({"goal_info": {"goal_id": {"uuid": goal.goal_id}}}, timeout_s)
+        request = {"goal_info": {"goal_id": {"uuid": goal.goal_id}}}
+        answer = await self._cancel.call(request, timeout_s, goal.server)
         agreed = any(one["goal_id"]["uuid"] == goal.goal_id for one in answer["goals_canceling"])
         if agreed:
             goal.set_status(GoalStatus.CANCELING)
@@ -150,5 +166,6 @@ class CycloneActionClient:
             await one.close()
         for goal, _ in self._goals.values():
             goal.forget()
+            self._transport.goals.give_up(self.name, goal.goal_id)
         self._goals.clear()
         self._closed(self)

@@ -193,6 +193,14 @@ class Discovery:
         with self._lock:
             return self._writers.get(handle)
 
+    def known_writer(self, handle: int) -> DiscoveredEndpoint | None:
+        """Return `writer(handle)` after pending discovery data, if need be; in the listener thread only."""
+        found = self.writer(handle)
+        if found is None:
+            self.look()
+            found = self.writer(handle)
+        return found
+
     def snapshot(self) -> GraphSnapshot:
         """Return the present state of the graph."""
         with self._lock:

@@ -33,6 +33,7 @@ class CycloneGraph(BaseGraph):
 
     def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnNode) -> None:
         super().__init__(store, settings)
+        self.goals.graph = self
         self._node = node
         self._clients: dict[tuple[str, str], CycloneClient] = {}
 
@@ -49,7 +50,13 @@ class CycloneGraph(BaseGraph):
             settings.domain_id, settings.interfaces, settings.peers, multicast=settings.multicast
         )
         node = await asyncio.to_thread(OwnNode, network, store, name, namespace, settings.enclave)
-        return cls(store, settings, node)
+        made = cls(store, settings, node)
+        try:
+            await made.goals.open()
+        except BaseException:
+            await made.close()
+            raise
+        return made
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
@@ -194,6 +201,7 @@ class CycloneGraph(BaseGraph):
         """Leave the graph."""
         if self._closed:
             return
+        await self.goals.close()
         self._closed = True
         await self._close_all()
         for client in self._clients.values():

@@ -13,13 +13,16 @@ import asyncio
 import secrets
 import struct
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from typing import Any
 
 import structlog
 
 from ros_fiware_bridge.errors import (
-    CallTimeout,
-    GraphClosed,
+    BadMessage,
+    ClosedUnanswered,
+    OutcomeUnknown,
+    ServerLost,
     ServiceUnavailable,
     TypeHashDiffers,
     VendorNotShared,
@@ -29,6 +32,7 @@ from ros_fiware_bridge.graph.cyclone.discovery import DiscoveredEndpoint, handle
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.samples import Sample
 from ros_fiware_bridge.graph.cyclone.topics import send
+from ros_fiware_bridge.graph.goals import too_busy, unanswered
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
 from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT, SERVICES
 from ros_fiware_bridge.graph.waiting import until
@@ -100,6 +104,22 @@ def obstacle(
     return TypeHashDiffers(fault) if fault is not None else None
 
 
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A response, and the participant of its server if that is known."""
+
+    message: Message
+    server: bytes | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request without a response yet; only `server` may answer if it is given."""
+
+    answer: asyncio.Future[tuple[bytes, bytes | None]]
+    server: bytes | None
+
+
 class CycloneClient:
     """Calls one service. `base` is the type without `_Request` and `_Response`."""
 
@@ -111,7 +131,7 @@ class CycloneClient:
         self._loop = asyncio.get_running_loop()
         self._guid = secrets.randbits(63) + 1
         self._sequence = 0
-        self._asked: dict[int, asyncio.Future[bytes]] = {}
+        self._asked: dict[int, _Asked] = {}
         self._free = asyncio.Semaphore(MAX_REQUESTS_IN_FLIGHT)
         self._pair: tuple[Any, Any] | None = None
         self._met: set[bytes] = set()
@@ -183,25 +203,36 @@ class CycloneClient:
                 continue
             guid, sequence, body = _unwrapped(sample.data)
             if guid == self._guid:
+                writer = self._node.discovery.known_writer(sample.writer)
+                server = writer.participant if writer is not None else None
                 try:
-                    self._loop.call_soon_threadsafe(self._answered, sequence, body)
+                    self._loop.call_soon_threadsafe(self._answered, sequence, body, server)
                 except RuntimeError:  # the loop is closed
                     return
 
-    def _answered(self, sequence: int, body: bytes) -> None:
-        waiting = self._asked.get(sequence)
-        if waiting is not None and not waiting.done():
-            waiting.set_result(body)
+    def _answered(self, sequence: int, body: bytes, server: bytes | None) -> None:
+        asked = self._asked.get(sequence)
+        if asked is None or asked.answer.done():
+            return
+        if None in {asked.server, server} or asked.server == server:
+            asked.answer.set_result((body, server))
 
     async def available(self, timeout_s: float) -> bool:
         """Wait until a server is available; False if none was found in time."""
         return await until(self._matched, timeout_s)
 
-    async def call(self, request: Message, timeout_s: float | None) -> Message:
-        """Send the request and return the response; None waits as long as a server is available.
+    async def call(self, request: Message, timeout_s: float | None, server: bytes | None = None) -> Message:
+        """Send the request and return the response; see `ask`."""
+        return (await self.ask(request, timeout_s, server)).message
+
+    async def ask(self, request: Message, timeout_s: float | None, server: bytes | None = None) -> Answer:
+        """Send the request and return the response; None waits as long as the asked server is there.
+
+        Only the participant `server` counts if it is given.
 
         Raises:
-            BadMessage, VendorNotShared, TypeHashDiffers, ServiceUnavailable, CallTimeout, GraphClosed.
+            BadMessage, VendorNotShared, TypeHashDiffers, ServiceUnavailable: nothing was sent.
+            CallTimeout, ServerLost, OutcomeUnknown, ClosedUnanswered: it was sent, and not answered.
         """
         data = self._node.store.encode(f"{self.base}_Request", request)
         start_s = self._loop.time()
@@ -211,18 +242,22 @@ class CycloneClient:
                 "number of the domain (ROS_DOMAIN_ID)"
             )
         if timeout_s is None:  # the result of a goal, which may take any time
-            return await self._ask(data, None)
+            return await self._ask(data, server)
+        is_sent = False
         try:
             async with asyncio.timeout_at(start_s + timeout_s), self._free:
-                return await self._ask(data, timeout_s)
+                is_sent = True
+                return await self._ask(data, server)
         except TimeoutError:
-            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+            if is_sent:
+                raise unanswered(self.service, timeout_s) from None
+            raise too_busy(self.service) from None
 
-    async def _ask(self, data: bytes, timeout_s: float | None) -> Message:
+    async def _ask(self, data: bytes, server: bytes | None) -> Answer:
         self._sequence += 1
         sequence = self._sequence
-        answer: asyncio.Future[bytes] = self._loop.create_future()
-        self._asked[sequence] = answer
+        answer: asyncio.Future[tuple[bytes, bytes | None]] = self._loop.create_future()
+        self._asked[sequence] = _Asked(answer, server)
         try:
             writer, _ = self._open()
             send(
@@ -232,30 +267,37 @@ class CycloneClient:
                 self._max_message_bytes,
                 self.service,
             )
-            asked = {one.guid for one in self._servers()}
-            body = await (self._while_served(answer, asked) if timeout_s is None else answer)
+            asked = self._participants() if server is None else {server}
+            body, answered_by = await self._while_served(answer, asked)
         finally:
             self._asked.pop(sequence, None)
-        return self._node.store.decode(f"{self.base}_Response", body)
+        try:
+            return Answer(self._node.store.decode(f"{self.base}_Response", body), answered_by)
+        except BadMessage as error:
+            raise OutcomeUnknown(
+                f"{self.service} answered, and its answer cannot be read: {error}"
+            ) from error
 
-    async def _while_served(self, answer: asyncio.Future[bytes], asked: set[bytes]) -> bytes:
-        """Wait while one of the `asked` servers is available; a new server does not know the request."""
+    def _participants(self) -> set[bytes]:
+        snapshot = self._node.discovery.snapshot()
+        return {one.participant for one in snapshot.at(self._request_topic, writes=False)}
 
-        def is_there() -> bool:
-            return self._matched() and any(one.guid in asked for one in self._servers())
-
+    async def _while_served(
+        self, answer: asyncio.Future[tuple[bytes, bytes | None]], asked: set[bytes]
+    ) -> tuple[bytes, bytes | None]:
+        """Wait while one of the `asked` participants serves; a new server does not know the request."""
         while True:
             done, _ = await asyncio.wait([answer], timeout=_SERVER_LOST_AFTER_S)
             if done:
                 return answer.result()
-            if not await until(is_there, _SERVER_LOST_AFTER_S):
-                raise ServiceUnavailable(f"the server of {self.service} went away before it answered")
+            if not await until(lambda: bool(asked & self._participants()), _SERVER_LOST_AFTER_S):
+                raise ServerLost(f"the server of {self.service} went away before it answered")
 
     def close(self) -> None:
-        """Close the client; pending calls end with `GraphClosed`."""
-        for waiting in self._asked.values():
-            if not waiting.done():
-                waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
+        """Close the client; pending calls end with `ClosedUnanswered`."""
+        for asked in self._asked.values():
+            if not asked.answer.done():
+                asked.answer.set_exception(ClosedUnanswered(f"{self.service} was closed before it answered"))
         if self._pair is not None:
             self._stop()
             self._node.drop(*self._pair)
@@ -312,10 +354,7 @@ class CycloneServer:
         for sample in samples:
             if sample.data is None or len(sample.data) < _CDR + _HEADER.size:
                 continue
-            client = self._node.discovery.writer(sample.writer)
-            if client is None:
-                self._node.discovery.look()
-                client = self._node.discovery.writer(sample.writer)
+            client = self._node.discovery.known_writer(sample.writer)
             if self._handed - self._taken >= _MAX_PENDING_REQUESTS:
                 self._fault(f"{self.name}: {_MAX_PENDING_REQUESTS} requests are pending; one was dropped")
                 continue

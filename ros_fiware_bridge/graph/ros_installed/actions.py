@@ -2,14 +2,14 @@
 
 import asyncio
 import concurrent.futures
-import secrets
 import time
 from collections.abc import Callable
 from typing import Any
 
-from ros_fiware_bridge.errors import CallTimeout, GoalRefused, ServiceUnavailable
+from ros_fiware_bridge.errors import BadMessage, GoalRefused, OutcomeUnknown, ServerLost, ServiceUnavailable
 from ros_fiware_bridge.graph.action_server import BaseActionServer
-from ros_fiware_bridge.graph.goals import CancelSignal, result_within
+from ros_fiware_bridge.graph.goals import CancelSignal, goal_forgotten, result_within, unanswered
+from ros_fiware_bridge.graph.own_goals import UNKNOWN_GOAL, OwnGoals
 from ros_fiware_bridge.graph.port import ActionHandler, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.ros_installed.own_node import (
     DISCOVERY_DELAY_S,
@@ -32,6 +32,10 @@ class RosGoal:
         self._client = client
         self._handle = handle
         self._ended: asyncio.Task[GoalResult] | None = None
+        self.servers = client.servers()
+        """The servers that were there when one accepted the goal."""
+        self.is_forgotten = asyncio.Event()
+        """Set when a server has answered that it does not know the goal."""
 
     @property
     def status(self) -> GoalStatus:
@@ -43,12 +47,14 @@ class RosGoal:
     async def result(self, timeout_s: float | None = None) -> GoalResult:
         """Wait for the end of the goal."""
         if self._ended is None or (self._ended.done() and self._ended.exception() is not None):
-            self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self._handle))
+            self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self, self._handle))
         return await result_within(self._ended, self._client.name, timeout_s)
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
         """Request the cancellation."""
         answer = await self._client.within(self._handle.cancel_goal_async(), timeout_s)
+        if answer.return_code == UNKNOWN_GOAL:
+            self.is_forgotten.set()
         return any(bytes(one.goal_id.uuid) == self.goal_id for one in answer.goals_canceling)
 
     def forget(self) -> None:
@@ -61,24 +67,36 @@ class RosActionClient:
     """An action that goals are sent to; see `port.ActionClient`."""
 
     def __init__(
-        self, node: OwnRosNode, action: str, type_name: str, *, closed: Callable[[Any], None]
+        self,
+        node: OwnRosNode,
+        action: str,
+        type_name: str,
+        *,
+        own: OwnGoals,
+        closed: Callable[[Any], None],
     ) -> None:
         from rclpy.action import ActionClient  # noqa: PLC0415 - is only there where ROS is
 
         self.name = action
         self.type_name = type_name
         self._node = node
+        self._own = own
         self._closed = closed
         self._loop = asyncio.get_running_loop()
         self._interface = interface(type_name)
         self._client = ActionClient(node.node, self._interface, action, callback_group=node.group)
-        self._goals: list[RosGoal] = []
+        self._goals: dict[bytes, RosGoal] = {}
         self._open = True
         self._settled = False
 
     async def available(self, timeout_s: float) -> bool:
         """Wait until a server is available."""
         return await until(self._client.server_is_ready, timeout_s)
+
+    def servers(self) -> frozenset[bytes]:
+        """Return the present servers, by the ids of their publishers of states."""
+        found = self._node.node.get_publishers_info_by_topic(f"{self.name}/_action/status")
+        return frozenset(bytes(one.endpoint_gid) for one in found)
 
     async def within(self, pending: Any, timeout_s: float) -> Any:
         """Wait for a future of rclpy.
@@ -89,7 +107,7 @@ class RosActionClient:
         try:
             return await asyncio.wait_for(as_future(pending, self._loop), timeout_s)
         except TimeoutError:
-            raise CallTimeout(f"{self.name} did not answer within {timeout_s} s") from None
+            raise unanswered(self.name, timeout_s) from None
 
     async def send_goal(
         self,
@@ -118,33 +136,77 @@ class RosActionClient:
                 message = self._node.from_ros(f"{self.type_name}_Feedback", feedback.feedback)
                 call(self._loop, on_feedback, message)
 
-        goal_id = secrets.token_bytes(16)
-        pending = self._client.send_goal_async(sent, receive_feedback, UUID(uuid=list(goal_id)))
-        handle = await self.within(pending, max(0.0, start_s + timeout_s - self._loop.time()))
+        goal_id = self._own.new_id()
+        try:
+            pending = self._client.send_goal_async(sent, receive_feedback, UUID(uuid=list(goal_id)))
+            # The seconds of the caller, in the text as well; discovery has used some of them.
+            async with asyncio.timeout_at(start_s + timeout_s):
+                handle = await as_future(pending, self._loop)
+        except TimeoutError:
+            self._own.give_up(self.name, goal_id)
+            raise unanswered(self.name, timeout_s) from None
+        except BaseException:
+            self._own.give_up(self.name, goal_id)
+            raise
         if not handle.accepted:
+            self._own.end(goal_id)
             raise GoalRefused(f"{self.name}: the server did not accept the goal")
         accepted = RosGoal(self, handle, goal_id)
-        self._goals.append(accepted)
+        self._goals[goal_id] = accepted
         return accepted
 
-    async def ask_result(self, handle: Any) -> GoalResult:
-        """Wait for the result of a goal while its server is available."""
-        answer = as_future(handle.get_result_async(), self._loop)
-        while True:
-            done, _ = await asyncio.wait([answer], timeout=_SERVER_LOST_AFTER_S)
-            if done:
-                ended = answer.result()
-                result = self._node.from_ros(f"{self.type_name}_Result", ended.result)
-                return GoalResult(GoalStatus(ended.status), result)
-            if not await self.available(_SERVER_LOST_AFTER_S):
-                raise ServiceUnavailable(f"the server of {self.name} went away before the goal ended")
+    async def ask_result(self, goal: RosGoal, handle: Any) -> GoalResult:
+        """Wait for the result of a goal while its server is there.
+
+        rclpy does not report which of several servers accepted a goal. So when one of them goes away, or one
+        does not know the goal, the others are asked again: a server that does not know it says so at once.
+        """
+        answers = {as_future(handle.get_result_async(), self._loop)}
+        servers = goal.servers
+        forgotten = asyncio.ensure_future(goal.is_forgotten.wait())
+        try:
+            while True:
+                done, _ = await asyncio.wait(
+                    {*answers, forgotten},
+                    timeout=_SERVER_LOST_AFTER_S,
+                    return_when=asyncio.FIRST_COMPLETED,
+                )
+                if ended := done - {forgotten}:
+                    return self._result(goal, ended.pop().result())
+                if done:
+                    raise goal_forgotten(self.name)
+                left = servers & self.servers()
+                if servers and not await until(
+                    lambda: bool(goal.servers & self.servers()), _SERVER_LOST_AFTER_S
+                ):
+                    raise ServerLost(f"the server of {self.name} went away before the goal ended")
+                if left and left != servers:
+                    servers = left
+                    answers.add(as_future(handle.get_result_async(), self._loop))
+        finally:
+            forgotten.cancel()
+            for answer in answers:
+                answer.cancel()
+
+    def _result(self, goal: RosGoal, ended: Any) -> GoalResult:
+        status = GoalStatus(ended.status)
+        if not status.is_over:
+            raise goal_forgotten(self.name)
+        try:
+            result = self._node.from_ros(f"{self.type_name}_Result", ended.result)
+        except BadMessage as error:
+            raise OutcomeUnknown(f"{self.name} ended, and its result cannot be read: {error}") from error
+        self._goals.pop(goal.goal_id, None)
+        self._own.end(goal.goal_id)
+        return GoalResult(status, result)
 
     async def close(self) -> None:
         """Release the action."""
         if self._open:
             self._open = False
-            for goal in self._goals:
+            for goal in self._goals.values():
                 goal.forget()
+                self._own.give_up(self.name, goal.goal_id)
             self._client.destroy()
             self._closed(self)
 

@@ -8,6 +8,7 @@ from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.base_graph import BaseGraph
 from ros_fiware_bridge.graph.join_settings import JoinSettings
+from ros_fiware_bridge.graph.own_goals import OwnGoals
 from ros_fiware_bridge.graph.peer_problems import topic_problems
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
@@ -31,8 +32,15 @@ from ros_fiware_bridge.types.type_store import TypeStore
 class RosInstalledGraph(BaseGraph):
     """A node on the graph; see `port.RosGraph`. Created by `joining.join`."""
 
-    def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnRosNode) -> None:
+    def __init__(
+        self, store: TypeStore, settings: JoinSettings, node: OwnRosNode, goals: OwnGoals | None = None
+    ) -> None:
         super().__init__(store, settings)
+        if goals is not None:
+            self.goals = goals
+        else:
+            self.goals.graph = self
+        self._owns_goals = goals is None
         self._node = node
         self._clients: dict[tuple[str, str], RosClient] = {}
 
@@ -42,8 +50,10 @@ class RosInstalledGraph(BaseGraph):
         return str(self._node.vendor)
 
     @classmethod
-    async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosInstalledGraph":
-        """Join the graph.
+    async def join(
+        cls, store: TypeStore, settings: JoinSettings, *, goals: OwnGoals | None = None
+    ) -> "RosInstalledGraph":
+        """Join the graph; with the `goals` of another graph, that one cancels what is given up.
 
         Raises:
             BadName: the node or its namespace has an invalid name.
@@ -51,7 +61,14 @@ class RosInstalledGraph(BaseGraph):
         """
         names.node_name(settings.node)
         names.namespace(settings.namespace)
-        return cls(store, settings, await asyncio.to_thread(OwnRosNode, settings, store))
+        made = cls(store, settings, await asyncio.to_thread(OwnRosNode, settings, store), goals)
+        try:
+            if goals is None:
+                await made.goals.open()
+        except BaseException:
+            await made.close()
+            raise
+        return made
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
@@ -113,7 +130,8 @@ class RosInstalledGraph(BaseGraph):
     async def action_client(self, action: str, type_name: str) -> RosActionClient:
         """Send goals to an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
-        opened = RosActionClient(self._node, name, full, closed=self._unregister)
+        await self.goals.watch(name)
+        opened = RosActionClient(self._node, name, full, own=self.goals, closed=self._unregister)
         self._register(opened)
         return opened
 
@@ -159,6 +177,8 @@ class RosInstalledGraph(BaseGraph):
         """Leave the graph."""
         if self._closed:
             return
+        if self._owns_goals:
+            await self.goals.close()
         self._closed = True
         await self._close_all()
         for client in self._clients.values():

@@ -7,13 +7,22 @@ from typing import Any
 
 import structlog
 
-from ros_fiware_bridge.errors import CallTimeout, GraphClosed, ServiceUnavailable
+from ros_fiware_bridge.errors import (
+    BadMessage,
+    ClosedUnanswered,
+    OutcomeUnknown,
+    ServerLost,
+    ServiceUnavailable,
+)
+from ros_fiware_bridge.graph.goals import too_busy, unanswered
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
 from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT
 from ros_fiware_bridge.graph.ros_installed.own_node import DISCOVERY_DELAY_S, OwnRosNode, as_future, interface
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
+
+_SERVER_LOST_AFTER_S = 2.0
 
 
 class RosClient:
@@ -33,7 +42,8 @@ class RosClient:
         """Send the request and return the response.
 
         Raises:
-            BadMessage, ServiceUnavailable, CallTimeout, GraphClosed.
+            BadMessage, ServiceUnavailable: nothing was sent.
+            CallTimeout, ServerLost, OutcomeUnknown, ClosedUnanswered: it was sent, and not answered.
         """
         start_s = asyncio.get_running_loop().time()
         asked = self._node.to_ros(self._interface.Request, f"{self.type_name}_Request", request)
@@ -42,31 +52,51 @@ class RosClient:
                 f"no node serves {self.service} ({self.type_name}); start its node, or check the name and "
                 "the number of the domain (ROS_DOMAIN_ID)"
             )
+        is_sent = False
         try:
             async with asyncio.timeout_at(start_s + timeout_s), self._free:
-                response = await self._answer(asked, timeout_s)
+                if not self._settled:
+                    await asyncio.sleep(min(DISCOVERY_DELAY_S, timeout_s / 2))
+                    self._settled = True
+                is_sent = True
+                response = await self._answer(asked)
         except TimeoutError:
-            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
-        return self._node.from_ros(f"{self.type_name}_Response", response)
+            if is_sent:
+                raise unanswered(self.service, timeout_s) from None
+            raise too_busy(self.service) from None
+        try:
+            return self._node.from_ros(f"{self.type_name}_Response", response)
+        except BadMessage as error:
+            raise OutcomeUnknown(
+                f"{self.service} answered, and its answer cannot be read: {error}"
+            ) from error
 
-    async def _answer(self, asked: Any, timeout_s: float) -> Any:
-        if not self._settled:
-            await asyncio.sleep(min(DISCOVERY_DELAY_S, timeout_s / 2))
-            self._settled = True
+    def _servers(self) -> frozenset[bytes]:
+        """Return the present servers, by the ids of their publishers of responses."""
+        found = self._node.node.get_publishers_info_by_topic(f"rr{self.service}Reply", no_mangle=True)
+        return frozenset(bytes(one.endpoint_gid) for one in found)
+
+    async def _answer(self, asked: Any) -> Any:
+        servers = self._servers()
         pending = self._client.call_async(asked)
         answer = as_future(pending, asyncio.get_running_loop())
         self._waiting.add(answer)
         try:
-            return await answer
+            while True:
+                done, _ = await asyncio.wait([answer], timeout=_SERVER_LOST_AFTER_S)
+                if done:
+                    return answer.result()
+                if servers and not await until(lambda: bool(servers & self._servers()), _SERVER_LOST_AFTER_S):
+                    raise ServerLost(f"the server of {self.service} went away before it answered")
         finally:
             self._client.remove_pending_request(pending)
             self._waiting.discard(answer)
 
     def close(self) -> None:
-        """Close the client; pending calls end with `GraphClosed`."""
+        """Close the client; pending calls end with `ClosedUnanswered`."""
         for waiting in self._waiting:
             if not waiting.done():
-                waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
+                waiting.set_exception(ClosedUnanswered(f"{self.service} was closed before it answered"))
         self._node.node.destroy_client(self._client)
 
 

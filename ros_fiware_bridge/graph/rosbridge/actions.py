@@ -1,7 +1,8 @@
 """Actions over a rosbridge server (of ROS 2; the protocol of ROS 1 has none).
 
 The protocol reports the end and the feedback of a goal, but not that it was accepted. A goal counts as
-accepted unless it is refused at once.
+accepted unless it is refused at once. The ids of goals are those of the connection: a goal that outlives it
+cannot be cancelled, and its server is known by the name of its node only.
 """
 
 import asyncio
@@ -10,12 +11,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from handover.retry import Backoff
 from ros_fiware_bridge.errors import (
     BadMessage,
     GoalRefused,
     GraphClosed,
     GraphError,
+    OutcomeUnknown,
     PublishBlocked,
+    ServerLost,
     ServiceUnavailable,
 )
 from ros_fiware_bridge.graph.action_server import BaseActionServer
@@ -27,6 +31,12 @@ from ros_fiware_bridge.graph.rosbridge.view import RosapiView
 from ros_fiware_bridge.graph.waiting import until
 
 REFUSED_WITHIN_S = 0.3
+SERVER_LOST_AFTER_S = 10.0
+"""A server counts as lost when rosapi, which is polled, has not listed it for so long."""
+CHECK_S = 1.0
+CANCEL_RETRY_S, MAX_CANCEL_RETRY_S = 0.5, 5.0
+CANCELLED_WITHIN_S = 60.0
+"""A cancelled goal without feedback ends within this time; otherwise its server has forgotten it."""
 
 
 class RosbridgeGoal:
@@ -37,8 +47,13 @@ class RosbridgeGoal:
     ) -> None:
         self.goal_id = goal_id
         self.has_feedback = asyncio.Event()
+        self.active_s = 0.0
+        """When its last feedback came, or when it was cancelled for the first time."""
         self._client = client
         self._ended = ended
+        self._servers = client.servers()
+        self._is_cancelled = False
+        self._watching: asyncio.Task[Operation] | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -49,14 +64,47 @@ class RosbridgeGoal:
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
         """Wait for the end of the goal."""
-        return self._client.made(await result_within(self._ended, self._client.name, timeout_s))
+        if self._watching is None or (self._watching.done() and not self._ended.done()):
+            self._watching = asyncio.get_running_loop().create_task(self._watch())
+        return self._client.made(await result_within(self._watching, self._client.name, timeout_s))
+
+    async def _watch(self) -> Operation:
+        """Wait for the end while the server is there, and while a cancelled goal is not forgotten."""
+        clock, name = asyncio.get_running_loop().time, self._client.name
+        seen_s = clock()
+        while True:
+            done, _ = await asyncio.wait([self._ended], timeout=CHECK_S)
+            if done:
+                return self._ended.result()
+            if not self._servers or set(self._servers) & set(self._client.servers()):
+                seen_s = clock()
+            if clock() - seen_s > SERVER_LOST_AFTER_S:
+                raise ServerLost(f"the server of {name} went away before the goal ended")
+            if self._is_cancelled and clock() - self.active_s > CANCELLED_WITHIN_S:
+                raise ServerLost(f"{name}: the goal was cancelled and did not end")
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:  # noqa: ARG002 - the port has it
         """Request the cancellation; the result shows whether it succeeded. False once the goal has ended."""
         if self._ended.done():
             return False
+        if not self._is_cancelled:
+            self._is_cancelled = True
+            self.active_s = asyncio.get_running_loop().time()
         self._client.cancel(self.goal_id)
         return True
+
+    def forget(self) -> None:
+        """Cancel waiting for the result."""
+        if self._watching is not None:
+            self._watching.cancel()
+
+    async def give_up(self) -> None:
+        """Cancel the goal until it has ended, or the connection with it."""
+        backoff = Backoff(CANCEL_RETRY_S, MAX_CANCEL_RETRY_S)
+        while not self._ended.done():
+            with suppress(PublishBlocked, GraphClosed):
+                self._client.cancel(self.goal_id)
+            await asyncio.wait([self._ended], timeout=backoff.next_delay_s())
 
     def refused(self) -> str | None:
         """Return the reason of the refusal; None if the goal was not refused."""
@@ -86,7 +134,8 @@ class RosbridgeActionClient:
         self._view = view
         self._closed = closed
         self._on_feedback: dict[str, Callable[[Operation], None]] = {}
-        self._waiting: set[asyncio.Future[Operation]] = set()
+        self._goals: dict[bytes, RosbridgeGoal] = {}
+        self._given_up: set[asyncio.Task[None]] = set()
         self._open = True
         connection.on("action_feedback", self._feedback)
 
@@ -96,7 +145,11 @@ class RosbridgeActionClient:
         return await until(self._served, timeout_s)
 
     def _served(self) -> bool:
-        return any(one.name == self.name and one.servers for one in self._view.actions())
+        return bool(self.servers())
+
+    def servers(self) -> tuple[str | None, ...]:
+        """Return the nodes that serve the action; none without rosapi."""
+        return next((one.servers for one in self._view.actions() if one.name == self.name), ())
 
     async def send_goal(
         self, goal: Message, *, on_feedback: Callable[[Message], None] | None = None, timeout_s: float = 5.0
@@ -118,20 +171,25 @@ class RosbridgeActionClient:
             )
         )
         sent = RosbridgeGoal(self, goal_id, ended)
-        self._waiting.add(ended)
+        self._goals[goal_id] = sent
         ended.add_done_callback(lambda _: self._forget(goal_id, ended))
 
         def receive_feedback(operation: Operation) -> None:
             sent.has_feedback.set()
+            sent.active_s = asyncio.get_running_loop().time()
             if on_feedback is not None:
                 with suppress(BadMessage):
                     on_feedback(self._codec.message(f"{self.type_name}_Feedback", operation.get("values")))
 
         self._on_feedback[goal_id.hex()] = receive_feedback
         ended.add_done_callback(lambda _: sent.has_feedback.set())
-        with suppress(TimeoutError):
-            async with asyncio.timeout(min(REFUSED_WITHIN_S, timeout_s)):
-                await sent.has_feedback.wait()
+        try:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(min(REFUSED_WITHIN_S, timeout_s)):
+                    await sent.has_feedback.wait()
+        except asyncio.CancelledError:
+            self._give_up(sent)
+            raise
         if ended.done() and (error := ended.exception()) is not None:
             raise error
         if (why := sent.refused()) is not None:
@@ -143,12 +201,15 @@ class RosbridgeActionClient:
         self._connection.send(op="cancel_action_goal", id=goal_id.hex(), action=self.name)
 
     def made(self, ended: Operation) -> GoalResult:
-        """Return the result of a goal. Raises `GoalRefused`, `ServiceUnavailable`, `BadMessage`."""
+        """Return the result of a goal. Raises `GoalRefused`, `OutcomeUnknown`."""
         if ended.get("result") is False:
-            raise _refusal(self.name, str(ended.get("values"))[:300])
-        return GoalResult(
-            _status(ended), self._codec.message(f"{self.type_name}_Result", ended.get("values") or {})
-        )
+            refusal = _refusal(self.name, str(ended.get("values"))[:300])
+            raise refusal if isinstance(refusal, GoalRefused) else OutcomeUnknown(str(refusal))
+        try:
+            result = self._codec.message(f"{self.type_name}_Result", ended.get("values") or {})
+        except BadMessage as error:
+            raise OutcomeUnknown(f"{self.name} ended, and its result cannot be read: {error}") from error
+        return GoalResult(_status(ended), result)
 
     def _feedback(self, operation: Operation) -> None:
         if (receive := self._on_feedback.get(str(operation.get("id")))) is not None:
@@ -156,18 +217,24 @@ class RosbridgeActionClient:
 
     def _forget(self, goal_id: bytes, ended: "asyncio.Future[Operation]") -> None:
         self._on_feedback.pop(goal_id.hex(), None)
-        self._waiting.discard(ended)
+        self._goals.pop(goal_id, None)
         if not ended.cancelled():
             ended.exception()  # retrieved here, since a caller may never wait for the result
 
     async def close(self) -> None:
-        """Release the action; pending results end with an error."""
+        """Release the action; goals that have not ended are cancelled, and waiting for them fails."""
         if self._open:
             self._open = False
             self._connection.off("action_feedback", self._feedback)
-            for ended in list(self._waiting):
-                ended.cancel()
+            for goal in list(self._goals.values()):
+                goal.forget()
+                self._give_up(goal)
             self._closed(self)
+
+    def _give_up(self, goal: RosbridgeGoal) -> None:
+        task = asyncio.get_running_loop().create_task(goal.give_up())
+        self._given_up.add(task)
+        task.add_done_callback(self._given_up.discard)
 
 
 class RosbridgeServedGoal(CancelSignal):

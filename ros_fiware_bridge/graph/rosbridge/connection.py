@@ -17,7 +17,13 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidURI, WebSocketException
 
 from handover.retry import Backoff
-from ros_fiware_bridge.errors import AdapterUnavailable, GraphClosed, PublishBlocked, ServiceUnavailable
+from ros_fiware_bridge.errors import (
+    AdapterUnavailable,
+    ClosedUnanswered,
+    GraphClosed,
+    PublishBlocked,
+    ServerLost,
+)
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
@@ -64,7 +70,7 @@ class Connection:
         self._connection_task = asyncio.create_task(self._stay_connected())
 
     async def close(self) -> None:
-        """Close the connection; pending requests end with `GraphClosed`."""
+        """Close the connection; pending requests end with `ClosedUnanswered`."""
         self._closed = True
         if self._connection_task is not None:
             await until(lambda: not (self._out and self.is_open), 1.0)  # send what is queued
@@ -74,7 +80,7 @@ class Connection:
         if self._socket is not None:
             await self._socket.close()
             self._socket = None
-        self._fail_pending(GraphClosed("the graph was closed"))
+        self._fail_pending(ClosedUnanswered("the graph was closed"))
 
     @property
     def is_open(self) -> bool:
@@ -119,7 +125,7 @@ class Connection:
     async def request(self, timeout_s: float | None, **operation: Any) -> Operation:
         """Send an operation and return the response with the same id.
 
-        Raises `TimeoutError`, `ServiceUnavailable` (the connection was lost), `PublishBlocked`.
+        Raises `TimeoutError`, `ServerLost` (the connection was lost), `PublishBlocked` (it was not sent).
         """
         answer: asyncio.Future[Operation] = asyncio.get_running_loop().create_future()
         self._answers[operation["id"]] = answer
@@ -144,7 +150,7 @@ class Connection:
                 self._out.clear()
                 self._out_bytes = 0
                 self._parts.clear()
-                self._fail_pending(ServiceUnavailable(f"the connection to {self.url} was lost"))
+                self._fail_pending(ServerLost(f"the connection to {self.url} was lost"))
             await backoff.wait()
             try:
                 self._socket = await self._connected()

@@ -1,17 +1,27 @@
 """Services over a rosbridge server."""
 
 import asyncio
+import re
 from collections.abc import Callable
 from typing import Any
 
 import structlog
 
-from ros_fiware_bridge.errors import CallTimeout, PublishBlocked, ServiceUnavailable
+from ros_fiware_bridge.errors import (
+    BadMessage,
+    CallTimeout,
+    OutcomeUnknown,
+    PublishBlocked,
+    ServiceUnavailable,
+)
+from ros_fiware_bridge.graph.goals import unanswered
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
 from ros_fiware_bridge.graph.rosbridge.connection import Connection, Operation
 from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
 
 log = structlog.get_logger(__name__)
+
+_UNANSWERED = re.compile(r"time[d ]*out", re.IGNORECASE)
 
 
 async def call(
@@ -26,7 +36,9 @@ async def call(
     """Call a service and return its response.
 
     Raises:
-        BadMessage, CallTimeout, ServiceUnavailable (with the reason of the server), PublishBlocked.
+        BadMessage, PublishBlocked: nothing was sent.
+        ServiceUnavailable: the server reports a failure, with its reason.
+        CallTimeout, ServerLost, OutcomeUnknown: it was sent, and not answered.
     """
     args, _ = codec.to_json(f"{type_name}_Request", request)
     try:
@@ -39,13 +51,18 @@ async def call(
             args=args,
         )
     except TimeoutError:
-        raise CallTimeout(f"{service} did not answer within {timeout_s} s") from None
+        raise unanswered(service, timeout_s) from None
     if answer.get("result") is False:
         reason = str(answer.get("values"))[:300]
+        if _UNANSWERED.search(reason):  # the server has a time limit of its own
+            raise CallTimeout(f"{service} was not answered; the rosbridge server reports: {reason}")
         raise ServiceUnavailable(
             f"{service} ({type_name}) was not answered; the rosbridge server reports: {reason}"
         )
-    return codec.message(f"{type_name}_Response", answer.get("values") or {})
+    try:
+        return codec.message(f"{type_name}_Response", answer.get("values") or {})
+    except BadMessage as error:
+        raise OutcomeUnknown(f"{service} answered, and its answer cannot be read: {error}") from error
 
 
 class RosbridgeServer:

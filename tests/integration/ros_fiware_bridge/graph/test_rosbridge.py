@@ -20,6 +20,7 @@ from ros_fiware_bridge.errors import (
     GraphClosed,
     MessageTooBig,
     PublishBlocked,
+    ServerLost,
     ServiceUnavailable,
 )
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
@@ -213,7 +214,7 @@ async def test_everything_is_restored_after_a_restart_of_the_server(
     assert await publisher.matched(scaled(10))
     waiting = asyncio.ensure_future(graph.call("/never", "std_srvs/srv/Trigger", {}, scaled(20)))
     await server.stop()
-    with pytest.raises(ServiceUnavailable):
+    with pytest.raises(ServerLost):
         await waiting
     await true(graph.problems)
     assert "is unavailable" in str(graph.problems()[0])

@@ -9,6 +9,7 @@ from ros_fiware_bridge.errors import (
     BadMessage,
     CallTimeout,
     GoalRefused,
+    ServerLost,
     ServiceUnavailable,
 )
 from ros_fiware_bridge.graph.joining import Adapter
@@ -167,7 +168,7 @@ async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
             await asyncio.sleep(0.2)
             peer.kill()
             # DDS detects a silent program after ten seconds (Fast DDS: twenty).
-            with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
+            with pytest.raises(ServerLost, match=r"the server of .* went away before"):
                 await asyncio.wait_for(waiting, scaled(40))
         with running_peer(adapter, elsewhere):
             ended = await (await action.send_goal({"order": 4}, timeout_s=120)).result(120)
@@ -193,5 +194,5 @@ async def test_a_goal_fails_when_another_server_replaces_its_own(graph: RosGraph
             # Leave like a killed process: goals are not ended.
             first._opened.clear()  # type: ignore[attr-defined]
             await first.close()
-            with pytest.raises(ServiceUnavailable, match="went away before it answered"):
+            with pytest.raises(ServerLost, match="went away before it answered"):
                 await asyncio.wait_for(waiting, scaled(40))
