@@ -56,9 +56,9 @@ def readable(value: float) -> float | int:
     return float(f"{value:.4g}")
 
 
-def number_text(value: float) -> str:
-    """Return the text of `readable`, for an English text without a code."""
-    return str(readable(value))
+def number_text(value: float | None) -> str:
+    """Return the text of `readable`, for an English text without a code; "none" for None."""
+    return "none" if value is None else str(readable(value))
 
 
 def text_of(error: BaseException) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+from handover.messages import number_text
 from services.human_state.fusion.baseline import Baseline
 
 PAPER_FREE_BPM: Final = 90.0
@@ -25,8 +26,8 @@ class LimitCurve:
     def __post_init__(self) -> None:
         if not 40 <= self.free_bpm <= self.strained_bpm - 5 or not self.strained_bpm <= 200:
             raise ValueError(
-                f"the limit falls from {self.free_bpm} to {self.strained_bpm} bpm; it must begin at 40 bpm "
-                "at least, end at 200 at most, and the two must be 5 bpm apart"
+                f"the limit falls from {number_text(self.free_bpm)} to {number_text(self.strained_bpm)} bpm; "
+                "it must begin at 40 bpm at least, end at 200 at most, and the two must be 5 bpm apart"
             )
         if not 0 <= self.least < 1:
             raise ValueError(f"the least fraction is {self.least}; it must be 0 or more and below 1")

@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.messages import number_text
+
 
 class SignalKind(StrEnum):
     """What is measured, in the four groups of ROS4HC (Table 1 there, and mood and gait)."""
@@ -101,7 +103,7 @@ class SignalInfo:
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not 0 < self.rate_hz <= 100_000:
             raise ValueError(
-                f"rate_hz of {self.kind} is {self.rate_hz}; it must be in 0..100,000 Hz, or None"
+                f"rate_hz of {self.kind} is {number_text(self.rate_hz)}; it must be in 0..100,000 Hz, or None"
             )
         if not self.channels:
             raise ValueError(f"{self.kind} needs at least one channel")

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal as dsp
 
+from handover.messages import number_text
 from services.human_state.model.features import Feature, FeatureName
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
 
@@ -200,7 +201,7 @@ class GazeProcessor:
         if info.unit != "DD" or len(info.channels) != 2 or (info.rate_hz or 0.0) < MIN_GAZE_HZ:
             raise ValueError(
                 f"gaze needs two channels in degrees (DD) at {MIN_GAZE_HZ:g} Hz at least, not "
-                f"{len(info.channels)} in {info.unit or 'no unit'} at {info.rate_hz} Hz"
+                f"{len(info.channels)} in {info.unit or 'no unit'} at {number_text(info.rate_hz)} Hz"
             )
         self._rate_hz: Final = float(info.rate_hz or MIN_GAZE_HZ)
         self._lag: Final = max(1, round(VELOCITY_WINDOW_S * self._rate_hz))
@@ -263,7 +264,7 @@ class EogProcessor:
         if (info.rate_hz or 0.0) < MIN_EOG_HZ or info.unit not in _VOLTS:
             raise ValueError(
                 f"EOG needs volts (D82, 2Z, VLT) at {MIN_EOG_HZ:g} Hz at least, not {info.unit} at "
-                f"{info.rate_hz} Hz"
+                f"{number_text(info.rate_hz)} Hz"
             )
         self._rate_hz: Final = float(info.rate_hz or MIN_EOG_HZ)
         self._factor: Final = _VOLTS[info.unit]

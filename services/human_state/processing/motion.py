@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal as dsp
 
+from handover.messages import number_text
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo
 
@@ -84,7 +85,7 @@ class AccelerationProcessor:
         if info.rate_hz is None or info.rate_hz < 10 or len(info.channels) != 3 or info.unit not in GRAVITY:
             raise ValueError(
                 f"movement needs three axes in MSK or K40 at 10 Hz at least, not {len(info.channels)} in "
-                f"{info.unit} at {info.rate_hz} Hz"
+                f"{info.unit} at {number_text(info.rate_hz)} Hz"
             )
         self._unit: Final = GRAVITY[info.unit]
         self._step: Final = max(1, int(info.rate_hz // WORKING_HZ))

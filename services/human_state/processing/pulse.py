@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal as dsp
 
+from handover.messages import number_text
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo
 from services.human_state.processing.breathing import MAX_QUALITY_OF_BEATS, WaveBreathing
@@ -119,7 +120,9 @@ class PpgProcessor:
 
     def __init__(self, info: SignalInfo) -> None:
         if info.rate_hz is None or info.rate_hz < 20:
-            raise ValueError(f"a pulse needs a PPG of 20 Hz at least; this one has {info.rate_hz}")
+            raise ValueError(
+                f"a pulse needs a PPG of 20 Hz at least; this one has {number_text(info.rate_hz)}"
+            )
         names = [name.lower() for name in info.channels]
         self._red: Final = next((n for n, name in enumerate(names) if name in RED_NAMES), None)
         infrared = next((n for n, name in enumerate(names) if name in INFRARED_NAMES), None)

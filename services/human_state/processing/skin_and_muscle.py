@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal as dsp
 
+from handover.messages import number_text
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo
 
@@ -30,7 +31,8 @@ class EdaProcessor:
     def __init__(self, info: SignalInfo) -> None:
         if info.rate_hz is None or info.rate_hz < 1 or info.unit != "D80":
             raise ValueError(
-                f"EDA needs microsiemens (D80) at 1 Hz at least, not {info.unit} at {info.rate_hz} Hz"
+                f"EDA needs microsiemens (D80) at 1 Hz at least, not {info.unit} at "
+                f"{number_text(info.rate_hz)} Hz"
             )
         self._rate_hz: Final = info.rate_hz
         self._tonic_filter: Final = dsp.butter(1, TONIC_HZ, "low", fs=info.rate_hz, output="sos")
@@ -81,7 +83,8 @@ class EmgProcessor:
     def __init__(self, info: SignalInfo) -> None:
         if info.rate_hz is None or info.rate_hz < 100 or info.unit not in MICROVOLTS:
             raise ValueError(
-                f"EMG needs volts (D82, 2Z, VLT) at 100 Hz at least, not {info.unit} at {info.rate_hz} Hz"
+                f"EMG needs volts (D82, 2Z, VLT) at 100 Hz at least, not {info.unit} at "
+                f"{number_text(info.rate_hz)} Hz"
             )
         self._rate_hz: Final = info.rate_hz
         self._factor: Final = MICROVOLTS[info.unit]

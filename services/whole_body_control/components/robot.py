@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from handover.messages import number_text
 from services.whole_body_control.model.humanoid import Grip, Humanoid, JointMode
 from services.whole_body_control.model.kinematics import Array
 
@@ -75,8 +76,8 @@ class Interpolation:
         self.steps = round(control_s / period_s)
         if self.steps < 1 or abs(self.steps * period_s - control_s) > 1e-9:
             raise ValueError(
-                f"the period of a controller is {control_s} s; it must be a multiple of that of the robot, "
-                f"{period_s} s"
+                f"the period of a controller is {number_text(control_s)} s; it must be a multiple of that of "
+                f"the robot, {number_text(period_s)} s"
             )
         self.command = JointCommand(humanoid)
         self.command.positions[:] = start

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from handover.messages import number_text
 from services.whole_body_control.model.kinematics import Array
 
 LATE_S = 1e-3
@@ -31,7 +32,7 @@ class Timing:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         if not 1e-4 <= period_s <= 1.0:
-            raise ValueError(f"the period is {period_s} s; a control cycle has 0.0001 s to 1 s")
+            raise ValueError(f"the period is {number_text(period_s)} s; a control cycle has 0.0001 s to 1 s")
         self._period_ns = round(period_s * 1e9)
         self._clock, self._cpu_clock, self._sleep = clock, cpu_clock, sleep
         self._due = clock()

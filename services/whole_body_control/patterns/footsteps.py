@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from handover.messages import number_text
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Footprint, Region, Side, turn
@@ -39,8 +40,9 @@ class StepLimits:
     def __post_init__(self) -> None:
         if not 0 < self.min_width_m <= self.width_m <= self.max_width_m:
             raise ValueError(
-                f"the width of a step is {self.min_width_m} to {self.max_width_m} m, and {self.width_m} m "
-                "side by side; the last must be between the others"
+                f"the width of a step is {number_text(self.min_width_m)} m to "
+                f"{number_text(self.max_width_m)} m, and {number_text(self.width_m)} m side by side; the "
+                "last must be between the others"
             )
         if self.single < 1 or self.double < 1:
             raise ValueError("single and double support need at least one period each")

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handover.messages import number_text
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.intention import (
     ArmState,
@@ -63,7 +64,10 @@ class LeadLimits:
             if not 0 < value < np.inf:
                 raise ValueError(f"{name} is {value}; it must be above 0 and finite")
         if not self.stop_m <= self.start_m < np.inf:
-            raise ValueError(f"start_m is {self.start_m}; it must be at least stop_m, {self.stop_m}")
+            raise ValueError(
+                f"start_m is {number_text(self.start_m)}; it must be at least stop_m, "
+                f"{number_text(self.stop_m)}"
+            )
 
 
 class LeadReference:

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from handover.messages import number_text
 from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array
 
 
@@ -31,7 +32,9 @@ class Pendulum:
 
     def __post_init__(self) -> None:
         if not 0.05 <= self.height_m <= 3.0:
-            raise ValueError(f"the centre of mass is {self.height_m} m high; a humanoid has 0.05 m to 3 m")
+            raise ValueError(
+                f"the centre of mass is {number_text(self.height_m)} m high; a humanoid has 0.05 m to 3 m"
+            )
 
     @cached_property
     def omega(self) -> float:

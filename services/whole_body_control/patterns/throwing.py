@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from handover.errors import UsageError
+from handover.messages import number_text
 from services.whole_body_control.model.humanoid import Grip
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import release_velocity
@@ -136,7 +137,8 @@ class ThrowPlanner:
             )
         if flight_s is not None and not MIN_FLIGHT_S <= flight_s <= MAX_FLIGHT_S:
             raise UsageError(
-                f"a flight of {flight_s} s is not offered; choose one from {MIN_FLIGHT_S} to {MAX_FLIGHT_S} s"
+                f"a flight of {number_text(flight_s)} s is not offered; choose one from {MIN_FLIGHT_S} to "
+                f"{MAX_FLIGHT_S} s"
             )
         throw = self._best(target, flight_s)
         if throw is not None and throw.usage <= self.limits.speed_share:

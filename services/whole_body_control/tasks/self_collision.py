@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from handover.errors import UsageError
+from handover.messages import number_text
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.tasks.base import NO_BOUND, Bounds, Constraint
 
@@ -38,8 +39,8 @@ class SelfCollision(Constraint):
     ) -> None:
         if not 0 <= min_distance_m < near_m:
             raise ValueError(
-                f"the distance {min_distance_m} m must be 0 or more, and less than the {near_m} m "
-                "from which on pairs are watched"
+                f"the distance {number_text(min_distance_m)} m must be 0 or more, and less than the "
+                f"{number_text(near_m)} m from which on pairs are watched"
             )
         self.name = "self-collision"
         self._min_distance_m, self._near_m, self._margin_s = min_distance_m, near_m, margin_s

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handover.messages import number_text
 from handover.ros_dds import struct_of
 from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
@@ -99,7 +100,7 @@ def _row(kind: SignalKind, message: Mapping[str, Any]) -> tuple[list[float], flo
         return [float(message[name]) for name in names], at_s, bool(message["worn"])
     duration_s = float(message["duration"])
     if not (math.isfinite(duration_s) and duration_s >= 0):
-        raise ValueError(f"a duration of {duration_s} s")
+        raise ValueError(f"a duration of {number_text(duration_s)} s")
     begin_ns, end_ns = int(message["start_time_ns"]), int(message["end_time_ns"])
     if end_ns > begin_ns > 0:
         at_s = end_ns * 1e-9
