@@ -29,6 +29,7 @@ from services.whole_body_control.model.kinematics import (
     Array,
     Kinematics,
     cross,
+    quaternion,
 )
 
 TILT_GAIN, BIAS_GAIN = 0.4, 0.02
@@ -149,7 +150,7 @@ class StateEstimator:
         self._feet_frame = None
         self._measure_feet(sensors)
         self.q[:3] = self._position
-        self.q[3:BASE_POSITIONS] = pin.Quaternion(self._rotation).coeffs()
+        self.q[3:BASE_POSITIONS] = quaternion(self._rotation)
         self.v[:3] = 0.0
         self.v[3:BASE_VELOCITIES] = spin
         self.kinematics.update(self.q, self.v)

@@ -38,7 +38,13 @@ from services.whole_body_control.cycle.gains import GainShares, gain_fields
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES, DOWNWARDS, Array, Kinematics
+from services.whole_body_control.model.kinematics import (
+    BASE_VELOCITIES,
+    DOWNWARDS,
+    Array,
+    Kinematics,
+    quaternion,
+)
 from services.whole_body_control.model.standing import HANDS, stretched_legs
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.patterns.intention import DEFAULT_INTENTION, IntentionName
@@ -295,7 +301,7 @@ class HumanoidComponent:
         place, yaw = self.walking.soles_frame(q)
         moved = q.copy()
         moved[:2] = turn(-yaw) @ (q[:2] - place)
-        turned = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, -yaw]))) * pin.Quaternion(q[3:7])
+        turned = pin.Quaternion(quaternion(pin.exp3(np.array([0.0, 0.0, -yaw])))) * pin.Quaternion(q[3:7])
         moved[3:7] = turned.coeffs()
         return moved
 

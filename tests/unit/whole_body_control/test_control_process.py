@@ -1,5 +1,6 @@
 """The control cycle is a process of its own: what commands it may be killed, and the robot stands."""
 
+import ctypes
 import gc
 import os
 import signal
@@ -14,14 +15,15 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.behaviours.humanoid_component import HumanoidComponent
+from services.whole_body_control.behaviours.humanoid_component import Behaviour, HumanoidComponent
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.control_process import control_loop
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
 from services.whole_body_control.cycle.loop import MAX_FAULTS, Mode
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
-from services.whole_body_control.cycle.wish import WISH
+from services.whole_body_control.cycle.wish import SIDES, WISH
 from tests.kit.waiting import Bound, scaled
+from tests.unit.whole_body_control.cycle import Cycle
 
 DEPLOYMENT = """
 folder: {folder}
@@ -47,6 +49,9 @@ while True:
 BOUND_S = 120.0
 MEMORY_BYTES, OBJECTS = 4096, 20
 """What 600 cycles may keep: records of the plan differ with the phase of a step."""
+HEAP_PARTS, HEAP_PART_S = 6, 1.0
+HEAP_BYTES = 16
+"""The smallest that an allocation takes: fewer in each period are none in some."""
 PARTS = 10
 """Before the last two the hulls of as many footprints are known as are kept."""
 
@@ -176,6 +181,49 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
     assert size(held[-1]) > 0
     assert size(held[-1]) - size(held[-2]) < MEMORY_BYTES, held[-1].compare_to(held[-2], "lineno")[:5]
     assert known[-1] - known[-2] < OBJECTS
+
+
+class _HeapFigures(ctypes.Structure):
+    """The result of `mallinfo2` of glibc."""
+
+    _fields_ = [(f"figure_{number}", ctypes.c_size_t) for number in range(10)]
+
+
+def heap_bytes() -> int:
+    """Return what native code and NumPy have allocated, which `tracemalloc` does not know."""
+    library = ctypes.CDLL(None)
+    library.mallinfo2.restype = _HeapFigures
+    figures = library.mallinfo2()
+    return int(figures.figure_7 + figures.figure_4)  # in the heap, and mapped
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="only glibc counts memory")
+@pytest.mark.parametrize("behaviour", [None, *Behaviour])
+def test_no_behaviour_keeps_memory_of_native_code(tmp_path: Path, behaviour: Behaviour | None) -> None:
+    """What each period keeps shows in each part; what another thread, or a new step, allocates does not."""
+    cycle = Cycle(tmp_path)
+    wish: dict[str, float] = {}
+    if behaviour is not None:
+        wish = {"behaviour": float(behaviour), "speed_share": 1.0, "ahead_mps": 0.05}
+    led = None
+    if behaviour is Behaviour.ASSISTED_WALKING:
+        pulls = {"held": 2.0, "force_x_n": 3.0}
+        led = {f"{side}.{name}": value for side in SIDES for name, value in pulls.items()}
+    gc.collect()
+    gc.disable()
+    try:
+        state = cycle.run(3.0, wish, led)
+        kept = []
+        for _ in range(HEAP_PARTS):
+            before = heap_bytes()
+            state = cycle.run(HEAP_PART_S, wish, led)
+            kept.append(heap_bytes() - before)
+    finally:
+        gc.enable()
+    assert state["behaviour"] == (behaviour or 0.0)
+    assert state["mode"] == Mode.FOLLOWING
+    periods = HEAP_PART_S / cycle.loop.controller.control_s
+    assert min(kept) < periods * HEAP_BYTES, kept
 
 
 @pytest.mark.parametrize(
