@@ -16,11 +16,12 @@ import typer
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.security.glove_token import GLOVE_TOKEN_SECRET
 from handover.settings import PREFIX, SECRETS_DIR, Settings
 
 RECORDING_KEY = "HANDOVER_HEALTH_RECORDING_KEY"
 """Without it, no recording of body signals can be read: keep a copy."""
-SECRETS = ("HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD", RECORDING_KEY)
+SECRETS = (GLOVE_TOKEN_SECRET, "HANDOVER_DATABASE_PASSWORD", RECORDING_KEY)
 RANDOM_BYTES = 32
 READY_TIMEOUT_S = 60.0
 CHECK_EVERY_S = 0.1

@@ -2,7 +2,9 @@
 
 It is a setting (`HANDOVER_GLOVE_TOKEN`). On a machine with accounts every glove needs a token, also on
 loopback; so setting up accounts makes one in the security directory, which the gesture controller, the
-simulated operator and `handover glove` of the same machine read.
+simulated operator and `handover glove` of the same machine read. Where secrets are files of their own
+(`HANDOVER_SECRETS_DIR`, as in containers), the token is one of these, since all services read the security
+directory.
 """
 
 from pathlib import Path
@@ -13,8 +15,12 @@ from pydantic import SecretStr
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.security.secret_tokens import new_token
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
 
 GLOVE_TOKEN_FILE: Final = "glove-token"  # noqa: S105 - the name of a file
+GLOVE_TOKEN_SECRET: Final = "HANDOVER_GLOVE_TOKEN"  # noqa: S105 - the name of a setting
 
 
 def site_glove_token(given: SecretStr | None, folder: Path) -> str | None:
@@ -25,6 +31,18 @@ def site_glove_token(given: SecretStr | None, folder: Path) -> str | None:
         return (folder / GLOVE_TOKEN_FILE).read_text(encoding="utf-8").strip() or None
     except OSError:  # none was made, or it is for the user of another service
         return None
+
+
+def remove_glove_token(folder: Path) -> None:
+    """Remove the token from the security directory, where the setting has another. Raises `UsageError`."""
+    file = folder / GLOVE_TOKEN_FILE
+    try:
+        file.unlink()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise UsageError(f"the unused token of gloves, {file}, cannot be removed: {error.strerror}") from None
+    log.warning("unused token of gloves removed: services that need none could read it", file=str(file))
 
 
 def make_glove_token(folder: Path) -> None:

@@ -15,7 +15,7 @@ from sqlalchemy import func, select
 from handover.durable_files import replace_durably
 from handover.errors import Problem, UsageError
 from handover.security.caller import CallerKind
-from handover.security.glove_token import make_glove_token
+from handover.security.glove_token import GLOVE_TOKEN_SECRET, make_glove_token, remove_glove_token
 from handover.security.service_access import service_token_file
 from services.accounts import links, secret_token_store, tables
 from services.accounts.changes import Store
@@ -61,7 +61,10 @@ def set_up(
     keys = SigningKeys(settings.signing_keys_file, settings.security_folder)
     with opened_store(settings) as store:
         made = tuple(name for name, file in files.items() if _make_service_token(store, file, name))
-        make_glove_token(settings.security_folder)
+        if settings.secrets_dir is not None and (settings.secrets_dir / GLOVE_TOKEN_SECRET).exists():
+            remove_glove_token(settings.security_folder)
+        else:
+            make_glove_token(settings.security_folder)
         is_new = keys.create()
         with store.read() as connection:
             has_users = bool(connection.execute(select(func.count()).select_from(tables.users)).scalar_one())

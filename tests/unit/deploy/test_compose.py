@@ -1,7 +1,10 @@
 """The compose file: what it starts is what there is, containers have their walls, little is published."""
 
 import functools
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ from handover.cli.secrets import SECRETS
 from handover.cli.secure import Plan
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
+from handover.security.glove_token import GLOVE_TOKEN_FILE
 from handover.settings import origins
 from services.context_broker.settings import BrokerSettings
 from webui.settings import WebuiSettings
@@ -178,6 +182,35 @@ def test_a_container_mounts_its_own_certificate_and_token_alone() -> None:
             assert said["HANDOVER_TLS_AUTHORITY"] == "/tls/authority.pem"
             assert said["HANDOVER_SERVICE_TOKEN_FILE"] == "/tls/service-token"
             assert said["HANDOVER_SECURITY_DIR"] == "/security"
+
+
+def test_what_all_services_mount_holds_no_secret(tmp_path: Path) -> None:
+    """The first container makes everything in folders of this machine; `security` is in each service."""
+    said = OURS[INIT]["environment"]
+    folders = {name: f"{tmp_path}{said[name]}" for name in said if name.endswith("_DIR")}
+    command = [word.replace("=/", f"={tmp_path}/") for word in OURS[INIT]["command"]]
+    left = Path(folders["HANDOVER_SECURITY_DIR"]) / GLOVE_TOKEN_FILE
+    left.parent.mkdir()
+    left.write_text("of a start before secrets were files of their own")
+    words = [VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), word) for word in command]
+    done = subprocess.run(
+        [sys.executable, "-m", "handover.cli", *words],
+        env={**os.environ, **folders, "HANDOVER_WEBUI_URL": "https://127.0.0.1:54400"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert sorted(one.name for one in (tmp_path / "secrets").iterdir()) == sorted(SECRETS)
+    secret = {one.read_text().strip() for one in (tmp_path / "secrets").iterdir()}
+    secret |= {one.read_text().strip() for one in (tmp_path / "tls").glob("*/service-token")}
+    assert len(secret) == len(SECRETS) + len(SERVICES) + 1
+    shared = [one for one in (tmp_path / "security").rglob("*") if one.is_file()]
+    assert shared
+    for file in shared:
+        content = file.read_text()
+        assert not any(one in content for one in secret), file
+        assert "PRIVATE" not in content, file
+        assert file.name != GLOVE_TOKEN_FILE
 
 
 @pytest.mark.parametrize(
