@@ -35,7 +35,7 @@ from services.device_gateway.commands.command import (
     next_step,
 )
 from services.device_gateway.model.description import CANCEL, CommandKind, DeviceDescription
-from services.device_gateway.protocol.messages import CommandAnswer
+from services.device_gateway.protocol.messages import AnswerState, CommandAnswer
 from services.device_gateway.storage import device_store
 from services.device_gateway.storage.history_writer import CommandRow, HistoryWriter, MessageRow
 
@@ -282,11 +282,12 @@ class Dispatcher:
 
     def answer(self, device: str, answer: CommandAnswer) -> bool:
         """Process an answer of a device; return whether it concerns a command of this device."""
-        one = self._open[device].get(answer.id)
+        one = self._open[device].get(answer.id) or self._ended.get((device, answer.id))
         if one is None:
-            own = answer.id.removesuffix(f":{CANCEL}")
-            return (device, answer.id) in self._ended or own != answer.id
-        if one.change(answered(one.command, answer, is_cancelling=one.is_cancelling)):
+            return answer.id.endswith(f":{CANCEL}")
+        if not one.command.is_open and answer.state in {AnswerState.ACCEPTED, AnswerState.RUNNING}:
+            self._cancel_late(one.command)
+        elif one.change(answered(one.command, answer, is_cancelling=one.is_cancelling)):
             self._writer.add(commands=[_row(one.command)])
             self._close_if_ended(one)
         return True
@@ -386,6 +387,13 @@ class Dispatcher:
         one.change(one.command.ended(CommandState.FAILED, reason))
         self._writer.add(commands=[_row(one.command)])
         self._close_if_ended(one)
+
+    def _cancel_late(self, command: Command) -> None:
+        """Cancel a command that has been given up, and that the device works on."""
+        link = self._links.get(command.device)
+        if link is not None and command.state is not CommandState.DONE:
+            log.warning("a command that was given up is active", device=command.device, command=command.id)
+            link.send(_cancel_message(command))
 
     def _cancel_sent(self, one: _Open) -> None:
         one.is_cancelling = True
