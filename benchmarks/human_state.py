@@ -185,6 +185,28 @@ def _beats_with_quality(ecg: Floats, rate_hz: float) -> Floats:
     return np.array([(beat.position / rate_hz, beat.quality) for beat in beats + detector.flush()])
 
 
+BANDS = ((30, 60), (60, 90), (90, 120), (120, 150), (150, 180), (180, 200), (200, 220))
+
+
+def measure_bands(*, is_quick: bool) -> None:
+    """Print sensitivity and precision by heart rate, of synthetic people without and with noise."""
+    print("\nR peaks by heart rate (aim: 99.5 % and 99.5 % in each band up to 220 bpm)")
+    seconds = 60 if is_quick else 180
+    for low, high in BANDS:
+        shown = []
+        for snr_db in (None, 6.0):
+            results = []
+            for seed, bpm in enumerate(np.linspace(low, high, 4)):
+                beats = synthetic_beats(seconds, float(bpm), seed, rmssd_s=0.01)
+                ecg = ecg_of(beats, seconds, 360.0)
+                ecg = add_ecg_noise(ecg, 360.0, 30 if snr_db is None else snr_db, seed)
+                results.append(matched(np.array([beat.at_s for beat in beats]), ours(ecg, 360.0), 0.08)[:2])
+            sensitivity, precision = np.mean(results, axis=0)
+            title = "clean" if snr_db is None else f"{snr_db:g} dB"
+            shown.append(f"{title:5} sensitivity {sensitivity:6.2f} %  precision {precision:6.2f} %")
+        print(f"  {low:3} to {high:3} bpm   " + "   ".join(shown))
+
+
 # --- rates
 
 
@@ -466,12 +488,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--quick", action="store_true", help="one seed, 120 faults, 10 people")
-    parser.add_argument("--only", nargs="+", default=[], help="beats, rates, faults, silence, cost, memory")
+    parser.add_argument(
+        "--only", nargs="+", default=[], help="beats, bands, rates, faults, silence, cost, memory"
+    )
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; records in {RECORDS}")
     parts: dict[str, Callable[[], None]] = {
         "beats": partial(measure_beats, is_quick=given.quick),
+        "bands": partial(measure_bands, is_quick=given.quick),
         "rates": measure_rates,
         "faults": partial(measure_faults, 120 if given.quick else 1000),
         "silence": measure_slow_faults,

@@ -2,6 +2,8 @@
 
 import getpass
 import hashlib
+import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -103,6 +105,67 @@ def export(
     except OSError as error:
         raise UsageError(f"{target} cannot be written: {error.strerror}; choose another --file") from None
     print(target)
+
+
+@app.command()
+def analyse(
+    file: Annotated[Path, typer.Argument(help="A recording: .hea, .edf, .bdf, .xdf, .mcap, .csv, .csv.gz.")],
+    channel: Annotated[
+        list[str] | None, typer.Option("--channel", help="NAME=KIND, such as CH1=ecg; only these are read.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print features, channels, left_out.")] = False,
+) -> None:
+    """Show what the service would make of a recording; no service is needed, and nothing is stored."""
+    try:
+        from services.human_state.drivers.recording.tracks import Meaning  # noqa: PLC0415 - of an extra
+        from services.human_state.model.signals import SignalKind  # noqa: PLC0415 - of an extra
+        from services.human_state.monitoring.offline import BEGIN_S  # noqa: PLC0415 - of an extra
+        from services.human_state.monitoring.offline import analyse as analysed  # noqa: PLC0415 - of an extra
+    except ImportError as error:
+        raise UsageError(
+            f'{error.name} is not installed; install the extra: pip install "handover[human-state]"'
+        ) from error
+    meanings = {}
+    for text in channel or []:
+        name, _, kind = text.rpartition("=")
+        if not name or kind not in set(SignalKind):
+            kinds = ", ".join(sorted(SignalKind))
+            raise UsageError(f'"{text}" is no channel; write NAME=KIND with a kind of {kinds}')
+        meanings[name] = Meaning(SignalKind(kind))
+    found = analysed(file, meanings)
+    if as_json:
+        features = [
+            {
+                "name": feature.name,
+                "value": feature.value,
+                "at_s": round(feature.at_s - BEGIN_S, 3),
+                "quality": round(feature.quality, 3),
+                "status": feature.status,
+                "channel": name,
+            }
+            for name, feature in found.features
+        ]
+        channels = [asdict(one) for one in found.channels]
+        left_out = [asdict(one) for one in found.left_out]
+        print(json.dumps({"features": features, "channels": channels, "left_out": left_out}))
+        return
+    for one in found.channels:
+        rate = "irregular" if one.rate_hz is None else f"{one.rate_hz:g} Hz"
+        print(f"{one.name}: {one.kind}, {rate}, {one.samples:,} samples")
+        _print_features([feature for name, feature in found.features if name == one.name])
+    for left in found.left_out:
+        print(f"{left.name} is left out: {left.reason}")
+
+
+def _print_features(features: list[Any]) -> None:
+    for name in dict.fromkeys(feature.name for feature in features):
+        values = [feature for feature in features if feature.name == name]
+        valid = [feature.value for feature in values if feature.status == "valid"]
+        shown = ", ".join(sorted(set(valid))) if valid and isinstance(valid[0], str) else ""
+        if valid and not shown:
+            shown = f"{min(valid):.4g} to {max(valid):.4g}"
+        share = 100 * len(valid) / len(values)
+        print(f"  {name:<20} {share:5.1f} % of {len(values)} values valid  {shown}".rstrip())
 
 
 @app.command()

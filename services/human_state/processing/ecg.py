@@ -54,7 +54,7 @@ class EcgProcessor:
         """Take samples; blocks of 0.5 s at least are analysed, so that small packets cost no more."""
         self._pending.append(samples)
         self._waiting += len(samples.values)
-        if self._waiting < BLOCK_S * self._rate_hz:
+        if self._waiting < BLOCK_S * self._rate_hz - 1:  # a rate may be a measured one
             return []
         block = np.concatenate([each.values[:, 0] for each in self._pending])
         quality = min(each.quality for each in self._pending)

@@ -22,14 +22,16 @@ from handover.messages import number_text
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo
 from services.human_state.processing.breathing import MAX_QUALITY_OF_BEATS, WaveBreathing
+from services.human_state.processing.rhythm import BOUND_SHARE, PLAUSIBLE_BPM
 
 Floats = NDArray[np.float64]
 
-METHOD: Final = "ppg-1"
+METHOD: Final = "ppg-2"
 WINDOW_S: Final = 10.0
 SHORTEST_S: Final = 6.0
 EACH_S: Final = 1.0
 WORKING_HZ: Final = 50.0
+WRAP_SHARE: Final = 0.8
 PULSE_BAND_HZ: Final = (0.6, 5.0)
 RED_NAMES: Final = frozenset({"red", "r", "660"})
 INFRARED_NAMES: Final = frozenset({"ir", "infrared", "940", "880"})
@@ -59,18 +61,54 @@ def pulse_of(ppg: Floats, rate_hz: float) -> tuple[float, float]:
         return 0.0, 0.0
     intervals_s = np.diff(rises) / rate_hz
     interval_s = float(np.mean(intervals_s))
-    spread_of_intervals = float(np.median(np.abs(intervals_s - np.median(intervals_s)))) / interval_s
-    worst = float(np.abs(intervals_s / np.median(intervals_s) - 1).max())
-    likeness = _likeness(wave, rises, period_s, rate_hz)
-    agreement = float(np.clip(1 - (abs(period_s - interval_s) / interval_s - 0.02) / 0.1, 0, 1))
-    regularity = float(np.clip(1.2 - 4 * spread_of_intervals - max(0.0, worst - 0.15), 0, 1))
-    shape = float(np.clip((likeness - 0.6) / 0.3, 0, 1))
-    # Steep rises between pulses mean that a periodic movement was taken for the pulse, or half of its rate.
+    median_s = float(np.median(intervals_s))
+    spread_of_intervals = float(np.median(np.abs(intervals_s - median_s))) / median_s
+    worst = float(np.abs(intervals_s / median_s - 1).max())
+    apart = min(abs(period_s - interval_s) / interval_s, abs(period_s - median_s) / median_s)
+    agreement = float(np.clip(1 - (apart - 0.03) / 0.12, 0, 1))
+    regularity = float(np.clip(1.2 - 3 * spread_of_intervals - 0.5 * max(0.0, worst - 0.25), 0, 1))
+    shape = float(np.clip((_likeness(wave, rises, period_s, rate_hz) - 0.5) / 0.3, 0, 1))
+    strength = float(np.clip((periodicity - 0.15) / 0.35, 0, 1))
+    single = _singleness(slope, rises, steep) * _fundamental(wave, interval_s, rate_hz)
+    bpm = 60 / interval_s
+    lowest, highest = PLAUSIBLE_BPM
+    if not lowest * (1 - BOUND_SHARE) <= bpm <= highest * (1 + BOUND_SHARE):
+        return bpm, 0.0
+    return float(np.clip(bpm, lowest, highest)), single * shape * agreement * regularity * strength
+
+
+def _singleness(slope: Floats, rises: NDArray[np.int_], steep: float) -> float:
+    """Return 1 where each pulse has one rise, and 0 where rises between the pulses may be pulses as well.
+
+    A dicrotic wave rises, too, but less steeply than the pulse before it. Rises between the pulses that are
+    as steep mean that half of the rate was found, or a periodic movement.
+    """
     every, _ = dsp.find_peaks(slope, height=steep)
-    single = float(np.clip(1.3 - 1.5 * (len(every) / len(rises) - 1), 0, 1))
-    return 60 / interval_s, single * shape * agreement * regularity * float(
-        np.clip((periodicity - 0.2) / 0.4, 0, 1)
-    )
+    others = np.setdiff1d(every, rises)
+    if not len(others):
+        return 1.0
+    share = len(others) / len(rises)
+    ratio = float(np.median(slope[others]) / np.median(slope[rises]))
+    doubt = float(np.clip((ratio - 0.55) / 0.25, 0, 1))
+    return float(np.clip(1.3 - 1.5 * share * doubt - 0.3 * (1 - doubt) * (share > 2.5), 0, 1))
+
+
+def _fundamental(wave: Floats, interval_s: float, rate_hz: float) -> float:
+    """Return 1 where the rate is the fundamental of the wave, 0 where it may be half of it or twice of it.
+
+    Of a pulse wave the fundamental is strong, and there is nothing at half of it.
+    """
+    power = np.abs(np.fft.rfft(wave * np.hanning(len(wave)), 8 * len(wave))) ** 2
+    step_hz = rate_hz / (8 * len(wave))
+
+    def at(frequency_hz: float) -> float:
+        low, high = int(0.9 * frequency_hz / step_hz), int(1.1 * frequency_hz / step_hz) + 2
+        return float(power[low:high].max(initial=0.0))
+
+    half, one, two = (at(share / interval_s) for share in (0.5, 1.0, 2.0))
+    if one <= 0:
+        return 0.0
+    return float(np.clip((one / (two + 1e-12) - 0.3) / 0.5, 0, 1) * np.clip((0.9 - half / one) / 0.5, 0, 1))
 
 
 def _period(wave: Floats, rate_hz: float) -> tuple[float, float]:
@@ -86,6 +124,24 @@ def _period(wave: Floats, rate_hz: float) -> tuple[float, float]:
     heights = correlation[peaks]
     chosen = int(peaks[np.flatnonzero(heights >= 0.85 * heights.max())[0]])
     return chosen / rate_hz, float(correlation[chosen])
+
+
+def unwrapped(x: Floats) -> Floats:
+    """Return a wave (samples, channels) whose converter has run over its range, as it was before.
+
+    No pulse crosses most of its range from one sample to the next; a counter that overflows does, and comes
+    back.
+    """
+    span = np.ptp(x, axis=0)
+    jumps = np.diff(x, axis=0)
+    is_jump = np.abs(jumps) > WRAP_SHARE * span
+    found = x
+    for channel in np.flatnonzero((is_jump & (jumps > 0)).any(axis=0) & (is_jump & (jumps < 0)).any(axis=0)):
+        if found is x:
+            found = x.copy()
+        turns = np.where(is_jump[:, channel], -np.sign(jumps[:, channel]), 0.0)
+        found[1:, channel] += np.cumsum(turns) * span[channel]
+    return found
 
 
 def _likeness(wave: Floats, rises: NDArray[np.int_], period_s: float, rate_hz: float) -> float:
@@ -129,19 +185,16 @@ class PpgProcessor:
         self._infrared: Final = infrared
         self._step: Final = max(1, int(info.rate_hz // WORKING_HZ))
         self._rate_hz: Final = info.rate_hz / self._step
-        self._window = np.empty((0, len(info.channels)))
-        self._rest = np.empty((0, len(info.channels)))
+        self._raw = self._window = np.empty((0, len(info.channels)))
+        self._info_hz: Final = info.rate_hz
+        self._kept: Final = round(WINDOW_S * info.rate_hz)
         self._due_s = -np.inf
         self._info: Final = info
         self._breathing: Final = WaveBreathing(replace(info, channels=("",)), METHOD, MAX_QUALITY_OF_BEATS)
 
     def feed(self, samples: Samples) -> Sequence[Feature]:
         """Take samples; return features once a second, after 6 s."""
-        x = np.concatenate((self._rest, samples.values))
-        whole = len(x) // self._step * self._step
-        means = x[:whole].reshape(-1, self._step, x.shape[1]).mean(axis=1)
-        self._rest = x[whole:]
-        self._window = np.concatenate((self._window, means))[-round(WINDOW_S * self._rate_hz) :]
+        self._raw = np.concatenate((self._raw, samples.values))[-self._kept :]
         pulse_channel = self._infrared or 0
         baseline = replace(
             samples,
@@ -150,9 +203,10 @@ class PpgProcessor:
         )
         found = list(self._breathing.feed(baseline))
         at_s = samples.end_s
-        if len(self._window) < SHORTEST_S * self._rate_hz or at_s < self._due_s:
+        if len(self._raw) < SHORTEST_S * self._info_hz or at_s < self._due_s:
             return found
         self._due_s = at_s + EACH_S - 0.5 / self._rate_hz
+        self._window = self._thinned()
         pulse, quality = pulse_of(self._window[:, pulse_channel], self._rate_hz)
         quality *= samples.quality
         if pulse > 0:
@@ -172,6 +226,11 @@ class PpgProcessor:
             found += self._saturation(samples.source, at_s, quality)
         return found
 
+    def _thinned(self) -> Floats:
+        whole = len(self._raw) // self._step * self._step
+        raw = unwrapped(self._raw[len(self._raw) - whole :])
+        return np.asarray(raw.reshape(-1, self._step, raw.shape[1]).mean(axis=1), np.float64)
+
     def _saturation(self, source: str, at_s: float, quality: float) -> list[Feature]:
         if self._red is None or self._infrared is None or quality < 0.3:
             return []
@@ -184,7 +243,7 @@ class PpgProcessor:
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Forget the signal before a fault."""
         if report.fault is not None or report.has_contact is False:
-            self._window, self._rest = self._window[:0], self._rest[:0]
+            self._raw = self._raw[:0]
             self._due_s = -np.inf
             self._breathing.report(report)
         return []

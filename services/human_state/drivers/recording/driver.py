@@ -50,7 +50,7 @@ class RecordingDriver(SensorDriver):
         super().__init__(source, settings)
         meanings = {name: Meaning(one.kind, one.unit) for name, one in settings.channels.items()}
         self.recording: Recording = read(settings.path, meanings)
-        self._tracks = _distinct(self.recording.tracks)
+        self._tracks = distinct_tracks(self.recording.tracks)
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
@@ -78,30 +78,35 @@ class RecordingDriver(SensorDriver):
             due = started + elapsed_s / settings.pace if settings.pace else 0.0
             await asyncio.sleep(max(0.0, due - loop.time()) if settings.pace else 0.0)
             for at, track in enumerate(self._tracks):
-                end = _count_before(track, elapsed_s)
+                end = count_before(track, elapsed_s)
                 if end > sent[at]:
-                    sink(self._samples(track, sent[at], end, began_s))
+                    for run in track.runs(sent[at], end):
+                        sink(samples_of(self.source, track, *run, began_s))
                     sent[at] = end
 
-    def _samples(self, track: Track, first: int, end: int, began_s: float) -> Samples:
-        if track.times_s is not None:
-            times_s = began_s + track.times_s[first:end]
-            start_s = float(times_s[0])
-        else:
-            times_s = None
-            start_s = began_s + track.start_s + first / (track.info.rate_hz or 1.0)
-        values = track.values[first:end]
-        return Samples(self.source, track.info, start_s, values, times_s, ClockKind.RECORDING)
+
+def samples_of(source: str, track: Track, first: int, end: int, began_s: float) -> Samples:
+    """Return the samples `first` to `end` of a track, between which is no gap."""
+    start_s, times_s = began_s + track.start_s, None
+    if track.times_s is None:
+        start_s += first / (track.info.rate_hz or 1.0)
+    elif track.info.rate_hz is None:
+        times_s = began_s + track.times_s[first:end]
+        start_s = float(times_s[0])
+    else:
+        start_s = began_s + float(track.times_s[first])
+    return Samples(source, track.info, start_s, track.values[first:end], times_s, ClockKind.RECORDING)
 
 
-def _count_before(track: Track, elapsed_s: float) -> int:
+def count_before(track: Track, elapsed_s: float) -> int:
+    """Return how many samples of a track were taken before a time after the beginning."""
     if track.times_s is not None:
         return int(np.searchsorted(track.times_s, elapsed_s, side="left"))
     count = int(np.ceil((elapsed_s - track.start_s) * (track.info.rate_hz or 1.0) - 1e-9))
     return max(0, min(count, len(track.values)))
 
 
-def _distinct(tracks: tuple[Track, ...]) -> list[Track]:
+def distinct_tracks(tracks: tuple[Track, ...]) -> list[Track]:
     """Return the tracks with infos that differ, so that each is a signal of its own."""
     seen: dict[SignalInfo, int] = {}
     distinct = []

@@ -5,10 +5,12 @@ units that are known. What cannot be read is a `RecordingError` that names the f
 """
 
 import csv
+import gzip
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +24,8 @@ from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 SAMPLES_SCHEMA: Final = "handover.Samples"
 MAX_BYTES: Final = 512 * 1024 * 1024
 MAX_TRACKS: Final = 128
+MIN_IN_STEP: Final = 0.9
+"""A signal whose samples mostly follow at one rate has that rate, and gaps."""
 MAX_CSV_ROWS: Final = 20_000_000
 
 Floats = NDArray[np.float64]
@@ -35,7 +39,7 @@ class RecordingError(UsageError):
 class Track:
     """One signal of a recording: `values` (samples, channels), from `start_s` after the beginning.
 
-    Irregular signals have `times_s` after the beginning, which increase.
+    Irregular signals have `times_s` after the beginning, which increase; so have regular ones with gaps.
     """
 
     name: str
@@ -51,6 +55,22 @@ class Track:
             return float(self.times_s[-1]) if len(self.times_s) else 0.0
         return self.start_s + len(self.values) / (self.info.rate_hz or 1.0)
 
+    def runs(self, first: int, end: int) -> list[tuple[int, int]]:
+        """Return the parts of the samples `first` to `end` without a gap in them."""
+        if self.times_s is None or self.info.rate_hz is None:
+            return [(first, end)]
+        apart = np.diff(self.times_s[first:end]) * self.info.rate_hz
+        cuts = [first, *(first + 1 + np.flatnonzero(np.abs(apart - 1) >= 0.5)), end]
+        return [(int(one), int(two)) for one, two in pairwise(cuts)]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A channel of a file that is no track, and why."""
+
+    name: str
+    reason: str
+
 
 @dataclass(frozen=True, slots=True)
 class Recording:
@@ -58,6 +78,7 @@ class Recording:
 
     tracks: tuple[Track, ...]
     began_s: float | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -145,6 +166,8 @@ def unit_of(text: str, name: str) -> tuple[str, float]:
 def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
     """Return the recording in `path`. `meanings` are by channel; those that nothing explains are left out."""
     suffix = path.suffix.lower()
+    if suffix == ".gz":
+        suffix = Path(path.stem).suffix.lower() + suffix
     reader = _READERS.get(suffix)
     if reader is None:
         known = ", ".join(sorted(_READERS))
@@ -186,11 +209,13 @@ def _check(track: Track, path: Path) -> None:
 
 def _track(
     name: str, values: Floats, rate_hz: float | None, unit: str, meanings: dict[str, Meaning], **times: Any
-) -> Track | None:
+) -> Track | LeftOut:
     meaning = meanings.get(name)
     kind = meaning.kind if meaning else kind_of(name)
-    if kind is None or (meanings and meaning is None):
-        return None
+    if meanings and meaning is None:
+        return LeftOut(name, "it is not among the named channels")
+    if kind is None:
+        return LeftOut(name, "its kind is not clear from its name; name it with its kind")
     code, factor = unit_of(meaning.unit if meaning and meaning.unit else unit, name)
     columns = values.reshape(len(values), -1) * factor
     channels = (name,) if columns.shape[1] == 1 else tuple(str(one) for one in range(columns.shape[1]))
@@ -201,11 +226,12 @@ def _track(
     return Track(name, info, columns, **times)
 
 
-def _present(tracks: Iterable[Track | None]) -> tuple[Track, ...]:
-    found = tuple(track for track in tracks if track is not None)
-    if len(found) > MAX_TRACKS:
-        raise RecordingError(f"{len(found)} signals are too many; name at most {MAX_TRACKS} in `channels`")
-    return found
+def _recording(found: Iterable[Track | LeftOut], began_s: float | None = None) -> Recording:
+    parts = list(found)
+    tracks = tuple(part for part in parts if isinstance(part, Track))
+    if len(tracks) > MAX_TRACKS:
+        raise RecordingError(f"{len(tracks)} signals are too many; name at most {MAX_TRACKS} in `channels`")
+    return Recording(tracks, began_s, tuple(part for part in parts if isinstance(part, LeftOut)))
 
 
 def _wfdb(path: Path, meanings: dict[str, Meaning]) -> Recording:
@@ -215,8 +241,8 @@ def _wfdb(path: Path, meanings: dict[str, Meaning]) -> Recording:
     if record.p_signal is None or not record.fs:
         raise RecordingError(f"{path.name} has no signals with a rate; give the header of a signal record")
     began_s = record.base_datetime.timestamp() if record.base_datetime else None
-    return Recording(
-        _present(
+    return _recording(
+        (
             _track(name, record.p_signal[:, at], float(record.fs), record.units[at] or "", meanings)
             for at, name in enumerate(record.sig_name)
         ),
@@ -228,7 +254,7 @@ def _edf(path: Path, meanings: dict[str, Meaning]) -> Recording:
     import pyedflib  # noqa: PLC0415 - of the extra
 
     with pyedflib.EdfReader(str(path)) as edf:
-        tracks = _present(
+        tracks = [
             _track(
                 edf.getLabel(at).strip(),
                 edf.readSignal(at),
@@ -237,8 +263,8 @@ def _edf(path: Path, meanings: dict[str, Meaning]) -> Recording:
                 meanings,
             )
             for at in range(edf.signals_in_file)
-        )
-        return Recording(tracks, edf.getStartdatetime().timestamp())
+        ]
+        return _recording(tracks, edf.getStartdatetime().timestamp())
 
 
 def _xdf(path: Path, meanings: dict[str, Meaning]) -> Recording:
@@ -248,14 +274,14 @@ def _xdf(path: Path, meanings: dict[str, Meaning]) -> Recording:
         streams, _ = pyxdf.load_xdf(file, verbose=False)
     filled = [stream for stream in streams if len(stream["time_stamps"])]
     origin_s = min((float(stream["time_stamps"][0]) for stream in filled), default=0.0)
-    return Recording(_present(_xdf_track(stream, origin_s, meanings) for stream in filled))
+    return _recording(_xdf_track(stream, origin_s, meanings) for stream in filled)
 
 
-def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Meaning]) -> Track | None:
+def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Meaning]) -> Track | LeftOut:
     info, times_s = stream["info"], np.asarray(stream["time_stamps"], dtype=np.float64) - origin_s
-    if info["channel_format"][0] == "string":
-        return None  # markers
     name = str(info["name"][0])
+    if info["channel_format"][0] == "string":
+        return LeftOut(name, "it has markers, no signal")
     kind = kind_of(name) or kind_of(str(info["type"][0]))
     if not meanings and kind is not None:
         meanings = {name: Meaning(kind)}
@@ -266,10 +292,10 @@ def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Mean
     nominal = float(info["nominal_srate"][0])
     unit = str(units[0]) if units else ""
     # Gaps are kept: the times of a stream are those that were recorded, not only its rate.
-    is_even = nominal > 0 and np.all(np.abs(np.diff(times_s) * nominal - 1) < 0.5)
-    if is_even:
+    share = _share_in_step(times_s, nominal) if nominal > 0 else 0.0
+    if share == 1.0:
         return _track(name, values, nominal, unit, meanings, start_s=float(times_s[0]))
-    return _track(name, values, None, unit, meanings, times_s=times_s)
+    return _track(name, values, nominal if share >= MIN_IN_STEP else None, unit, meanings, times_s=times_s)
 
 
 def _mcap(path: Path, meanings: dict[str, Meaning]) -> Recording:
@@ -286,26 +312,33 @@ def _mcap(path: Path, meanings: dict[str, Meaning]) -> Recording:
                 chunks.setdefault(channel.topic, []).append(samples)
     origin_s = min((parts[0].start_s for parts in chunks.values()), default=0.0)
     tracks = [_mcap_track(topic, parts, origin_s, meanings) for topic, parts in chunks.items()]
-    return Recording(_present(tracks), origin_s or None)
+    return _recording(tracks, origin_s or None)
 
 
 def _mcap_track(
     topic: str, parts: Sequence[Samples], origin_s: float, meanings: dict[str, Meaning]
-) -> Track | None:
+) -> Track | LeftOut:
     info = parts[0].info
     if meanings and topic not in meanings:
-        return None
+        return LeftOut(topic, "it is not among the named channels")
     alike = [part for part in parts if len(part.info.channels) == len(info.channels)]
     values = np.concatenate([part.values for part in alike])
     times_s = np.concatenate([part.sample_times_s() for part in alike]) - origin_s
-    if info.rate_hz and np.all(np.abs(np.diff(times_s) * info.rate_hz - 1) < 0.5):
+    if info.rate_hz and _share_in_step(times_s, info.rate_hz) == 1.0:
         return Track(topic, info, values, start_s=float(times_s[0]))
-    return Track(topic, replace(info, rate_hz=None), values, times_s=times_s)
+    has_rate = bool(info.rate_hz) and _share_in_step(times_s, info.rate_hz or 1.0) >= MIN_IN_STEP
+    return Track(topic, info if has_rate else replace(info, rate_hz=None), values, times_s=times_s)
+
+
+def _share_in_step(times_s: Floats, rate_hz: float) -> float:
+    """Return the share of samples that follow the one before after one period."""
+    return float(np.mean(np.abs(np.diff(times_s) * rate_hz - 1) < 0.5)) if len(times_s) > 1 else 1.0
 
 
 def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
     """Read a table with a header `time, ecg [mV], …`; times in s or, with `time [ms]`, in milliseconds."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    opener = gzip.open if path.suffix == ".gz" else open
+    with opener(path, "rt", newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
         header = next(rows, None)
         if header is None or not header or not header[0].lower().startswith(("time", "t", "seconds")):
@@ -330,12 +363,17 @@ def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
     times_s = array[:, 0] * (1e-3 if "[ms]" in header[0].lower() else 1.0)
     began_s, times_s = float(times_s[0]), times_s - times_s[0]
     period_s = float(np.median(np.diff(times_s)))
-    is_even = period_s > 0 and bool(np.all(np.abs(np.diff(times_s) - period_s) <= 0.5 * period_s))
-    rate_hz = (len(times_s) - 1) / float(times_s[-1]) if is_even else None
+    share = _share_in_step(times_s, 1 / period_s) if period_s > 0 else 0.0
+    rate_hz = None
+    if share == 1.0:
+        rate_hz = (len(times_s) - 1) / float(times_s[-1])
+    elif share >= MIN_IN_STEP:  # with gaps
+        rate_hz = 1 / float(np.mean(np.diff(times_s)[np.abs(np.diff(times_s) / period_s - 1) < 0.5]))
     names = [_named(cell) for cell in header[1:]]
-    return Recording(
-        _present(
-            _track(name, array[:, at], rate_hz, unit, meanings, **({} if rate_hz else {"times_s": times_s}))
+    placed = {} if share == 1.0 else {"times_s": times_s}
+    return _recording(
+        (
+            _track(name, array[:, at], rate_hz, unit, meanings, **placed)
             for at, (name, unit) in enumerate(names, start=1)
         ),
         began_s if began_s > 1e8 else None,
@@ -354,4 +392,5 @@ _READERS: Final[dict[str, Callable[[Path, dict[str, Meaning]], Recording]]] = {
     ".xdf": _xdf,
     ".mcap": _mcap,
     ".csv": _csv,
+    ".csv.gz": _csv,
 }

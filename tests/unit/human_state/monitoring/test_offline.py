@@ -1,0 +1,62 @@
+"""`handover body analyse` reads a recording as the service would, and says what it leaves out."""
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from handover.cli.body import app
+from services.human_state.drivers.recording.tracks import read
+from tests.unit.human_state.hearts import Heart, heart
+
+
+def written(path: Path, given: Heart, keep: np.ndarray | None = None) -> Path:
+    opener = gzip.open if path.suffix == ".gz" else open
+    rows = np.arange(len(given.ecg)) if keep is None else keep
+    with opener(path, "wt") as file:
+        file.write("time,ecg [mV],note\n")
+        file.writelines(f"{row / given.rate_hz:.6f},{given.ecg[row]:.6f},1\n" for row in rows)
+    return path
+
+
+def analysed(path: Path, *options: str) -> dict[str, list[dict[str, object]]]:
+    result = CliRunner().invoke(app, ["analyse", str(path), "--json", *options])
+    assert result.exit_code == 0, result.output
+    answer: dict[str, list[dict[str, object]]] = json.loads(result.stdout)
+    return answer
+
+
+@pytest.mark.parametrize("name", ["fast.csv", "fast.csv.gz"])
+def test_a_recording_is_analysed_and_what_is_left_out_is_named(name: str, tmp_path: Path) -> None:
+    answer = analysed(written(tmp_path / name, heart(188, 25)))
+    assert set(answer) == {"features", "channels", "left_out"}
+    assert [one["name"] for one in answer["channels"]] == ["ecg"]
+    assert [one["name"] for one in answer["left_out"]] == ["note"]
+    assert "kind" in str(answer["left_out"][0]["reason"])
+    rates = [one for one in answer["features"] if one["name"] == "heartRate"]
+    assert set(rates[0]) == {"name", "value", "at_s", "quality", "status", "channel"}
+    assert all(abs(float(str(one["value"])) - 188) < 6 for one in rates)
+    assert 0 < float(str(rates[0]["at_s"])) < 12
+
+
+def test_an_ecg_with_missing_rows_keeps_its_rate_and_is_valid_again(tmp_path: Path) -> None:
+    given = heart(150, 40)
+    keep = np.concatenate((np.arange(0, 18 * 360), np.arange(21 * 360, len(given.ecg))))
+    path = written(tmp_path / "gap.csv", given, keep)
+    assert read(path, {}).tracks[0].info.rate_hz == pytest.approx(360, rel=1e-3)
+    rates = [one for one in analysed(path)["features"] if one["name"] == "heartRate"]
+    assert any(one["status"] != "valid" for one in rates if 18 < float(str(one["at_s"])) < 22)
+    assert any(one["status"] == "valid" for one in rates if 21 < float(str(one["at_s"])) < 36)
+
+
+def test_a_channel_is_named_with_its_kind(tmp_path: Path) -> None:
+    path = written(tmp_path / "named.csv", heart(70, 20))
+    text = path.read_text().replace("ecg [mV]", "CH1 [mV]")
+    path.write_text(text)
+    assert [one["kind"] for one in analysed(path, "--channel", "CH1=ecg")["channels"]] == ["ecg"]
+    refused = CliRunner().invoke(app, ["analyse", str(path), "--channel", "CH1=heart"])
+    assert refused.exit_code != 0
+    assert "NAME=KIND" in str(refused.exception)
