@@ -85,22 +85,19 @@ def surface_points(triangles: Array, count: int) -> Array:
 
 def enclosing(points: Array, tolerance_m: float = TOLERANCE_M, most: int = MAX_CORNERS) -> Array:
     """Return the corners of a polytope that contains all points, with some `most` corners."""
-    centre = points.mean(axis=0)
-    _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
-    extents = np.ptp((points - centre) @ axes.T, axis=0)
-    if extents.min() < MIN_THICKNESS_M:
-        return _box(points, axes)
     try:
         hull = ConvexHull(points)
-    except QhullError:
+    except QhullError:  # flat
+        return _box(points, _principal_axes(points))
+    points = points[hull.vertices]
+    axes = _principal_axes(points)
+    if np.ptp(points @ axes.T, axis=0).min() < MIN_THICKNESS_M:
         return _box(points, axes)
     facets = np.unique(hull.equations.round(9), axis=0)
-    inside = points[hull.vertices].mean(axis=0)
-    if len(hull.vertices) <= most:
+    inside = points.mean(axis=0)
+    if len(points) <= most:
         nearest_m = -float((facets[:, :3] @ inside + facets[:, 3]).max())
-        return np.asarray(
-            (inside + (1 + PADDING_M / nearest_m) * (points[hull.vertices] - inside)).round(DIGITS)
-        )
+        return np.asarray((inside + (1 + PADDING_M / nearest_m) * (points - inside)).round(DIGITS))
     chosen = [_half_space(points, normal) for axis in axes for normal in (axis, -axis)]
     while True:
         corners = HalfspaceIntersection(np.array(chosen), inside).intersections
@@ -111,6 +108,12 @@ def enclosing(points: Array, tolerance_m: float = TOLERANCE_M, most: int = MAX_C
             break
         chosen.append(_half_space(points, facets[facet, :3]))
     return np.asarray(corners.round(DIGITS))
+
+
+def _principal_axes(points: Array) -> Array:
+    """Return the principal axes of points as rows."""
+    axes: Array = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    return axes
 
 
 def _half_space(points: Array, normal: Array) -> Array:
@@ -135,8 +138,7 @@ def _halves(
     points = surface_points(triangles, CUT_POINTS)
     whole_m3 = _volume_m3(points)
     least_m3, best = min(worth * whole_m3, whole_m3 - least_gain_m3), None
-    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    for axis in (*axes, *np.eye(3)):
+    for axis in (*_principal_axes(points), *np.eye(3)):
         heights = points @ axis
         low, high = float(heights.min()), float(heights.max())
         for share in CUTS:
