@@ -11,11 +11,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from handover.background_tasks import BackgroundTasks
 from handover.client_networks import network_of
 from handover.errors import Problem, UsageError
+from handover.messages import message
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
 from handover.security.accounts_mark import missing_keys
 from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from handover.security.permissions import Grant, Role
+from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from services.accounts import links, secret_token_store, sessions, stations, tables, users
 from services.accounts.changes import Change, Store, revision_of
@@ -322,6 +323,56 @@ class Directory:
 
         await self.change(NOBODY, recognized, method=kind)
         self._limits.succeeded(station, "join")
+
+    async def admit_sign_out(self, token: str, pin: str | None) -> None:
+        """Admit the end of a session: that of a station needs the PIN of who has joined, or of an engineer.
+
+        Otherwise anybody who passes could end the work at the station, which an engineer has to sign in
+        again. Raises `Problem` 403, 429.
+        """
+
+        def station_of_session(connection: Connection) -> str | None:
+            session = sessions.find_session(connection, token, self.session_limits)
+            if session is None or stations.station_of(connection, session["subject"]) is None:
+                return None
+            return str(session["subject"])
+
+        station = await self.read(station_of_session)
+        if station is None:
+            return
+        if pin:
+            self.admit_attempt(station, "sign-out")
+        owner = await self.read(lambda connection: self._may_sign_out(connection, station, pin or ""))
+        if owner is None:
+            await self.change(
+                station,
+                lambda change: change.record("station.signedOut", station, outcome="refused"),
+                method=IdentifierKind.PIN,
+            )
+            raise Problem(
+                403,
+                "PIN needed",
+                message(
+                    "station.pinNeeded",
+                    "a station is signed out with the PIN of the person who has joined it, or of an engineer;"
+                    " an engineer without a PIN removes the station on the page People",
+                ),
+            )
+        self._limits.succeeded(station, "sign-out")
+        await self.change(
+            owner, lambda change: change.record("station.signedOut", station), method=IdentifierKind.PIN
+        )
+
+    def _may_sign_out(self, connection: Connection, station: str, pin: str) -> str | None:
+        """Return the subject whose PIN it is, if that person may sign the station out."""
+        try:
+            owner = identified(connection, self.identifiers, IdentifierKind.PIN, pin)
+        except Problem:
+            return None
+        present = stations.joined(connection, station)
+        is_joined = present is not None and present["subject"] == owner
+        may_configure = any(grant.allows(Permission.CONFIGURE, "*") for grant in grants_of(connection, owner))
+        return owner if is_joined or may_configure else None
 
     async def is_pin_of(self, person: str, pin: str) -> bool:
         """Return whether a PIN is that of a Person. Raises `Problem` 429."""

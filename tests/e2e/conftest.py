@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
@@ -37,12 +38,49 @@ APPEARS = """(text) => {
   observer.observe(document.body, { childList: true, characterData: true, subtree: true });
 }"""
 
+PERSON_MS = 200
+"""How far apart a person presses keys."""
+
 TIMEOUT_MS = 90_000
 """How long a test waits for an element or a state: long, since a slow machine is no reason to fail."""
 
 expect.set_options(timeout=TIMEOUT_MS)
 
 OpenPage = Callable[..., Page]
+
+SCAN_GAP_S = 0.02
+"""How far apart a scanner types its characters."""
+
+
+def scan(page: Page, text: str) -> None:
+    """Type `text` and Enter as a bar-code scanner does.
+
+    The events carry their own times, so that a slow machine does not turn a scan into what a person types.
+    """
+    devtools = page.context.new_cdp_session(page)
+    at = time.time()
+    for number, key in enumerate([*text, "Enter"]):
+        typed = "\r" if key == "Enter" else key
+        for kind in ("keyDown", "keyUp"):
+            stamp = at + number * SCAN_GAP_S + (0.004 if kind == "keyUp" else 0)
+            code = 13 if key == "Enter" else ord(key.upper())
+            event: dict[str, Any] = {
+                "type": kind,
+                "key": key,
+                "timestamp": stamp,
+                "windowsVirtualKeyCode": code,
+            }
+            if kind == "keyDown":
+                event["text"] = typed
+            devtools.send("Input.dispatchKeyEvent", event)
+    devtools.detach()
+
+
+def type_slowly(page: Page, *keys: str) -> None:
+    """Press keys one after the other as a person does, far enough apart that they are no scan."""
+    for key in keys:
+        page.wait_for_timeout(PERSON_MS)
+        page.keyboard.press(key)
 
 
 def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -78,7 +78,7 @@ def test_a_rule_is_tested_on_history_saved_and_raises_an_alert(
         oven.send(temperature, ago_s)
     page = open_page("/alerting")
     page.get_by_role("heading", name="Alerting").wait_for()
-    page.keyboard.press("n")
+    type_slowly(page, "g", "n")
     page.get_by_role("textbox", name="Name", exact=True).fill("too-hot")
     page.get_by_role("textbox", name="Device (required)").fill("alerting-*")
     page.get_by_role("button", name="Save").click()

@@ -38,7 +38,7 @@ def test_saved_thresholds_apply_and_can_be_reverted(
     page = open_page("/calibrate?glove=glove-1&finger=index")
     upper = page.get_by_role("textbox", name="Upper threshold of the index finger")
     expect(upper).to_have_value(f"{before['index']['upper']:,g}")
-    page.keyboard.press("ArrowUp")
+    upper.press("ArrowUp")
     page.get_by_role("button", name="Upper threshold of the index finger: up by 25").click()
     expect(upper).to_have_value(f"{before['index']['upper'] + 50:,g}")
     expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
@@ -76,7 +76,7 @@ def test_a_dragged_threshold_can_be_discarded(cell: Cell, open_page: OpenPage) -
         if lower.input_value() != f"{before['ring']['lower']:,g}":
             break
     expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
-    page.keyboard.press("z")
+    page.get_by_role("button", name="Discard changes").click()
     wait_for(lambda: lower.input_value() == f"{before['ring']['lower']:,g}")
     assert thresholds(cell) == before
 

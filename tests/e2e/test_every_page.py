@@ -4,17 +4,20 @@ import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, TimeoutError, expect  # noqa: A004 - the one of Playwright
 
 from services.device_gateway.device_client import DeviceClient
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, scan, type_slowly
 from tests.kit.cell import Cell
+from tests.kit.paths import REPOSITORY
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -327,16 +330,134 @@ def test_language_theme_and_name_are_stored(open_page: OpenPage) -> None:
 
 
 @pytest.mark.usefixtures("screen")
-def test_the_keyboard_reaches_every_page_and_lists_its_keys(open_page: OpenPage) -> None:
+def test_the_keyboard_reaches_every_page_and_lists_its_keys(
+    open_page: OpenPage, keep: Callable[[Page, str], Path]
+) -> None:
     page = open_page("/")
     settled(page)
-    for key, path in (("2", "/work"), ("3", "/processes"), ("4", "/system"), ("1", "/")):
-        page.keyboard.press(key)
-        page.wait_for_url(f"**{path}*")
-    page.keyboard.press("?")
-    page.get_by_role("dialog", name="Keyboard shortcuts").wait_for()
+    type_slowly(page, "g", "?")
+    listed = page.get_by_role("dialog", name="Keyboard shortcuts")
+    listed.wait_for()
+    keep(page, "keys")
+    rows = dict(row.split("\n", 1) for row in listed.locator(".key-list__rows > div").all_inner_texts())
     page.keyboard.press("Escape")
     page.get_by_role("dialog").wait_for(state="detached")
+    links = page.get_by_role("navigation", name="Handover").locator("a")
+    places = links.evaluate_all("links => links.map(link => [link.textContent, link.getAttribute('href')])")
+    keys = {does.removeprefix("Go to "): key for key, does in rows.items() if does.startswith("Go to ")}
+    documented = re.findall(r"`g` `(.)` \| ([^|]*?) \|", (REPOSITORY / "docs/how-to/keys.md").read_text())
+    assert {name: key[-1] for name, key in keys.items()}.items() <= {
+        name: key for key, name in documented
+    }.items()
+    assert len(set(keys.values())) == len(keys) == len({path for _, path in places})
+    for name, path in places:
+        key = keys[name.rstrip("0123456789")]
+        assert re.fullmatch(r"g ?[a-z]", key), key
+
+        def is_there(key: str = key, path: str = path) -> bool:
+            if urlsplit(page.url).path == path:
+                return True
+            type_slowly(
+                page, "g", key[-1]
+            )  # again where a busy page was slower than the two strokes may be apart
+            page.wait_for_timeout(1000)
+            return False
+
+        wait_for(is_there, 180)
+
+    page.get_by_role("button", name="Appearance, language and name").click()
+    page.get_by_text("Keyboard navigation: g, then a letter").click()
+    keep(page, "keys-setting")
+    page.get_by_role("button", name="Close").click()
+    here = page.url
+    type_slowly(page, "g", "h")
+    page.get_by_role("button", name="Show keyboard shortcuts").click()
+    expect(listed).to_contain_text("Keyboard navigation is off")
+    expect(listed).not_to_contain_text("Go to")
+    assert page.url == here
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("button", name="Appearance, language and name").click()
+    page.get_by_text("Keyboard navigation: g, then a letter").click()
+
+
+SCANNED_PAGES = (
+    *PAGES.values(),
+    *(f"/system?tab={tab}" for tab in ("gloves", "robots", "devices", "alerts", "events")),
+    *(f"/people?view={view}" for view in ("gestures", "users", "stations", "tokens")),
+    "/processes/upload",
+    "/work?glove=glove-1",
+    "/alerting?view=routes",
+    "/humanoid/vr",
+)
+ACTING = """
+    [...document.querySelectorAll(
+        "a[href], button, summary, select, input, textarea, "
+        + "[role=button], [role=tab], [role=row], [role=application]"
+    )].filter((one) => !one.disabled && one.offsetParent !== null && one.tabIndex >= 0)
+"""
+STATE = """
+    () => JSON.stringify([
+        location.href,
+        document.querySelectorAll("[role=dialog], [role=alertdialog], [role=menu], [role=listbox]").length,
+        [...document.querySelectorAll(
+            "[aria-expanded=true], [aria-selected=true], " +
+            "[aria-checked=true], [aria-pressed=true], details[open]"
+        )].map((one) => one.textContent.replace(/[0-9]+/g, "").slice(0, 12)),
+        [...document.querySelectorAll("select")].map((one) => one.value),
+        [...document.querySelectorAll("input[type=checkbox], input[type=radio]")].map((one) => one.checked),
+        document.documentElement.dataset.theme,
+    ])
+"""
+AFTER_SCAN = "() => new Promise((done) => setTimeout(() => requestAnimationFrame(() => done(true)), 120))"
+
+
+@pytest.mark.timeout(1500)
+@pytest.mark.usefixtures("screen")
+def test_a_scan_acts_on_no_page(open_page: OpenPage) -> None:
+    acts: list[str] = []
+    page = open_page("/", forgives=("status of 422",))  # a filter that gets the text of a scan
+    page.on("request", lambda request: acts.append(request.url) if request.method != "GET" else None)
+    focused = 0
+    for path in SCANNED_PAGES:
+        page.goto(path)
+        settled(page)
+        scan(page, "4006381333932")
+        for index in range(page.evaluate(f"{ACTING}.length")):
+            text = ("gw7", "c1p", "4 c", "nsb")[index % 4]
+            focus = f"const one = {ACTING}[index]; one?.focus(); return one?.outerHTML.slice(0, 200);"
+            name = page.evaluate(f"(index) => {{ {focus} }}", index)
+            before = page.evaluate(STATE)
+            scan(page, text)
+            page.evaluate(AFTER_SCAN)
+            if page.evaluate(
+                "document.activeElement.matches('input[type=search], input[type=text], textarea')"
+            ):
+                continue  # it gets the text, and what it filters may change; the other test has its Enter
+            assert page.evaluate(STATE) == before, f"{path}: a scan of {text!r} acts on {name}"
+            assert acts == [], f"{path}: a scan of {text!r} on {name} asks for {acts}"
+            focused += 1
+    assert focused > 10 * len(SCANNED_PAGES)
+    page.goto("/")
+    page.get_by_role("link", name="Processes").first.focus()
+    type_slowly(page, "x", "Enter")
+    page.wait_for_url("**/processes*")
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_scan_goes_into_the_field_that_has_the_input_and_does_not_submit(open_page: OpenPage) -> None:
+    page = open_page("/processes")
+    search = page.get_by_role("searchbox").first
+    search.focus()
+    scan(page, "4006381333932")
+    expect(search).to_have_value("4006381333932")
+    page.goto("/devices")
+    page.get_by_role("button", name="Add a device").first.click()
+    name = page.get_by_role("textbox", name="Name", exact=True).first
+    name.focus()
+    scan(page, "4006381333932")
+    page.evaluate(AFTER_SCAN)
+    expect(name).to_have_value("4006381333932")
+    expect(page.get_by_role("row", name="4006381333932")).to_have_count(0)
 
 
 @pytest.mark.usefixtures("screen")
@@ -352,3 +473,154 @@ def test_nothing_is_loaded_from_other_hosts(open_page: OpenPage) -> None:
         url for url in fetched if url.split("/")[2] != ours and not url.startswith(("data:", "blob:"))
     }
     assert not elsewhere
+
+
+def started(cell: Cell) -> str:
+    """Start a process that waits for a person, and return its id."""
+    url = cell.url("task_orchestrator")
+    body = {"definition": "bin-picking"}
+    return str(httpx.post(f"{url}/processes", json=body, timeout=120).raise_for_status().json()["id"])
+
+
+UNKNOWN = {
+    "accounts/AuditView.tsx": ["/people?view=audit&service=nope", "/people?view=audit&outcome=nope"],
+    "alerting/AlertingPage.tsx": ["/alerting?view=nope"],
+    "alerting/MessagesView.tsx": ["/alerting?view=sent&state=nope"],
+    "alerting/SettingsView.tsx": ["/alerting?name=nope", "/alerting?add=nope"],
+    "calibrate/CalibratePage.tsx": ["/calibrate?step=nope", "/calibrate?finger=nope"],
+    "cases/CasesPage.tsx": ["/cases?case=nope"],
+    "cockpit/CockpitPage.tsx": ["/cockpit?view=nope"],
+    "cockpit/processes/ProcessTable.tsx": [
+        "/cockpit?state=nope",
+        "/cockpit?involves=nope",
+        "/cockpit?time=nope",
+    ],
+    "cockpit/query.ts": [
+        "/cockpit?of=nope",
+        "/cockpit?of=bin-picking&version=nope",
+        "/cockpit?period=nope",
+        "/cockpit?from=nope",
+        "/cockpit?to=nope",
+    ],
+    "cockpit/statistics/HeatMap.tsx": ["/cockpit?of=bin-picking&heat=nope"],
+    "cockpit/statistics/StatisticsView.tsx": ["/cockpit?of=bin-picking&element=nope"],
+    "control/ControlPage.tsx": ["/control?robot=nope"],
+    "devices/DevicePanel.tsx": ["/devices?device=page-arm&part=nope"],
+    "devices/DevicesPage.tsx": ["/devices?device=nope", "/devices?add=nope"],
+    "devices/history/HistoryPart.tsx": [
+        f"/devices?device=page-arm&part=history&{name}=nope"
+        for name in ("values", "span", "time", "forecast")
+    ],
+    "devices/messages/MessagesPart.tsx": [
+        f"/devices?device=page-arm&part=messages&{name}=nope" for name in ("direction", "type")
+    ],
+    "glove/GloveSelect.tsx": ["/test?glove=nope", "/calibrate?glove=nope"],
+    "health/HealthPage.tsx": ["/health?person=nope"],
+    "health/HistoryCard.tsx": ["/health?value=nope", "/health?span=nope"],
+    "humanoid/SessionCard.tsx": ["/humanoid?person=nope", "/humanoid?session=nope"],
+    "people/GesturesView.tsx": ["/people?person=nope"],
+    "people/PeoplePage.tsx": ["/people?view=nope"],
+    "processes/address.ts": [
+        "/processes/nope",
+        "/processes/definition/nope",
+        "/processes/nope/nope",
+        "/processes/definition/nope/nope",
+    ],
+    "processes/definition/DefinitionPanel.tsx": [
+        "/processes/definition/bin-picking?version=nope",
+        "/processes/definition/bin-picking?version=999",
+    ],
+    "processes/list/ProcessList.tsx": [
+        f"/processes?{name}=nope" for name in ("state", "of", "involves", "sort")
+    ],
+    "processes/process/ProcessPanel.tsx": ["/processes/PROCESS?view=nope", "/processes/PROCESS?task=nope"],
+    "processes/timeline/chosen.ts": ["/processes/PROCESS?status=nope", "/processes/PROCESS?who=nope"],
+    "sensors/SensorsPage.tsx": ["/sensors?show=nope"],
+    "study/StudyPage.tsx": ["/study?session=nope"],
+    "system/SystemPage.tsx": ["/system?tab=nope"],
+    "system/alerts/AlertsPanel.tsx": [
+        f"/system?tab=alerts&{name}=nope"
+        for name in ("alert", "group", "state", "severity", "category", "from")
+    ],
+    "system/events/EventsPanel.tsx": ["/system?tab=events&level=nope", "/system?tab=events&source=nope"],
+    "tasks/TaskList.tsx": [f"/tasks?{name}=nope" for name in ("show", "sort", "later")],
+    "tasks/TasksPage.tsx": ["/tasks?task=nope"],
+    "test/Accuracy.tsx": ["/test?part=accuracy&test=nope", "/test?part=accuracy&rounds=nope"],
+    "test/FreeTrial.tsx": ["/test?gesture=nope"],
+    "test/TestPage.tsx": ["/test?part=nope"],
+    "work/WorkPage.tsx": ["/work?glove=nope"],
+    "App.tsx": ["/nope", "/system/nope", "/humanoid/nope"],
+}
+"""Addresses that name what does not exist, by the module that reads them."""
+
+FREE_TEXT = {"find", "text", "filter", "where", "agent"}
+"""Parameters that are searched for: what is not found is an empty list, and the field shows the text."""
+NEEDS_ACCOUNTS = {
+    "accounts/UsersView.tsx:user",
+    "accounts/AuditView.tsx:who",
+    "accounts/AuditView.tsx:action",
+}
+NEEDS_ACCOUNTS |= {f"accounts/AuditView.tsx:{name}" for name in ("resource", "from", "to")}
+"""Fields that show what they are asked for, and the users of a cell with accounts."""
+
+
+def test_every_parameter_of_an_address_is_tried_with_a_name_that_does_not_exist() -> None:
+    source = REPOSITORY / "webui" / "app" / "src"
+    read = re.compile(r"(?:useQueryParameter|useChoice(?:<\w+>)?)\(\"(\w+)\"")
+    parameters = {
+        f"{path.relative_to(source).as_posix()}:{name}"
+        for path in source.rglob("*.ts*")
+        for name in read.findall(path.read_text())
+    }
+    tried = {
+        f"{module}:{name}"
+        for module, addresses in UNKNOWN.items()
+        for address in addresses
+        for name in parse_qs(urlsplit(address).query)
+    }
+    assert {
+        parameter
+        for parameter in parameters - tried - NEEDS_ACCOUNTS
+        if parameter.split(":")[1] not in FREE_TEXT
+    } == set()
+
+
+@pytest.mark.timeout(1500)
+@pytest.mark.usefixtures("screen")
+def test_an_address_that_names_nothing_says_so_on_every_page(
+    cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    process = started(cell)
+    human_state = cell.url("human_state")
+    consent = {
+        "purposes": ["live", "history"],
+        "ends": (datetime.now(UTC) + timedelta(days=1)).isoformat(),
+        "givenBy": "a test",
+    }
+    for path, body in (("", {}), ("/consent", consent)):
+        httpx.put(f"{human_state}/people/page-person{path}", json=body, timeout=120).raise_for_status()
+    page = open_page("/", forgives=tuple(f"status of {status}" for status in (400, 404, 422, 502)))
+    missed: list[str] = []
+    for address in (one.replace("PROCESS", process) for group in UNKNOWN.values() for one in group):
+        page.goto(address)
+        said = page.locator("main").get_by_text(
+            re.compile("nope|999|does not exist|not found|is unknown|cannot be read", re.IGNORECASE)
+        )
+        try:
+            said.first.wait_for(state="attached", timeout=45_000)
+        except TimeoutError:
+            missed.append(f"{address}: {page.locator('main').inner_text()[:200]}")
+            continue
+        if page.get_by_role("button", name=re.compile("^(Take control|Start bin picking again)")).count():
+            missed.append(f"{address}: offers to act on something else")
+    assert missed == []
+    for name, path in (("robot", "/control?robot=nope"), ("view", "/system?tab=nope")):
+        for theme, language, size in LOOKS:
+            other = open_page(path, theme=theme, language=language, viewport=SIZES[size])
+            other.get_by_text("nope").first.wait_for()
+            accessible(other)
+            keep(other, f"unknown-{name}-{theme}-{language}")
+            other.context.close()
+    page.goto("/control?robot=nope")
+    page.get_by_role("button", name="Show what there is").click()
+    page.get_by_role("button", name="Take control").wait_for()

@@ -11,9 +11,9 @@ from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Error, Page, expect
 
-from tests.e2e.conftest import OpenPage, appearing
+from tests.e2e.conftest import OpenPage, appearing, type_slowly
 from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -61,19 +61,33 @@ def test_with_the_keyboard_only(
     page.get_by_role("heading", name="Nothing to do right now").wait_for()
     accessible(page)
     keep(page, "work-idle")
-    page.wait_for_timeout(700)  # a key counts once the step has been visible for a moment
-    page.keyboard.press("Enter")
+
+    def press(name: str) -> None:
+        """Reach the button by Tab, and press it."""
+        button = page.get_by_role("button", name=name, exact=True)
+        expect(button).to_be_enabled()
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if button.evaluate("one => one === document.activeElement"):
+                break
+        type_slowly(page, "Enter")
+
+    type_slowly(page, "s", "Enter", "c", " ")  # keys that nothing has the focus for
+    page.get_by_role("heading", name="Nothing to do right now").wait_for()
+    press("Start Bin picking")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     accessible(page)
     keep(page, "work-asked")
-    page.wait_for_timeout(700)
-    page.keyboard.press("c")
+    page.evaluate("document.activeElement.blur()")
+    type_slowly(page, "c", "Enter", " ", "p", "n", "b")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    press("Complete by hand")
     page.get_by_role("dialog", name="Who are you?").wait_for()
-    page.keyboard.type("Aino")
-    page.keyboard.press("Enter")
+    type_slowly(page, *"Aino", "Enter")
 
     def answer() -> None:
-        page.keyboard.press("Enter")
+        with contextlib.suppress(AssertionError, Error):  # the step may be over
+            press("Complete by hand")
         page.wait_for_timeout(400)
 
     page.get_by_text("Completed by Aino").wait_for()

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.gloves import TcpGlove
 from tests.kit.waiting import wait_for
@@ -48,7 +48,7 @@ def test_a_person_is_added_and_exchanges_two_gestures(
 ) -> None:
     page = open_page("/people")
     page.get_by_role("button", name="Add a person").wait_for()
-    page.keyboard.press("n")
+    type_slowly(page, "g", "n")
     page.get_by_label("Short name").fill("anna")
     page.get_by_label("Display name").fill("Anna K.")
     page.get_by_role("dialog").get_by_role("button", name="Add a person").click()
@@ -81,7 +81,7 @@ def test_a_dialog_keeps_the_focus_while_the_people_are_loaded(cell: Cell, open_p
     page.route("**/api/gesture-controller/people", hold)
     page.get_by_role("link", name="People").click()
     page.get_by_role("button", name="Add a person").wait_for()
-    page.keyboard.press("n")
+    type_slowly(page, "g", "n")
     page.get_by_label("Short name").fill("h")
     page.evaluate("document.activeElement.addEventListener('blur', () => { document.title = 'focus lost' })")
     is_shown = True
@@ -191,8 +191,8 @@ def test_a_gesture_is_found_among_many_by_its_picture_or_its_name(
     if touch:
         panel.get_by_role("option", name="Hörner", exact=True).tap()
     else:
-        page.keyboard.type("hörn")
+        type_slowly(page, *"hörn")
         assert panel.get_by_role("option").count() == 1
-        page.keyboard.press("Enter")
+        type_slowly(page, "Enter")
     panel.wait_for(state="detached")
     wait_for(lambda: person(glove_screen, "eve")["commands"]["3"] == "Horns")

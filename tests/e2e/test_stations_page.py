@@ -7,7 +7,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS
+from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS, type_slowly
 from tests.integration.webui.test_signing_in import PASSWORD, set_up
 from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for
@@ -105,8 +105,7 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
 
     page.goto(f"{own_cell.url('webui')}/work?glove=glove-1")
     page.get_by_role("button", name="Enter the PIN").click()
-    page.keyboard.type(PIN)
-    page.keyboard.press("Enter")
+    type_slowly(page, *PIN, "Enter")
     expect(page.get_by_role("dialog")).to_have_count(0)
     page.get_by_role("button", name="Complete by hand").click()
     expect(page.get_by_role("button", name="Enter the PIN")).to_have_count(0)

@@ -8,7 +8,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
@@ -154,7 +154,7 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
         else:
             page.get_by_role("heading", name="Before we begin").wait_for()
         assert page.get_by_role("navigation").count() == 0
-        page.keyboard.press("4")
+        type_slowly(page, "g", "s")
         page.get_by_role("button", name="Pause or leave").wait_for()
     page.get_by_role("button", name="I have read this and want to take part").click()
     page.get_by_role("button", name="Next").click()

@@ -238,7 +238,7 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
     expect(page.get_by_text("Connected", exact=True)).to_be_visible()
     accessible(page)
     keep(page, "system-glove")
-    page.keyboard.press("e")
+    page.get_by_role("tab", name="Events").click()
     page.wait_for_url("**tab=events*")
     events = page.get_by_role("grid", name="Events")
     expect(events).to_contain_text("Simulated operator started with glove-1")

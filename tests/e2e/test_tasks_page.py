@@ -8,7 +8,7 @@ import httpx
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
@@ -91,11 +91,16 @@ def test_a_task_is_claimed_and_completed_with_its_form_by_keyboard(
     page = open_page("/tasks", who="")
     expect(row(page)).to_contain_text("Unclaimed")
     accessible(page)
-    page.keyboard.press("j")
+    type_slowly(page, "g", "j")
     expect(row(page)).to_be_focused()
-    page.keyboard.press("Enter")
-    page.get_by_role("button", name="Claim this task").wait_for()
-    page.keyboard.press("c")
+    type_slowly(page, "Enter")
+    claim = page.get_by_role("button", name="Claim this task")
+    claim.wait_for()
+    type_slowly(page, "c", "g", "c")  # no key claims, and the focused row keeps its place
+    page.wait_for_url("**/control*")
+    page.go_back()
+    claim.focus()
+    type_slowly(page, "Enter")
     page.get_by_label("Your name").fill("Liisa")
     page.keyboard.press("Enter")
     form = page.get_by_role("form", name="Result")
@@ -103,7 +108,7 @@ def test_a_task_is_claimed_and_completed_with_its_form_by_keyboard(
     expect(row(page)).to_contain_text("Claimed by Liisa")
     wait_for(lambda: [task["status"] for task in seen(begun)["tasks"]] == ["inProgress"])
 
-    page.keyboard.press("e")
+    type_slowly(page, "g", "i")
     expect(form.get_by_label("Weight in kg")).to_be_focused()
     page.keyboard.type("21")
     page.keyboard.press("Control+Enter")

@@ -56,6 +56,12 @@ class AccountRequest(_Body):
     note: Annotated[str, Field(max_length=1000)] = ""
 
 
+class SignOutRequest(_Body):
+    """The PIN with which a station is signed out."""
+
+    pin: Annotated[str, Field(max_length=100)] | None = None
+
+
 class StationRequest(_Body):
     """The station as which a screen is signed in."""
 
@@ -109,13 +115,19 @@ def add_sessions(app: FastAPI, guard: PageGuard) -> None:
         return await _begin(guard, request, response, await guard.ask_accounts("/sessions", content))
 
     @app.delete("/api/session", tags=["session"], dependencies=[require_signed_in()])
-    async def sign_out(request: Request, response: Response) -> SignedOut:
-        """Sign out, with the address where the browser then signs out at the provider."""
+    async def sign_out(request: Request, response: Response, body: SignOutRequest | None = None) -> SignedOut:
+        """Sign out, with the address where the browser then signs out at the provider.
+
+        A station needs the PIN of the person who has joined it, or of an engineer: 403 without, 429 after
+        too many attempts.
+        """
         token = guard.session_of(dict(request.scope["headers"]))
         location = None
         if token is not None:
-            body = {"session": token, "returnTo": f"{own_address(guard, request)}/"}
-            location = (await guard.ask_accounts("/sign-out", body))["location"]
+            content = {"session": token, "returnTo": f"{own_address(guard, request)}/"}
+            if body is not None and body.pin is not None:
+                content["pin"] = body.pin
+            location = (await guard.ask_accounts("/sign-out", content))["location"]
             guard.forget(token)
         secure = is_secure(guard, request)
         response.delete_cookie(_cookie(guard, request), path="/", secure=secure, httponly=True)

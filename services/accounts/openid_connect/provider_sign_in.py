@@ -130,8 +130,12 @@ class ProviderSignIn:
         except ProviderError as error:
             raise _unavailable(error) from None
 
-    async def end_session(self, token: str, return_to: str | None) -> str | None:
-        """Sign out; return where the browser signs out at the provider, if the session began there."""
+    async def end_session(self, token: str, return_to: str | None, pin: str | None = None) -> str | None:
+        """Sign out; return where the browser signs out at the provider, if the session began there.
+
+        Raises `Problem` 403 for a station without a `pin` that may sign it out, 429.
+        """
+        await self._directory.admit_sign_out(token, pin)
 
         def proof(connection: Connection) -> str | None:
             row: Mapping[str, Any] | None = sessions.find_session(

@@ -50,9 +50,13 @@ class SessionBody(_Body):
 
 
 class SessionEnd(SessionBody):
-    """The session that ends; `returnTo` is the page that follows a sign-out at the provider."""
+    """The session that ends; `returnTo` is the page that follows a sign-out at the provider.
+
+    A station is signed out with the `pin` of the person who has joined it, or of an engineer.
+    """
 
     return_to: Annotated[str | None, Field(max_length=1000, alias="returnTo")] = None
+    pin: Annotated[str | None, Field(max_length=100)] = None
 
 
 class ProviderSignInBegin(Place):

@@ -8,7 +8,7 @@ from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require_signed_in
 from handover.security.permissions import Permission
-from services.accounts import sessions, users
+from services.accounts import sessions, stations, users
 from services.accounts.changes import Change
 from services.accounts.directory import Directory
 from services.accounts.grants import admin_names
@@ -66,6 +66,12 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
         _require_user(caller)
 
         def end(change: Change) -> None:
+            if stations.station_of(change.connection, caller.subject) is not None:
+                raise Problem(
+                    403,
+                    "Not allowed",
+                    "a station is signed out at its own screen, with a PIN, or by an engineer",
+                )
             sessions.end_session(change, session, subject=caller.subject)
 
         await directory.change(caller.subject, end)
@@ -76,6 +82,12 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
         _require_user(caller)
 
         def end(change: Change) -> None:
+            if stations.station_of(change.connection, caller.subject) is not None:
+                raise Problem(
+                    403,
+                    "Not allowed",
+                    "a station is signed out at its own screen, with a PIN, or by an engineer",
+                )
             users.end_sessions_of(change, caller.subject, kept_session=caller.session)
             change.is_recorded = True  # there may be no other session
 

@@ -48,9 +48,13 @@ def add_provider_routes(app: FastAPI, provider: ProviderSignIn) -> None:
     @app.post("/sign-out", tags=["page server"])
     @max_body(MAX_BODY_BYTES)
     async def sign_out(caller: Verifier, body: SessionEnd) -> SignedOut:
-        """End a session; `location` is where the browser signs out at the provider, if it signed in there."""
+        """End a session; `location` is where the browser signs out at the provider, if it signed in there.
+
+        403 for a station without the PIN of the person who has joined it or of an engineer, 429 after too
+        many attempts.
+        """
         require_page_server(caller)
-        return {"location": await provider.end_session(body.session, body.return_to)}
+        return {"location": await provider.end_session(body.session, body.return_to, body.pin)}
 
     @app.put("/users/{subject}/identity", status_code=204, tags=["people"])
     async def connect(

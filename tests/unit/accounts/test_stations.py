@@ -213,3 +213,53 @@ async def test_only_an_engineer_makes_stations_and_gives_no_more_than_they_have(
         token=await accounts.token_of(operator),
     )
     assert answer.status_code == 409, "a person's own session is no station"
+
+
+async def test_a_station_is_signed_out_by_the_pin_of_who_has_joined_or_of_an_engineer_alone(
+    line: Line,
+) -> None:
+    accounts, owner = line.accounts, await line.accounts.owner()
+    engineer = accounts.caller(await accounts.token_of(await accounts.member("Frida", ("engineer", "*"))))
+    pin = {"value": "592837"}
+    path = f"/users/{engineer.subject}/identifiers/pin"
+    assert (await accounts.call("PUT", path, pin, token=owner)).is_success
+
+    async def sign_out(pin: str | None) -> int:
+        body = {"session": line.session, **({} if pin is None else {"pin": pin})}
+        return int((await accounts.as_page("POST", "/sign-out", body)).status_code)
+
+    async def is_signed_in() -> bool:
+        body = {"session": line.session}
+        return bool((await accounts.as_page("POST", "/session-tokens", body)).status_code == 201)
+
+    was_in = await is_signed_in()
+    for refused in (None, "", PINS["Anna"], "000000"):
+        assert await sign_out(refused) == 403, "nobody has joined"
+    assert await line.join("badge", "B-Anna-1") == 200
+    assert await sign_out(PINS["Ben"]) == 403, "Ben is not there"
+    assert await line.there() == "Anna"
+    own = (await line.screen("GET", "/me/sessions")).json()
+    assert (await line.screen("DELETE", f"/me/sessions/{own[0]['id']}")).status_code == 403
+    assert (await line.screen("DELETE", "/me/sessions")).status_code == 403
+    assert await is_signed_in() == was_in
+    assert await sign_out(PINS["Anna"]) == 200
+    assert (await accounts.as_page("POST", "/session-tokens", {"session": line.session})).status_code == 401
+
+    line.session = await line.sign_in()
+    assert await sign_out(pin["value"]) == 200, "an engineer"
+    records = [(one["outcome"], one["method"]) for one in await line.records("station.signedOut")]
+    assert records.count(("done", "pin")) == 2
+    assert records.count(("refused", "pin")) == 5
+
+
+async def test_attempts_to_sign_a_station_out_are_limited(line: Line) -> None:
+    body = {"session": line.session, "pin": "000000"}
+    answers = [(await line.accounts.as_page("POST", "/sign-out", body)).status_code for _ in range(40)]
+    assert answers[0] == 403
+    assert answers[-1] == 429
+    assert await line.there() is None
+
+
+async def test_people_sign_out_without_a_pin(accounts: Accounts) -> None:
+    session = await accounts.member("Mia")
+    assert (await accounts.as_page("POST", "/sign-out", {"session": session})).status_code == 200

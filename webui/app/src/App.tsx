@@ -1,7 +1,7 @@
 /** The pages and their paths. Each page but the first loads when it is opened. */
 import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
-import { Link, Route, Switch, useLocation } from "wouter";
+import { Link, Route, Switch, useLocation, useSearch } from "wouter";
 import { RouterProvider } from "react-aria-components";
 import { EmptyState } from "~/design/EmptyState";
 import { Shell } from "~/shell/Shell";
@@ -30,13 +30,14 @@ const StudyPage = lazy(() => import("~/study/StudyPage"));
 
 export function App() {
   const [path, go] = useLocation();
+  const address = `${path}?${useSearch()}`;
   const participant = useParticipantMode();
   if (participant !== null) {
     return (
       <RouterProvider navigate={go}>
         <Suspense fallback={null}>
           <ParticipantFrame mode={participant}>
-            <ErrorBoundary key={path}>{path === "/work" ? <WorkPage /> : <StudyPage />}</ErrorBoundary>
+            <ErrorBoundary key={path} address={address}>{path === "/work" ? <WorkPage /> : <StudyPage />}</ErrorBoundary>
           </ParticipantFrame>
         </Suspense>
       </RouterProvider>
@@ -45,7 +46,7 @@ export function App() {
   return (
     <RouterProvider navigate={go}>
       <Shell>
-        <ErrorBoundary key={path.split("/")[1]}>
+        <ErrorBoundary key={path.split("/")[1]} address={address}>
           <Switch>
             <Route path="/" component={StartPage} />
             <Route path="/work" component={WorkPage} />

@@ -8,7 +8,9 @@ import { initI18n } from "~/i18n";
 import { LiveConnection } from "~/live/connection";
 import { Live } from "~/live/hooks";
 import { LiveStore } from "~/live/store";
+import { UnknownAddress } from "~/route/choice";
 import { isSignedIn, loadSession } from "~/session/session";
+import { discardScans } from "~/shell/scans";
 import { initTheme } from "~/shell/theme";
 
 const SignInPage = lazy(() => import("~/session/SignInPage"));
@@ -28,12 +30,17 @@ if (showsPage) {
   });
 }
 
+discardScans();
 initTheme();
 await initI18n();
 
 const root = document.getElementById("root");
 if (root === null) throw new Error("index.html has no #root");
-createRoot(root).render(
+// An address that names nothing is no fault of the page, which says so.
+const onCaughtError = (error: unknown) => {
+  if (!(error instanceof UnknownAddress)) console.error(error);
+};
+createRoot(root, { onCaughtError }).render(
   <Live value={live}>
     {showsPage ? (
       <App />

@@ -9,6 +9,7 @@ import { Field } from "~/design/Field";
 import { RelativeTime } from "~/design/RelativeTime";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { useUsers, type UserView } from "./accounts";
@@ -37,7 +38,9 @@ export function UsersView() {
       </aside>
       <div className="people__place">
         {note !== null && <p role="status">{note}</p>}
-        {user === undefined ? (
+        {user === undefined && chosen !== "" ? (
+          users !== null && <UnknownName thing="user" name={chosen} parameter="user" />
+        ) : user === undefined ? (
           <EmptyState icon={<UsersRound aria-hidden size={32} />} title={t("users.choose")}>
             {t("users.chooseMeans")}
           </EmptyState>

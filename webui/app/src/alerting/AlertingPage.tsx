@@ -1,7 +1,8 @@
 /** Alerting: rules that find anomalies, routes and channels of Alerts, and the log of what was sent. */
 import { useTranslation } from "react-i18next";
 import { SegmentedControl } from "~/design/SegmentedControl";
-import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
+import { useQueryChange } from "~/route/queryParameter";
 import { MessagesView } from "./MessagesView";
 import { ChannelsView, RoutesView } from "./RouteViews";
 import { RulesView } from "./RulesView";
@@ -14,9 +15,8 @@ const NAMES = Object.keys(VIEWS) as View[];
 export default function AlertingPage() {
   // Load the texts of all parts with the page: a part that loads them later would suspend it and lose the focus.
   const { t } = useTranslation(["alerting", "common", "tasks", "devices"]);
-  const [asked] = useQueryParameter("view", "rules");
+  const [view] = useChoice("view", NAMES, "rules");
   const change = useQueryChange();
-  const view = NAMES.find((name) => name === asked) ?? "rules";
   const Content = VIEWS[view];
   return (
     <div className="alerting-page">

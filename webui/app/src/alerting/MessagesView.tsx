@@ -13,7 +13,7 @@ import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { isoOf } from "~/devices/values";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import { ROUTER, type MessageView } from "./api";
 
 const REFRESH_MS = 5_000;
@@ -23,7 +23,7 @@ const tones: Record<string, Tone> = { waiting: "attention", sent: "ok", failed: 
 
 export function MessagesView() {
   const { t } = useTranslation("alerting");
-  const [state, setState] = useQueryParameter("state");
+  const [state, setState] = useChoice("state", ["", ...STATES], "");
   return (
     <section className="alerting__wide" aria-label={t("view.sent")}>
       <div className="alerting__bar">

@@ -9,6 +9,8 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
+import { useChoice } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 
@@ -34,7 +36,7 @@ export interface SettingsViewProps<T extends Named> {
 export function SettingsView<T extends Named>({ kind, icon, rows, failure, mayAdd, detailOf, stateOf, show }: SettingsViewProps<T>) {
   const { t } = useTranslation(["alerting", "common"]);
   const [chosen] = useQueryParameter("name");
-  const [adding] = useQueryParameter("add");
+  const [adding] = useChoice("add", ["", "yes"], "");
   const [find, setFind] = useQueryParameter("find");
   const change = useQueryChange();
   const [sorting, setSorting] = useSorting("name");
@@ -99,11 +101,14 @@ export function SettingsView<T extends Named>({ kind, icon, rows, failure, mayAd
             <div className="alerting__content" key={isAdding ? "" : row?.name}>{show(isAdding ? null : row, open)}</div>
           </Card>
         ) : (
-          rows !== null && (
+          rows !== null &&
+          (chosen !== "" ? (
+            <UnknownName thing="value" name={chosen} parameter="name" />
+          ) : (
             <EmptyState icon={icon} title={rows.length === 0 ? t(`${kind}.none`) : t(`${kind}.choose`)} act={rows.length === 0 ? addButton : undefined}>
               {t(`${kind}.means`)}
             </EmptyState>
-          )
+          ))
         )}
       </div>
     </div>

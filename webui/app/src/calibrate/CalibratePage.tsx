@@ -11,9 +11,8 @@ import { GloveSelect, NoGlove, useSelectedGlove } from "~/glove/GloveSelect";
 import { fingers } from "~/hand/geometry";
 import { useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
-import { useQueryParameter } from "~/route/queryParameter";
-import { useKeys } from "~/shell/keys";
-import { bounds, changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
+import { useChoice } from "~/route/choice";
+import { changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
 import { GuidedCard } from "./GuidedCard";
 import "./CalibratePage.css";
@@ -65,14 +64,11 @@ function ByHand({ glove }: { glove: string }) {
   const received = useTopicSelector(`glove/${glove}`, (view) => (view === undefined ? "" : JSON.stringify(view.thresholds)));
   const saved = useMemo(() => (received === "" ? null : (JSON.parse(received) as Thresholds)), [received]);
   const [draft, setDraft] = useState<Thresholds | null>(null);
-  const [step, setStep] = useQueryParameter("step", "25");
-  const [bound, setBound] = useQueryParameter("bound", "upper");
-  const [fingerParameter, setFinger] = useQueryParameter("finger", "thumb");
+  const [step, setStep] = useChoice<Step>("step", steps, "25");
+  const [finger, setFinger] = useChoice("finger", fingers, "thumb");
   const [failure, setFailure] = useState<string | null>(null);
   const [notice, setNotice] = useState<"saved" | "restored" | null>(null);
-  const finger = fingers.find((finger) => finger === fingerParameter) ?? "thumb";
-  const chosenBound: Bound = bounds.find((each) => each === bound) ?? "upper";
-  const size = Number(steps.find((each) => each === step) ?? "25");
+  const size = Number(step);
   const thresholds = draft ?? saved;
   const changes = saved !== null && draft !== null ? changesOf(saved, draft) : null;
 
@@ -99,26 +95,12 @@ function ByHand({ glove }: { glove: string }) {
     if (changes !== null) void act("thresholds", "PUT", "saved", changes);
   };
   const restore = () => void act("thresholds/restore", "POST", "restored");
-  const choose = (by: number) => setFinger(fingers[(fingers.indexOf(finger) + by + fingers.length) % fingers.length] ?? "thumb");
-  const nudge = (by: number) => {
-    if (thresholds !== null) move(finger, chosenBound, thresholds[finger][chosenBound] + by);
-  };
-  useKeys([
-    { key: "ArrowLeft", does: t("keys.left"), act: () => choose(-1) },
-    { key: "ArrowRight", does: t("keys.right"), act: () => choose(1) },
-    { key: "u", does: t("keys.upper"), act: () => setBound("upper") },
-    { key: "l", does: t("keys.lower"), act: () => setBound("lower") },
-    { key: "ArrowUp", does: t("keys.up"), act: () => nudge(size) },
-    { key: "ArrowDown", does: t("keys.down"), act: () => nudge(-size) },
-    { key: "s", does: t("keys.save"), act: save },
-    { key: "z", does: t("keys.back"), act: forget },
-  ]);
   if (saved === null || thresholds === null) return null;
 
   return (
     <Card
       title={t("byHand")}
-      aside={<SegmentedControl<Step> label={t("step")} value={String(size) as Step} options={steps.map((value) => ({ value, name: t("stepOf", { step: value }) }))} onChange={setStep} />}
+      aside={<SegmentedControl<Step> label={t("step")} value={step} options={steps.map((value) => ({ value, name: t("stepOf", { step: value }) }))} onChange={setStep} />}
     >
       <p className="quiet">{t("means")}</p>
       <Suspense fallback={<div className="calibrate__plot" />}>

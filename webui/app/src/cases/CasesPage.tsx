@@ -15,6 +15,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { reasonOf } from "~/health/health";
 import { VitalSigns } from "~/health/VitalSigns";
 import { localizedText } from "~/i18n/server";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import "~/health/HealthPage.css";
 import { CaseChart } from "./CaseChart";
@@ -34,13 +35,14 @@ export default function CasesPage() {
     <div className="cases">
       <header className="health__head">
         <h1>{t("common:pages.cases")}</h1>
-        {machines !== null && machines.length > 1 && (
+        {machines !== null && machines.length > (machine === null ? 0 : 1) && (
           <Select label={t("case")} value={machine?.case ?? ""} options={machines.map(({ case: name }) => ({ value: name, name: t(`name.${name}`, { defaultValue: name }) }))} onChange={setAsked} />
         )}
       </header>
       <p className="health__notice small quiet">{t("notSafe")}</p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-      {machine === null ? machines !== null && <EmptyState icon={<HandHelping aria-hidden size={32} />} title={t("none")} /> : <Machine key={machine.case} machine={machine} onChange={reload} />}
+      {machine !== null && <Machine key={machine.case} machine={machine} onChange={reload} />}
+      {machine === null && machines !== null && (asked === "" ? <EmptyState icon={<HandHelping aria-hidden size={32} />} title={t("none")} /> : <UnknownName thing="case" name={asked} parameter="case" />)}
     </div>
   );
 }

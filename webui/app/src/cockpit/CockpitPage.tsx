@@ -1,7 +1,7 @@
 /** Cockpit: how processes go, who does the work, and who should get it. */
 import { useTranslation } from "react-i18next";
 import { SegmentedControl } from "~/design/SegmentedControl";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import { useKeys } from "~/shell/keys";
 import { AgentsView } from "./agents/AgentsView";
 import { MappingView } from "./mapping/MappingView";
@@ -11,17 +11,14 @@ import { StatisticsView } from "./statistics/StatisticsView";
 import "./CockpitPage.css";
 
 const VIEWS = ["statistics", "agents", "mapping"] as const;
-const KEYS = { statistics: "s", agents: "a", mapping: "m" } as const;
 
 export default function CockpitPage() {
   const { t } = useTranslation(["cockpit", "common"]);
-  const [asked, setView] = useQueryParameter("view", "statistics");
-  const view = VIEWS.find((one) => one === asked) ?? "statistics";
+  const [view, setView] = useChoice("view", VIEWS, "statistics");
   const state = useScope();
-  useKeys([
-    ...VIEWS.map((value) => ({ key: KEYS[value], does: t("keys.show", { view: t(`view.${value}`) }), act: () => setView(value) })),
-    { key: "/", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-table input[type=search]")?.focus() },
-  ]);
+  useKeys(
+    view === "statistics" ? [{ key: "f", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-table input[type=search]")?.focus() }] : [],
+  );
   return (
     <div className="cockpit">
       <header className="cockpit__head">

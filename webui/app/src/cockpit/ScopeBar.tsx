@@ -22,7 +22,7 @@ export function ScopeBar({ state }: { state: ReturnType<typeof useScope> }) {
           state.setDefinition(definition);
         }}
       />
-      {latest > 1 && (
+      {(latest > 1 || scope.version !== "") && (
         <Select
           label={t("bar.version")}
           value={scope.version}

@@ -1,6 +1,7 @@
 /** The period and the definition that the cockpit shows, which the URL holds, and the requests for them. */
 import { useMemo } from "react";
 import { useNow } from "~/live/clock";
+import { UnknownAddress, useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 
 export const PERIODS = ["day", "week", "month", "year", "custom"] as const;
@@ -85,10 +86,12 @@ export function pointsOf(given: readonly ({ at: string } & Record<Count, number>
 export function useScope() {
   const [definition, setDefinition] = useQueryParameter("of");
   const [version, setVersion] = useQueryParameter("version");
-  const [asked, setPeriod] = useQueryParameter("period", "week");
+  const [name, setPeriod] = useChoice("period", PERIODS, "week");
   const [from, setFrom] = useQueryParameter("from");
   const [to, setTo] = useQueryParameter("to");
-  const name = PERIODS.find((one) => one === asked) ?? "week";
+  for (const [parameter, date] of Object.entries({ from, to })) {
+    if (date !== "" && startOfDay(date) === null) throw new UnknownAddress(parameter, date);
+  }
   const hour = Math.floor(useNow() / HOUR_MS) * HOUR_MS;
   const scope: Scope = useMemo(() => ({ definition, version, period: periodOf(name, from, to, hour) }), [definition, version, name, from, to, hour]);
   return { scope, name, from, to, setDefinition, setVersion, setPeriod, setFrom, setTo };

@@ -7,6 +7,7 @@ import { EmptyState } from "~/design/EmptyState";
 import { Select } from "~/design/Select";
 import { useTopic, useTopicSelector } from "~/live/hooks";
 import { useRobotDescription, type JointDescription } from "~/robot/description";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { ArrangeMenu, PanelActions } from "./Arrange";
@@ -27,11 +28,14 @@ import { ViewPanel } from "./ViewPanel";
 import "./ControlPage.css";
 
 export default function ControlPage() {
-  const { t } = useTranslation("control");
-  const robots = useRobots();
+  const { t } = useTranslation(["control", "common"]);
+  const { robots, isLoaded } = useRobots();
   const [wanted, setWanted] = useQueryParameter("robot");
-  const robot = robots.find((one) => one.name === wanted) ?? robots[0];
+  const robot = wanted === "" ? robots[0] : robots.find((one) => one.name === wanted);
   if (!mayDo("moveRobots")) return <EmptyState title={t("notAllowed.title")}>{t("notAllowed.means")}</EmptyState>;
+  if (robot === undefined && wanted !== "") {
+    return isLoaded ? <UnknownName thing="robot" name={wanted} parameter="robot" /> : <p className="quiet">{t("common:loading")}</p>;
+  }
   if (robot === undefined) {
     return (
       <EmptyState icon={<Gamepad2 aria-hidden size={32} />} title={t("none.title")}>

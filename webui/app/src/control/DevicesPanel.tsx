@@ -1,9 +1,10 @@
 /** Input devices: their mapping and their scaling gamma, which the user keeps. */
-import { useEffect, useState, type KeyboardEvent } from "react";
+import { useEffect, useRef, useState, type KeyboardEvent } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { Select } from "~/design/Select";
+import { SCAN_GAP_MS } from "~/shell/scans";
 import type { DeviceName } from "./driver";
 import { InputDevicePanel } from "./InputDevicePanel";
 import { keyName } from "./keyName";
@@ -79,14 +80,31 @@ export function DevicesPanel({ robot, control }: { robot: string; control: Contr
 function KeyboardTable({ mapping, onChange }: { mapping: KeyboardMapping; onChange: (mapping: KeyboardMapping) => void }) {
   const { t } = useTranslation("control");
   const names = Object.keys(KEYBOARD.keys) as (keyof KeyboardMapping["keys"])[];
-  const assign = (name: keyof KeyboardMapping["keys"], event: KeyboardEvent) => {
-    if (["Tab", "Escape", "ShiftLeft", "ShiftRight"].includes(event.code) || event.code === "") return;
+  /** The use that gets the next key, and the key that is pressed for it. */
+  const [waiting, setWaiting] = useState<keyof KeyboardMapping["keys"] | null>(null);
+  const pressed = useRef<{ code: string; at: number } | null>(null);
+  const down = (event: KeyboardEvent) => {
+    if (waiting === null || ["Tab", "ShiftLeft", "ShiftRight", ""].includes(event.code)) return;
     event.preventDefault();
+    if (event.code === "Escape") setWaiting(null);
+    else if (!event.repeat) pressed.current = { code: event.code, at: event.timeStamp };
+  };
+  const up = (event: KeyboardEvent) => {
+    const key = pressed.current;
+    pressed.current = null;
+    if (waiting === null || key === null) return;
+    event.preventDefault(); // the release of Space would press the button again
+    // A scanner holds its keys for a moment only.
+    if (key.code !== event.code || event.timeStamp - key.at < SCAN_GAP_MS) return;
+    assign(waiting, key.code);
+    setWaiting(null);
+  };
+  const assign = (name: keyof KeyboardMapping["keys"], code: string) => {
     const keys = { ...mapping.keys };
     // A key has one use: the other use gets the key that becomes free.
-    const other = names.find((one) => keys[one] === event.code);
+    const other = names.find((one) => keys[one] === code);
     if (other !== undefined) keys[other] = keys[name];
-    keys[name] = event.code;
+    keys[name] = code;
     onChange({ ...mapping, keys });
   };
   return (
@@ -94,8 +112,16 @@ function KeyboardTable({ mapping, onChange }: { mapping: KeyboardMapping; onChan
       {names.map((name) => (
         <li key={name}>
           <span>{t(`use.${name}`)}</span>
-          <button type="button" data-takes-keys aria-label={t("devices.change", { use: t(`use.${name}`), key: keyName(mapping.keys[name]) })} onKeyDown={(event) => assign(name, event)}>
-            <kbd>{keyName(mapping.keys[name])}</kbd>
+          <button
+            type="button"
+            {...(waiting === name ? { "data-takes-keys": true } : {})}
+            aria-label={waiting === name ? t("devices.pressFor", { use: t(`use.${name}`) }) : t("devices.change", { use: t(`use.${name}`), key: keyName(mapping.keys[name]) })}
+            onClick={() => setWaiting(name)}
+            onBlur={() => setWaiting(null)}
+            onKeyDown={down}
+            onKeyUp={up}
+          >
+            <kbd>{waiting === name ? t("devices.press") : keyName(mapping.keys[name])}</kbd>
           </button>
         </li>
       ))}

@@ -12,7 +12,7 @@ export function HoldBar({ control: { connection, driver, now } }: { control: Con
   const text =
     state?.needsRelease === true ? t("hold.release") : state?.limit != null && !state.moves ? t("hold.limit", { limit: state.limit }) : state?.moves === true ? t("hold.moves") : t("hold.hold", { key: keyName(driver.keyboard.keys.hold) });
   return (
-    <div className="hold-bar" data-moves={state?.moves === true || undefined}>
+    <div className="hold-bar" data-takes-keyboard data-moves={state?.moves === true || undefined}>
       <HoldButton
         className="hold-bar__button"
         onHold={(isHeld) => {

@@ -1,9 +1,10 @@
 import { describe, expect, test } from "vitest";
+import { SCAN_GAP_MS } from "~/shell/scans";
 import { Driver, MAX_TOOL_MPS } from "./driver";
 import { GAMEPAD } from "./mapping";
 
 function driver(): Driver {
-  const made = new Driver(() => []);
+  const made = new Driver(() => [], () => 0);
   made.speed = 1;
   made.joints = [{ maxVelocity: 2 }, { maxVelocity: 1 }];
   made.position = [0, 0];
@@ -51,19 +52,33 @@ describe("the person", () => {
   test("scales by the gamma of the device in use", () => {
     const person = driver();
     person.keyboard = { ...person.keyboard, gamma: 0.5 };
-    person.keys.add("KeyW");
+    person.keyDown("KeyW", -SCAN_GAP_MS);
     expect(person.input().gamma).toBe(0.5);
-    person.keys.clear();
+    person.keyUp("KeyW");
     person.push("x", 1);
     expect(person.input().gamma).toBe(1);
   });
 
+  test("moves nothing by keys that are held no longer than a scanner holds them", () => {
+    for (const code of ["Space", "KeyR", "KeyO"]) {
+      let now = 0;
+      const person = new Driver(() => [], () => now);
+      person.keyDown(code, 0);
+      now = SCAN_GAP_MS - 1;
+      expect(person.input()).toMatchObject({ held: false, linear: [0, 0, 0], angular: [0, 0, 0] });
+      expect(person.input().gripper).toBeUndefined();
+      person.keyUp(code);
+      now = 10 * SCAN_GAP_MS;
+      expect(person.input()).toMatchObject({ held: false, linear: [0, 0, 0] });
+    }
+  });
+
   test("acts with the gripper once for each press", () => {
     const person = driver();
-    person.keys.add("KeyO");
+    person.keyDown("KeyO", -SCAN_GAP_MS);
     expect(person.input().gripper).toBe("open");
     expect(person.input().gripper).toBeUndefined();
-    person.keys.clear();
+    person.keyUp("KeyO");
     person.grip("close");
     expect(person.input().gripper).toBe("close");
     expect(person.input().gripper).toBeUndefined();

@@ -1,4 +1,5 @@
 /** What the person asks for now: all input devices together, the dead-man control, speed and shared control. */
+import { SCAN_GAP_MS } from "~/shell/scans";
 import type { ControlInput } from "./connection";
 import { atRest, DIRECTIONS, GAMEPAD, isUsed, KEYBOARD, ofGamepad, ofKeys, type Direction, type GamepadMapping, type KeyboardMapping, type Motion } from "./mapping";
 import { ofTilt, TiltSensor, type Tilt } from "./tilt";
@@ -36,7 +37,8 @@ export class Driver {
   position: readonly number[] = [];
   /** The device that was used last: its gamma counts. */
   device: DeviceName = "screen";
-  readonly keys = new Set<string>();
+  /** The pressed keys (`KeyboardEvent.code`), and since when, in ms of the page. */
+  readonly #keys = new Map<string, number>();
   readonly #screen: Motion = atRest();
   #joint: { index: number; sense: number } | null = null;
   #preset: readonly number[] | null = null;
@@ -47,9 +49,11 @@ export class Driver {
   /** After a loss of focus everything must be let go first. */
   #isBlocked = false;
   readonly gamepads: () => readonly (Gamepad | null)[];
+  readonly #now: () => number;
 
-  constructor(gamepads: () => readonly (Gamepad | null)[] = () => navigator.getGamepads()) {
+  constructor(gamepads: () => readonly (Gamepad | null)[] = () => navigator.getGamepads(), now = () => performance.now()) {
     this.gamepads = gamepads;
+    this.#now = now;
   }
 
   /** Change what the person has set. */
@@ -59,12 +63,26 @@ export class Driver {
 
   /** Forget all that is pressed: the page lost the focus, is hidden, or the control ended. */
   releaseAll(): void {
-    this.keys.clear();
+    this.#keys.clear();
     Object.assign(this.#screen, atRest());
     this.#joint = null;
     this.#preset = null;
     this.#gripper = null;
     this.#isBlocked = true;
+  }
+
+  /** A key counts once it has been held for longer than a scanner holds one, and until it is released. */
+  keyDown(code: string, at: number): void {
+    if (!this.#keys.has(code)) this.#keys.set(code, at);
+  }
+
+  /** Returns whether the key was pressed. */
+  keyUp(code: string): boolean {
+    return this.#keys.delete(code);
+  }
+
+  isPressed(code: string): boolean {
+    return this.#keys.has(code);
   }
 
   hold(isHeld: boolean): void {
@@ -91,7 +109,7 @@ export class Driver {
   input(): ControlInput {
     const pad = this.gamepads().find((each) => each?.connected === true) ?? null;
     const sources: [DeviceName, Motion][] = [
-      ["keyboard", ofKeys(this.keys, this.keyboard)],
+      ["keyboard", ofKeys(this.#heldKeys(), this.keyboard)],
       ["gamepad", pad === null ? atRest() : ofGamepad(pad, this.gamepad)],
       ["screen", this.#screen],
     ];
@@ -117,6 +135,11 @@ export class Driver {
       angular: [axis("rx") * MAX_TOOL_RPS, axis("ry") * MAX_TOOL_RPS, axis("rz") * MAX_TOOL_RPS],
       frame: this.frame,
     };
+  }
+
+  #heldKeys(): ReadonlySet<string> {
+    const until = this.#now() - SCAN_GAP_MS;
+    return new Set([...this.#keys].filter(([, since]) => since <= until).map(([code]) => code));
   }
 
   /** The tilt moves only while another input holds the control: a phone has no button of its own. */

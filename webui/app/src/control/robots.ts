@@ -2,7 +2,7 @@
 import { useMemo } from "react";
 import type { DeviceDetails, DeviceView } from "~/api/generated/device-gateway";
 import { useServiceQuery } from "~/api/useServiceQuery";
-import { useTopic } from "~/live/hooks";
+import { useHasSnapshot, useTopic } from "~/live/hooks";
 import { useRobotNames } from "~/live/names";
 import type { JointDescription } from "~/robot/description";
 import type { RobotService } from "./connection";
@@ -27,11 +27,13 @@ const LEASE_EVERY_MS = 1000;
 export const GATEWAY_PANELS: readonly PanelId[] = ["jog", "joints", "devices", "latency"];
 const NOBODY: Lease = { holder: null, waiting: [] };
 
-/** All robots, those of the trajectory tool first; a name counts once. */
-export function useRobots(): ControlledRobot[] {
+/** All robots, those of the trajectory tool first; a name counts once. `isLoaded`: both services were asked. */
+export function useRobots(): { robots: ControlledRobot[]; isLoaded: boolean } {
   const ofTool = useRobotNames();
-  const { value } = useServiceQuery<DeviceView[]>("device-gateway", ROBOTS_QUERY, { intervalMs: DEVICES_EVERY_MS });
-  return useMemo(() => robotsOf(ofTool, value ?? []), [ofTool, value]);
+  const hasSnapshot = useHasSnapshot();
+  const { value, failure } = useServiceQuery<DeviceView[]>("device-gateway", ROBOTS_QUERY, { intervalMs: DEVICES_EVERY_MS });
+  const robots = useMemo(() => robotsOf(ofTool, value ?? []), [ofTool, value]);
+  return { robots, isLoaded: hasSnapshot && (value !== null || failure !== null) };
 }
 
 export function robotsOf(ofTool: readonly string[], devices: readonly Pick<DeviceView, "name" | "kind" | "connected">[]): ControlledRobot[] {

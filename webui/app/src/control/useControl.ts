@@ -1,5 +1,6 @@
 /** The control of one robot by this page: the connection, what the person asks for, and when it ends. */
 import { useEffect, useRef, useState, useSyncExternalStore } from "react";
+import { addKeyReceiver } from "~/shell/scans";
 import { ControlConnection, type ControlSnapshot } from "./connection";
 import { Driver } from "./driver";
 
@@ -47,7 +48,10 @@ export function useRelease(connection: Sender, driver: Driver): void {
   }, [connection, driver]);
 }
 
-/** Follow the pressed keys while the robot is controlled; keys meant for a text field or a dialog are not used. */
+/**
+ * Follow the pressed keys while the robot is controlled; keys meant for a text field or a dialog are not used. A direction
+ * is taken from the page only while the control is held, so that its key keeps its use otherwise.
+ */
 export function useKeyboard(connection: Sender, driver: Driver, isOn: boolean): void {
   const on = useRef(isOn);
   useEffect(() => {
@@ -55,23 +59,26 @@ export function useKeyboard(connection: Sender, driver: Driver, isOn: boolean): 
     if (!isOn) driver.releaseAll();
   }, [isOn, driver]);
   useEffect(() => {
-    const down = (event: KeyboardEvent) => {
-      if (!on.current || event.ctrlKey || event.metaKey || event.altKey || isForField(event)) return;
-      if (!Object.values(driver.keyboard.keys).includes(event.code)) return;
-      event.preventDefault();
-      event.stopPropagation(); // a key that moves the robot does nothing else
-      driver.keys.add(event.code);
+    const down = (event: KeyboardEvent): boolean => {
+      if (!on.current || event.ctrlKey || event.metaKey || event.altKey || isForField(event)) return false;
+      const { keys } = driver.keyboard;
+      if (!Object.values(keys).includes(event.code)) return false;
+      // A key that was released by `releaseAll` counts only when it is pressed again.
+      if (!event.repeat) driver.keyDown(event.code, event.timeStamp);
+      if (event.code !== keys.hold && !driver.isPressed(keys.hold)) return false;
+      event.preventDefault(); // a key that moves the robot does nothing else
+      return true;
     };
     const up = (event: KeyboardEvent) => {
-      if (!driver.keys.delete(event.code)) return;
+      if (!driver.keyUp(event.code)) return;
       event.preventDefault();
       event.stopPropagation();
       if (event.code === driver.keyboard.keys.hold) connection.send();
     };
-    addEventListener("keydown", down, true);
+    const remove = addKeyReceiver(down);
     addEventListener("keyup", up, true);
     return () => {
-      removeEventListener("keydown", down, true);
+      remove();
       removeEventListener("keyup", up, true);
     };
   }, [connection, driver]);

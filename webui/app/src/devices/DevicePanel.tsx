@@ -8,7 +8,7 @@ import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import type { RegisteredDeviceView } from "~/live/messages";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import { mayDo } from "~/session/session";
 import { Battery } from "~/system/Battery";
 import { CommandsPart } from "./commands/CommandsPart";
@@ -37,7 +37,7 @@ export interface DevicePanelProps {
 
 export function DevicePanel({ device, units, symbolOf, onToken, onCertificate, onClose }: DevicePanelProps) {
   const { t } = useTranslation("devices");
-  const [wanted, setPart] = useQueryParameter("part", "overview");
+  const [wanted, setPart] = useChoice<Part>("part", PARTS, "overview");
   const [changes, setChanges] = useState(0);
   const { value: details, failure, reload } = useServiceQuery<DeviceDetails>(SERVICE, pathOf(device.name), { revision: `${device.updatedAt} ${changes}` });
   const changed = () => setChanges((before) => before + 1);

@@ -12,6 +12,8 @@ import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { useRegisteredDevices } from "~/live/hooks";
 import type { RegisteredDeviceView } from "~/live/messages";
+import { UnknownName } from "~/route/UnknownName";
+import { useChoice } from "~/route/choice";
 import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { matching } from "~/sensors/rooms";
 import { mayDo } from "~/session/session";
@@ -32,7 +34,7 @@ export default function DevicesPage() {
   const { devices, isCurrent } = useRegisteredDevices();
   const { units, symbolOf } = useUnits();
   const [chosen] = useQueryParameter("device");
-  const [adding] = useQueryParameter("add");
+  const [adding] = useChoice("add", ["", "yes"], "");
   const change = useQueryChange();
   const [token, setToken] = useState<TokenView | null>(null);
   const [certificate, setCertificate] = useState<CertificateView | null>(null);
@@ -75,6 +77,8 @@ export default function DevicesPage() {
           />
         ) : device !== null ? (
           <DevicePanel key={device.name} device={device} units={units} symbolOf={symbolOf} onToken={setToken} onCertificate={setCertificate} onClose={() => open("")} />
+        ) : chosen !== "" ? (
+          devices !== null && <UnknownName thing="device" name={chosen} parameter="device" />
         ) : devices?.length === 0 && isCurrent ? (
           <EmptyState
             icon={<Cpu aria-hidden size={32} />}
@@ -90,7 +94,7 @@ export default function DevicesPage() {
             {t("none.means")}
           </EmptyState>
         ) : (
-          devices !== null && devices.length > 0 && <EmptyState icon={<Cpu aria-hidden size={32} />} title={chosen === "" ? t("choose") : t("unknown", { name: chosen })} />
+          devices !== null && devices.length > 0 && <EmptyState icon={<Cpu aria-hidden size={32} />} title={t("choose")} />
         )}
       </div>
       <TokenDialog made={token} onClose={() => setToken(null)} />

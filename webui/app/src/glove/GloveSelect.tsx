@@ -1,17 +1,19 @@
-/** The glove of a page: named by the URL, else the first of the cell. */
+/** The glove of a page: named by the URL, else the first of the cell. A glove that the URL names and that does not exist is undefined. */
 import { Hand } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { Select } from "~/design/Select";
+import { useHasSnapshot } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 
 export function useSelectedGlove(): string | undefined {
   const gloves = useGloveNames();
   const [gloveParameter] = useQueryParameter("glove");
-  return gloves.find((glove) => glove === gloveParameter) ?? gloves[0];
+  return gloveParameter === "" ? gloves[0] : gloves.find((glove) => glove === gloveParameter);
 }
 
 export function GloveSelect({ glove }: { glove: string }) {
@@ -25,6 +27,9 @@ export function GloveSelect({ glove }: { glove: string }) {
 export function NoGlove({ means }: { means: string }) {
   const { t } = useTranslation("common");
   const [, go] = useLocation();
+  const [asked] = useQueryParameter("glove");
+  const isLoaded = useHasSnapshot();
+  if (asked !== "") return isLoaded ? <UnknownName thing="glove" name={asked} parameter="glove" /> : <p className="quiet">{t("loading")}</p>;
   return (
     <EmptyState
       icon={<Hand aria-hidden size={32} />}

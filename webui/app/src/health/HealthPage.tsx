@@ -11,6 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { Select } from "~/design/Select";
 import { useNow } from "~/live/clock";
 import { shortName } from "~/live/urn";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { AccessCard } from "./AccessCard";
@@ -74,12 +75,12 @@ export default function HealthPage() {
         />
       ) : people === null ? (
         failure === null && <p className="quiet">{t("common:loading")}</p>
-      ) : people.length === 0 ? (
+      ) : people.length === 0 && asked === "" ? (
         <EmptyState icon={<HeartPulse aria-hidden size={32} />} title={t("none.title")}>
           {t(mayAdd ? "none.means" : "none.ask")}
         </EmptyState>
       ) : person === null ? (
-        <EmptyState icon={<HeartPulse aria-hidden size={32} />} title={t("noPerson")} />
+        <UnknownName thing="person" name={asked} parameter="person">{t("noPerson")}</UnknownName>
       ) : (
         <Person key={person.person} person={person} onChange={reload} />
       )}

@@ -11,7 +11,7 @@ import { Select } from "~/design/Select";
 import { HistoryChart } from "~/devices/history/HistoryChart";
 import { columnsOf, lastInterval, summaryOf, type Interval } from "~/devices/history/interval";
 import { useCoarseNow } from "~/live/clock";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import { DRAWN, numberText, pathOf, pointsOf, SERVICE, symbolOf } from "./health";
 
 const REFRESH_MS = 30_000;
@@ -30,11 +30,9 @@ export function HistoryCard({ person }: { person: PersonView }) {
 
 function History({ person }: { person: string }) {
   const { t, i18n } = useTranslation(["health", "devices"]);
-  const [asked, setFeature] = useQueryParameter("value", "heartRate");
-  const [askedSpan, setSpan] = useQueryParameter("span", "hour");
+  const [feature, setFeature] = useChoice("value", DRAWN, "heartRate");
+  const [chosen, setSpan] = useChoice("span", SPANS, "hour");
   const [zoom, setZoom] = useState<Interval | null>(null);
-  const feature = DRAWN.find((name) => name === asked) ?? "heartRate";
-  const chosen = SPANS.find((name) => name === askedSpan) ?? "hour";
   const last = lastInterval(chosen, useCoarseNow(REFRESH_MS) / 1000);
   const interval = useMemo(() => zoom ?? { begin: last.begin, end: last.end }, [zoom, last.begin, last.end]);
   const iso = (seconds: number) => encodeURIComponent(new Date(seconds * 1000).toISOString());

@@ -17,6 +17,7 @@ import { clockTime, span } from "~/design/times";
 import { Slider } from "~/control/Slider";
 import { requestService } from "~/api/http";
 import { shortName } from "~/live/urn";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { SERVICE, type LiveDocument, type SessionState } from "./humanoid";
@@ -137,6 +138,7 @@ export function SessionsCard() {
   const { value: all, failure, reload } = useServiceQuery<SessionView[]>(SERVICE, "sessions", { intervalMs: LIST_EVERY_MS });
   const people = [...new Set((all ?? []).flatMap((one) => (one.person === null ? [] : [shortName(one.person)])))].sort();
   const listed = (all ?? []).filter((one) => person === "" || (one.person !== null && shortName(one.person) === person));
+  const isKnown = all?.some(({ id }) => id === shown) === true;
   return (
     <Card title={t("sessions.title")}>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -175,7 +177,7 @@ export function SessionsCard() {
               </tbody>
             </table>
           </div>
-          {shown !== "" && <Report key={shown} session={shown} />}
+          {shown !== "" && (isKnown ? <Report key={shown} session={shown} /> : <UnknownName thing="session" name={shown} parameter="session" />)}
         </>
       )}
       <ConfirmDialog

@@ -62,6 +62,12 @@ export function useSubscription<T>(topic: string | null): T | undefined {
   );
 }
 
+/** Whether a snapshot was received since the page was opened, so that what is not there does not exist. */
+export function useHasSnapshot(): boolean {
+  useTopicSelector("services", (services) => services?.length ?? 0);
+  return useLive().hasSnapshot;
+}
+
 /** All registered devices by name; null while they are loading. `isCurrent`: the device gateway answers. */
 export function useRegisteredDevices(): { devices: readonly RegisteredDeviceView[] | null; isCurrent: boolean } {
   const state = useSubscription<RegisteredDevicesView>("registeredDevices");

@@ -11,6 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { useSubscription } from "~/live/hooks";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { addPerson, SERVICE, type Person } from "./people";
@@ -28,7 +29,7 @@ export function GesturesView() {
   const loaded = useServiceQuery<Person[]>(SERVICE, "people", { revision });
   const people = loaded.value ?? NOBODY;
   const reload = () => setRequests((before) => before + 1);
-  const name = people.some((person) => person.name === chosen) ? chosen : (firstByTitle(people)?.name ?? null);
+  const name = chosen === "" ? (firstByTitle(people)?.name ?? null) : people.some((person) => person.name === chosen) ? chosen : null;
   useKeys([{ key: "n", does: t("add.act"), act: () => setAdding(true) }]);
   return (
     <div className="people">
@@ -44,7 +45,10 @@ export function GesturesView() {
         {name !== null ? (
           <PersonPanel key={name} name={name} people={people} revision={revision} onChange={reload} onRemoved={() => { choose(""); reload(); }} />
         ) : (
-          loaded.value !== null && (
+          loaded.value !== null &&
+          (chosen !== "" ? (
+            <UnknownName thing="person" name={chosen} parameter="person" />
+          ) : (
             <EmptyState
               icon={<Users aria-hidden size={32} />}
               title={t("none.title")}
@@ -56,7 +60,7 @@ export function GesturesView() {
             >
               {t("none.means")}
             </EmptyState>
-          )
+          ))
         )}
       </div>
       <AddPerson isOpen={isAdding} onClose={() => setAdding(false)} onAdded={(added) => { choose(added); reload(); }} />

@@ -9,7 +9,7 @@ import { TokensView } from "~/accounts/TokensView";
 import { UsersView } from "~/accounts/UsersView";
 import "~/accounts/accounts.css";
 import { SegmentedControl } from "~/design/SegmentedControl";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import { mayDo, useSession } from "~/session/session";
 import { GesturesView } from "./GesturesView";
 import "./PeoplePage.css";
@@ -24,6 +24,7 @@ const VIEWS = [
   { name: "sessions", permission: null },
 ] as const;
 type View = (typeof VIEWS)[number]["name"];
+const VIEW_NAMES = VIEWS.map(({ name }) => name);
 
 const contents: Record<View, () => React.JSX.Element> = {
   gestures: GesturesView,
@@ -38,7 +39,7 @@ const contents: Record<View, () => React.JSX.Element> = {
 export default function PeoplePage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["accounts", "people", "hand", "rights", "common"]);
-  const [asked, setView] = useQueryParameter("view", "gestures");
+  const [asked, setView] = useChoice<View>("view", VIEW_NAMES, "gestures");
   const { hasAccounts } = useSession();
   const view = VIEWS.find(({ name }) => name === asked) ?? VIEWS[0];
   const offered = VIEWS.filter(({ name, permission }) => name === view.name || (permission === null ? hasAccounts : mayDo(permission)));

@@ -7,6 +7,7 @@ import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import type { DefinitionView } from "~/api/generated/task-orchestrator";
+import { UnknownName } from "~/route/UnknownName";
 import { useKeys } from "~/shell/keys";
 import { pathOf, placeOf, type Place } from "./address";
 import { DefinitionPanel } from "./definition/DefinitionPanel";
@@ -39,8 +40,8 @@ export default function ProcessesPage() {
     open({ kind: "upload" });
   };
   useKeys([
-    { key: "/", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-list input")?.focus() },
-    { key: "u", does: t("keys.upload"), act: upload },
+    { key: "f", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-list input")?.focus() },
+    { key: "n", does: t("keys.upload"), act: upload },
     { key: "i", does: t("keys.incident"), act: () => document.querySelector<HTMLElement>(".incident__acts button")?.focus() },
   ]);
   return (
@@ -69,6 +70,7 @@ export default function ProcessesPage() {
             </Button>
           </div>
         )}
+        {place.kind === "unknown" && <UnknownName thing="page" name={place.path} />}
         {place.kind === "process" && <ProcessPanel key={place.id} id={place.id} />}
         {place.kind === "definition" && (
           <DefinitionPanel

@@ -2,6 +2,7 @@
 
 export type Place =
   | { kind: "nothing" }
+  | { kind: "unknown"; path: string }
   | { kind: "process"; id: string }
   | { kind: "definition"; name: string }
   | { kind: "upload" }
@@ -9,12 +10,14 @@ export type Place =
 
 const ROOT = "/processes";
 
-/** Read a path under `/processes`; what cannot be read shows nothing rather than something wrong. */
+/** Read a path under `/processes`; what cannot be read is unknown. */
 export function placeOf(path: string): Place {
   const [first, second, ...more] = path.slice(ROOT.length).split("/").filter((part) => part !== "").map(plain);
-  if (first === undefined || more.length > 0) return { kind: "nothing" };
-  if (first === "definition") return second === undefined ? { kind: "nothing" } : { kind: "definition", name: second };
-  if (second !== undefined) return { kind: "nothing" };
+  const unknown: Place = { kind: "unknown", path };
+  if (first === undefined) return { kind: "nothing" };
+  if (more.length > 0) return unknown;
+  if (first === "definition") return second === undefined ? unknown : { kind: "definition", name: second };
+  if (second !== undefined) return unknown;
   return first === "upload" || first === "offers" ? { kind: first } : { kind: "process", id: first };
 }
 
@@ -27,6 +30,8 @@ export function pathOf(place: Place): string {
       return `${ROOT}/${encodeURIComponent(place.id)}`;
     case "definition":
       return `${ROOT}/definition/${encodeURIComponent(place.name)}`;
+    case "unknown":
+      return place.path;
     case "upload":
     case "offers":
       return `${ROOT}/${place.kind}`;

@@ -12,6 +12,7 @@ import { useUnits, type SymbolOf } from "~/devices/gateway";
 import { conditionOf } from "~/devices/values";
 import { useConnectionState, useRegisteredDevices } from "~/live/hooks";
 import type { RegisteredDeviceView } from "~/live/messages";
+import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { linesOf, matching } from "./rooms";
@@ -27,7 +28,7 @@ export default function SensorsPage() {
   const isLinked = useConnectionState() === "open";
   const { symbolOf } = useUnits();
   const [find, setFind] = useQueryParameter("find");
-  const [show, setShow] = useQueryParameter("show", "all");
+  const [show, setShow] = useChoice("show", ["all", "attention"], "all");
   const shown = useMemo(() => matching(devices ?? [], find, show === "attention"), [devices, find, show]);
   const attention = useMemo(() => (devices ?? []).filter((device) => conditionOf(device) !== "ok").length, [devices]);
   return (
@@ -37,7 +38,7 @@ export default function SensorsPage() {
         <Field label={t("list.find")} value={find} onChange={setFind} type="search" />
         <SegmentedControl
           label={t("sensors.show")}
-          value={show === "attention" ? "attention" : "all"}
+          value={show}
           options={[
             { value: "all", name: t("sensors.all", { count: devices?.length ?? 0 }) },
             { value: "attention", name: t("sensors.attention", { count: attention }) },

@@ -16,7 +16,7 @@ export function AccountMenu() {
   const { hasAccounts, user } = useSession();
   const [isOpen, setOpen] = useState(false);
   if (!hasAccounts || user === null) return null;
-  if (user.isStation) return <StationMenu onSignOut={() => void signOut()} />;
+  if (user.isStation) return <StationMenu onSignOut={signOutStation} />;
   return (
     <>
       <Button kind="quiet" label={t("session.account", { name: user.name })} icon={<UserRound aria-hidden size={20} />} onPress={() => setOpen(true)} />
@@ -73,6 +73,12 @@ function ChangePassword() {
       </Button>
     </form>
   );
+}
+
+/** Sign a station out; rejects for a PIN that may not. */
+async function signOutStation(pin: string): Promise<void> {
+  await request("session", { method: "DELETE", json: { pin } });
+  location.replace("/");
 }
 
 async function signOut(): Promise<void> {

@@ -5,24 +5,24 @@ import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import type { StationView } from "~/api/generated/accounts";
 import { errorText, requestService } from "~/api/http";
-import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
+import { PinDialog } from "~/design/PinDialog";
 import { MIN_PIN_DIGITS, PinPad } from "~/design/PinPad";
 import { RelativeTime } from "~/design/RelativeTime";
 import { methodOf } from "./identification";
+import { useOwnStation } from "./ownStation";
 import { loadSession } from "./session";
 import "~/design/ConfirmDialog.css";
 import "./StationMenu.css";
 
-const REFRESH_MS = 5_000;
 /** A touched screen says so that often, so that the person does not leave by time. */
 const SEEN_MS = 30_000;
 
-export function StationMenu({ onSignOut }: { onSignOut: () => void }) {
+export function StationMenu({ onSignOut }: { onSignOut: (pin: string) => Promise<void> }) {
   const { t } = useTranslation("common");
-  const { value: station, reload } = useServiceQuery<StationView>("accounts", "me/station", { intervalMs: REFRESH_MS });
+  const { station, reload } = useOwnStation();
   const [isOpen, setOpen] = useState(false);
   const joined = station?.joined ?? null;
   useSeen(joined !== null);
@@ -59,7 +59,7 @@ interface ContentProps {
   station: StationView;
   onChange: () => void;
   onClose: () => void;
-  onSignOut: () => void;
+  onSignOut: (pin: string) => Promise<void>;
 }
 
 function Content({ station, onChange, onClose, onSignOut }: ContentProps) {
@@ -67,6 +67,7 @@ function Content({ station, onChange, onClose, onSignOut }: ContentProps) {
   const [code, setCode] = useState("");
   const [pin, setPin] = useState("");
   const [busy, setBusy] = useState(false);
+  const [isSigningOut, setSigningOut] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const perform = (act: () => Promise<unknown>) => {
     setBusy(true);
@@ -110,7 +111,9 @@ function Content({ station, onChange, onClose, onSignOut }: ContentProps) {
         }}
       >
         {/* A scanner at the computer types what it reads, and Enter. */}
-        <Field label={t("station.code")} hint={t("station.codeHint")} type="password" autoComplete="off" size="large" value={code} onChange={setCode} maxLength={100} autoFocus />
+        <div data-takes-scans>
+          <Field label={t("station.code")} hint={t("station.codeHint")} type="password" autoComplete="off" size="large" value={code} onChange={setCode} maxLength={100} autoFocus />
+        </div>
         <Button type="submit" size="large" isDisabled={busy || code.trim() === ""}>
           {t("station.joinBy", { method: t("station.methods.badge") })}
         </Button>
@@ -128,9 +131,14 @@ function Content({ station, onChange, onClose, onSignOut }: ContentProps) {
         </Button>
       </form>
       <div className="confirm-dialog__actions">
-        <Button onPress={onSignOut}>{t("station.signOut")}</Button>
+        <Button onPress={() => setSigningOut(true)}>{t("station.signOut")}</Button>
         <Button onPress={onClose}>{t("close")}</Button>
       </div>
+      {isSigningOut && (
+        <PinDialog title={t("station.signOutOf", { station: station.name })} act={t("station.signOut")} onClose={() => setSigningOut(false)} onPin={onSignOut}>
+          <p>{joined === null ? t("station.signOutEngineer") : t("station.signOutWho", { name: joined.name })}</p>
+        </PinDialog>
+      )}
     </div>
   );
 }

@@ -1,7 +1,8 @@
-/** All keys, those of the page first. */
+/** All keys that have an effect now, those of the page first. */
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
+import { hasLead, LEAD, useKeysOn } from "./keys";
 import "~/design/ConfirmDialog.css";
 import "./KeyList.css";
 
@@ -12,6 +13,8 @@ interface Row {
 
 export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean; onClose: () => void; everywhere: readonly Row[]; here: readonly Row[] }) {
   const { t } = useTranslation("common");
+  const isOn = useKeysOn();
+  const inEffect = (rows: readonly Row[]) => rows.filter((row) => isOn || !hasLead(row));
   return (
     <ModalOverlay className="confirm-dialog__overlay" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
       <Modal className="confirm-dialog">
@@ -19,10 +22,11 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
           <Heading slot="title" className="confirm-dialog__title">
             {t("keys.title")}
           </Heading>
+          <p className="quiet">{t(isOn ? "keys.means" : "keys.off")}</p>
           <h3>{t("keys.here")}</h3>
-          {here.length === 0 ? <p className="quiet">{t("keys.none")}</p> : <Rows rows={here} />}
+          {inEffect(here).length === 0 ? <p className="quiet">{t("keys.none")}</p> : <Rows rows={inEffect(here)} />}
           <h3>{t("keys.everywhere")}</h3>
-          <Rows rows={everywhere} />
+          <Rows rows={[...inEffect(everywhere), { key: "Enter", does: t("keys.press") }]} />
           <div className="confirm-dialog__actions">
             <Button onPress={onClose}>{t("close")}</Button>
           </div>
@@ -32,15 +36,13 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
   );
 }
 
-const signs: Record<string, string> = { " ": "␣", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→" };
-
 function Rows({ rows }: { rows: readonly Row[] }) {
   return (
     <dl className="key-list__rows">
       {rows.map((row) => (
         <div key={row.key}>
           <dt>
-            <kbd>{signs[row.key] ?? row.key}</kbd>
+            {hasLead(row) && <kbd>{LEAD}</kbd>} <kbd>{row.key}</kbd>
           </dt>
           <dd>{row.does}</dd>
         </div>

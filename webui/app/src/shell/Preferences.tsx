@@ -8,6 +8,7 @@ import { Field } from "~/design/Field";
 import { languages, setLanguage, type Language } from "~/i18n";
 import { setSound, useSound } from "~/alerts/sound";
 import { Checkbox } from "~/design/Checkbox";
+import { setKeysOn, useKeysOn } from "./keys";
 import { storeTheme, storedTheme, type Theme } from "./theme";
 import { setUserName, useUserName } from "./userName";
 import "~/design/ConfirmDialog.css";
@@ -17,6 +18,7 @@ export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () 
   const [theme, setTheme] = useState<Theme>(storedTheme);
   const name = useUserName();
   const sound = useSound();
+  const keys = useKeysOn();
   const themes = (["system", "light", "dark"] as const).map((value) => ({ value, name: t(`theme.${value}`) }));
   const languageOptions = Object.entries(languages).map(([value, language]) => ({ value: value as Language, name: language }));
   return (
@@ -49,6 +51,9 @@ export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () 
           </div>
           <Checkbox isSelected={sound} onChange={setSound}>
             {t("attention.sound")}
+          </Checkbox>
+          <Checkbox isSelected={keys} onChange={setKeysOn}>
+            {t("keys.switch")}
           </Checkbox>
           <Field label={t("who.label")} hint={t("who.hint")} value={name} onChange={setUserName} maxLength={100} />
           <div className="confirm-dialog__actions">

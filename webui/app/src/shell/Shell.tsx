@@ -12,29 +12,29 @@ import { useConnectionState, useTopicSelector } from "~/live/hooks";
 import { AccountMenu } from "~/session/AccountMenu";
 import { mayDo, useSession } from "~/session/session";
 import { KeyList } from "./KeyList";
-import { isForOtherTarget, usePageKeys } from "./keys";
+import { listenForKeys, usePageKeys } from "./keys";
 import { Navigation } from "./Navigation";
 import { Preferences } from "./Preferences";
 import "./Shell.css";
 
 const allPages = [
-  { path: "/", name: "start", icon: House, key: "1" },
-  { path: "/work", name: "work", icon: HardHat, key: "2" },
-  { path: "/processes", name: "processes", icon: Workflow, key: "3" },
-  { path: "/cockpit", name: "cockpit", icon: Gauge, key: "0" },
-  { path: "/tasks", name: "tasks", icon: ListTodo, key: "9" },
-  { path: "/system", name: "system", icon: Cog, key: "4" },
+  { path: "/", name: "start", icon: House, key: "h" },
+  { path: "/work", name: "work", icon: HardHat, key: "w" },
+  { path: "/processes", name: "processes", icon: Workflow, key: "p" },
+  { path: "/cockpit", name: "cockpit", icon: Gauge, key: "k" },
+  { path: "/tasks", name: "tasks", icon: ListTodo, key: "t" },
+  { path: "/system", name: "system", icon: Cog, key: "s" },
   { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
-  { path: "/health", name: "health", icon: HeartPulse, key: "h" },
+  { path: "/health", name: "health", icon: HeartPulse, key: "b" },
   { path: "/cases", name: "cases", icon: HandHelping, key: "y" },
   { path: "/humanoid", name: "humanoid", icon: Bot, key: "o" },
-  { path: "/devices", name: "devices", icon: Cpu, key: "v" },
-  { path: "/alerting", name: "alerting", icon: BellRing, key: "w" },
+  { path: "/devices", name: "devices", icon: Cpu, key: "d" },
+  { path: "/alerting", name: "alerting", icon: BellRing, key: "a" },
   { path: "/control", name: "control", icon: Gamepad2, key: "c" },
-  { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },
-  { path: "/test", name: "test", icon: Crosshair, key: "6" },
-  { path: "/people", name: "people", icon: Users, key: "7" },
-  { path: "/study", name: "study", icon: ClipboardList, key: "8" },
+  { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "l" },
+  { path: "/test", name: "test", icon: Crosshair, key: "x" },
+  { path: "/people", name: "people", icon: Users, key: "e" },
+  { path: "/study", name: "study", icon: ClipboardList, key: "u" },
 ] as const;
 
 export function Shell({ children }: { children: ReactNode }) {
@@ -47,21 +47,14 @@ export function Shell({ children }: { children: ReactNode }) {
   useAlertSound();
   const here = allPages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
 
-  useEffect(() => {
-    const listen = (event: KeyboardEvent) => {
-      if (isForOtherTarget(event)) return;
-      const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-      const page = pages.find((each) => each.key === key);
-      const act = pageKeys.find((each) => each.key === key)?.act;
-      if (key === "?") setShowsKeys(true);
-      else if (act !== undefined) act();
-      else if (page !== undefined) go(page.path);
-      else return;
-      event.preventDefault();
-    };
-    document.addEventListener("keydown", listen);
-    return () => document.removeEventListener("keydown", listen);
-  }, [pageKeys, pages, go]);
+  const everywhere = useMemo(
+    () => [
+      ...pages.map((page) => ({ key: page.key, does: t("keys.goTo", { page: t(`pages.${page.name}`) }), act: () => go(page.path) })),
+      { key: "?", does: t("keys.open"), act: () => setShowsKeys(true) },
+    ],
+    [pages, go, t],
+  );
+  useEffect(() => listenForKeys([...pageKeys, ...everywhere]), [pageKeys, everywhere]);
 
   useEffect(() => {
     document.title = here === undefined ? "Handover" : `${t(`pages.${here.name}`)} · Handover`;
@@ -93,10 +86,7 @@ export function Shell({ children }: { children: ReactNode }) {
       <KeyList
         isOpen={showsKeys}
         onClose={() => setShowsKeys(false)}
-        everywhere={[
-          ...pages.map((page) => ({ key: page.key, does: t("keys.goTo", { page: t(`pages.${page.name}`) }) })),
-          { key: "?", does: t("keys.open") },
-        ]}
+        everywhere={everywhere}
         here={pageKeys}
       />
       <Preferences isOpen={showsPreferences} onClose={() => setShowsPreferences(false)} />

@@ -5,8 +5,7 @@ import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
 import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert, Waypoints } from "lucide-react";
 import { attentionOf } from "~/alerts/attention";
 import { useFamily, useTopic } from "~/live/hooks";
-import { useQueryParameter } from "~/route/queryParameter";
-import { useKeys } from "~/shell/keys";
+import { useChoice } from "~/route/choice";
 import { AlertsPanel } from "./alerts/AlertsPanel";
 import { DevicesPanel } from "./devices/DevicesPanel";
 import { EventsPanel } from "./events/EventsPanel";
@@ -18,30 +17,29 @@ import { ServicesPanel } from "./services/ServicesPanel";
 import "./SystemPage.css";
 
 const allTabs = [
-  { id: "services", icon: Activity, key: "s", panel: <ServicesPanel /> },
-  { id: "gloves", icon: Hand, key: "g", panel: <GlovesPanel /> },
-  { id: "robots", icon: Bot, key: "r", panel: <RobotsPanel /> },
-  { id: "devices", icon: Cpu, key: "d", panel: <DevicesPanel /> },
-  { id: "ros", icon: Waypoints, key: "o", panel: <RosPanel /> },
-  { id: "alerts", icon: TriangleAlert, key: "a", panel: <AlertsPanel /> },
-  { id: "events", icon: ScrollText, key: "e", panel: <EventsPanel /> },
+  { id: "services", icon: Activity, panel: <ServicesPanel /> },
+  { id: "gloves", icon: Hand, panel: <GlovesPanel /> },
+  { id: "robots", icon: Bot, panel: <RobotsPanel /> },
+  { id: "devices", icon: Cpu, panel: <DevicesPanel /> },
+  { id: "ros", icon: Waypoints, panel: <RosPanel /> },
+  { id: "alerts", icon: TriangleAlert, panel: <AlertsPanel /> },
+  { id: "events", icon: ScrollText, panel: <EventsPanel /> },
 ] as const;
 
 type TabId = (typeof allTabs)[number]["id"];
+const TAB_IDS = allTabs.map(({ id }) => id);
 
 export default function SystemPage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["system", "hand"]);
-  const [tabParameter, setTab] = useQueryParameter("tab", "services");
+  const [tab, setTab] = useChoice<TabId>("tab", TAB_IDS, "services");
   const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
-  // Without a ROS bridge there is no ROS tab.
-  const tabs = allTabs.filter((tab) => tab.id !== "ros" || hasRos);
-  const tab = tabs.find((tab) => tab.id === tabParameter)?.id ?? "services";
-  useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
+  // Without a ROS bridge there is no ROS tab, but for an address that asks for it.
+  const tabs = allTabs.filter(({ id }) => id !== "ros" || hasRos || tab === id);
   return (
     <div className="system">
       <h1 className="visually-hidden">{t("title")}</h1>
-      <Tabs selectedKey={tab} onSelectionChange={(key) => setTab(String(key))} className="system__tabs">
+      <Tabs selectedKey={tab} onSelectionChange={(key) => setTab(key as TabId)} className="system__tabs">
         <TabList aria-label={t("title")} className="system__tab-list">
           {tabs.map(({ id, icon: Icon }) => (
             <Tab key={id} id={id} className="system__tab">

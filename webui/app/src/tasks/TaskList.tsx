@@ -11,6 +11,7 @@ import { useIsReading, useStableOrder } from "~/design/table/useStableOrder";
 import { VirtualGrid } from "~/design/table/VirtualGrid";
 import { useNow } from "~/live/clock";
 import { shortName } from "~/live/urn";
+import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { DueMark } from "./DueMark";
 import { DEFAULT_PRIORITY, isInView, isLater, matches, ORDERS, priorityOf, sorted, VIEWS, type Identity, type ListedTask } from "./list";
@@ -30,12 +31,10 @@ export interface TaskListProps {
 
 export function TaskList({ tasks, who, chosen, onChoose, onIdentify, searchRef }: TaskListProps) {
   const { t } = useTranslation(["tasks", "common"]);
-  const [askedView, setView] = useQueryParameter("show", "all");
-  const [askedOrder, setOrder] = useQueryParameter("sort", "due");
+  const [view, setView] = useChoice("show", VIEWS, "all");
+  const [order, setOrder] = useChoice("sort", ORDERS, "due");
   const [find, setFind] = useQueryParameter("find");
-  const [later, setLater] = useQueryParameter("later");
-  const view = VIEWS.find((one) => one === askedView) ?? "all";
-  const order = ORDERS.find((one) => one === askedOrder) ?? "due";
+  const [later, setLater] = useChoice("later", ["", "show"], "");
   const minute = Math.floor(useNow() / MINUTE_MS) * MINUTE_MS;
   const { isReading, handlers } = useIsReading();
   const frame = useRef<HTMLDivElement>(null);

@@ -8,7 +8,6 @@ import { ApiError, errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
-import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { RelativeTime } from "~/design/RelativeTime";
 import { TextBox } from "~/design/TextBox";
@@ -17,6 +16,7 @@ import type { TasklistView } from "~/live/messages";
 import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
 import { Json } from "~/processes/process/Values";
+import { UnknownName } from "~/route/UnknownName";
 import { useUserGroups } from "~/shell/userGroups";
 import { useUserName, useWithName } from "~/shell/userName";
 import { claimTask, commentOnTask, declineTask, returnTask } from "./actions";
@@ -53,7 +53,7 @@ export function TaskPanel({ id, live, onBack, onNews }: TaskPanelProps) {
     return (
       <article className="tasklist__task" aria-label={t("loading")}>
         <div className="tasklist__back">{back}</div>
-        {missing ? <EmptyState title={t("missing")} /> : failure !== null ? <ErrorMessage>{failure}</ErrorMessage> : <p className="quiet">{t("common:loading")}</p>}
+        {missing ? <UnknownName thing="task" name={id} parameter="task" /> : failure !== null ? <ErrorMessage>{failure}</ErrorMessage> : <p className="quiet">{t("common:loading")}</p>}
       </article>
     );
   }

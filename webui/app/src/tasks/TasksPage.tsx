@@ -31,27 +31,16 @@ export default function TasksPage() {
   const offered = useMemo(() => [...new Set(tasks.flatMap((task) => task.groups))], [tasks]);
   const open = all.find(({ task }) => shortName(task.id) === chosen)?.task;
   const row = () => page.current?.querySelector<HTMLElement>('[role="row"][tabindex="0"]');
-  const step = (key: "ArrowDown" | "ArrowUp") => {
-    const active = row();
-    if (active == null) return;
-    if (document.activeElement === active) active.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
-    else active.focus();
-  };
-  const press = (selector: string) => page.current?.querySelector<HTMLElement>(selector)?.click();
   const back = () => {
     choose("");
     requestAnimationFrame(() => row()?.focus());
   };
   useKeys([
-    { key: "j", does: t("keys.next"), act: () => step("ArrowDown") },
-    { key: "k", does: t("keys.previous"), act: () => step("ArrowUp") },
-    { key: "c", does: t("keys.act"), act: () => press(".tasklist__acts button") },
-    { key: "r", does: t("keys.return"), act: () => press('[data-act="return"]') },
-    { key: "d", does: t("keys.decline"), act: () => press('[data-act="decline"]') },
-    { key: "e", does: t("keys.enter"), act: () => page.current?.querySelector<HTMLElement>(".tasklist__form input, .tasklist__form select, .tasklist__form textarea")?.focus() },
-    { key: "m", does: t("keys.comment"), act: () => page.current?.querySelector<HTMLElement>(".comments textarea")?.focus() },
-    { key: "/", does: t("keys.find"), act: () => search.current?.querySelector("input")?.focus() },
-    { key: "escape", does: t("keys.back"), act: back },
+    { key: "f", does: t("keys.find"), act: () => search.current?.querySelector("input")?.focus() },
+    { key: "j", does: t("keys.list"), act: () => row()?.focus() },
+    { key: "i", does: t("keys.enter"), act: () => page.current?.querySelector<HTMLElement>(".tasklist__form input, .tasklist__form select, .tasklist__form textarea")?.focus() },
+    { key: "n", does: t("keys.comment"), act: () => page.current?.querySelector<HTMLElement>(".comments textarea")?.focus() },
+    ...(chosen === "" ? [] : [{ key: "Escape", does: t("keys.back"), act: back }]),
   ]);
   return (
     <div className="tasklist" ref={page} data-open={chosen === "" ? undefined : true}>

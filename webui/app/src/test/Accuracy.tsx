@@ -13,6 +13,8 @@ import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { Checkbox } from "~/design/Checkbox";
 import { useGestureName } from "~/hand/Hand";
 import { useTopicSelector } from "~/live/hooks";
+import { useChoice } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { TestReport } from "./TestReport";
 import { Trial } from "./Trial";
@@ -31,15 +33,16 @@ export function Accuracy({ glove }: { glove: string }) {
   const { value: tests, failure, reload } = useServiceQuery<TestSummary[]>("gesture-controller", "tests", { revision: onItsWay ?? "" });
   if (onItsWay !== null) return <Trial glove={glove} />;
   const mine = (tests ?? []).filter((test) => test.glove === glove);
-  const selected = mine.find((test) => test.id === testParameter) ?? mine[0];
+  const selected = testParameter === "" ? mine[0] : mine.find((test) => test.id === testParameter);
   return (
     <div className="test__columns">
       <div className="test__column">
         <Planning glove={glove} />
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-        {selected !== undefined && <Earlier tests={mine} selected={selected.id} show={setTest} reload={reload} />}
+        {mine.length > 0 && <Earlier tests={mine} selected={selected?.id ?? ""} show={setTest} reload={reload} />}
       </div>
-      {tests !== null && selected === undefined && (
+      {tests !== null && selected === undefined && testParameter !== "" && <UnknownName thing="test" name={testParameter} parameter="test" />}
+      {tests !== null && selected === undefined && testParameter === "" && (
         <Card title={t("report.title")}>
           <EmptyState title={t("earlier.none.title")}>{t("earlier.none.means")}</EmptyState>
         </Card>
@@ -53,14 +56,14 @@ function Planning({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
   const nameOf = useGestureName();
   const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
-  const [howOften, setHowOften] = useQueryParameter("rounds", "10");
+  const [howOften, setHowOften] = useChoice("rounds", rounds, "10");
   const [left, setLeft] = useState<readonly string[]>([]);
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
   const plain = (gestures ?? []).filter(isPlain).map((gesture) => gesture.name);
   const chosen = plain.filter((name) => !left.includes(name));
-  const often = Number(rounds.find((round) => round === howOften) ?? "10");
+  const often = Number(howOften);
   const begin = async () => {
     setBusy(true);
     setFailure(null);
@@ -76,7 +79,7 @@ function Planning({ glove }: { glove: string }) {
     <Card title={t("plan.title")}>
       <p className="quiet">{t("plan.means")}</p>
       <div className="test__plan">
-        <SegmentedControl label={t("plan.rounds")} value={String(often)} options={rounds.map((round) => ({ value: round, name: t("plan.times", { count: Number(round) }) }))} onChange={setHowOften} />
+        <SegmentedControl label={t("plan.rounds")} value={howOften} options={rounds.map((round) => ({ value: round, name: t("plan.times", { count: Number(round) }) }))} onChange={setHowOften} />
         <Button kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
           {t("plan.begin", { count: chosen.length * often })}
         </Button>

@@ -14,6 +14,7 @@ import { GesturePicker } from "~/hand/GesturePicker";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopicSelector } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { isPlain, setTesting, type Gesture } from "./tests";
 
@@ -26,7 +27,7 @@ export function FreeTrial({ glove }: { glove: string }) {
   const [gestureParameter, setGesture] = useQueryParameter("gesture", "Thumbs up");
   const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
   const plain = (gestures ?? []).filter(isPlain);
-  const target = plain.find((gesture) => gesture.name === gestureParameter) ?? plain[0];
+  const target = plain.find((gesture) => gesture.name === gestureParameter);
   const isTesting = useTopicSelector(`glove/${glove}`, (view) => view?.testing) === true;
   const side = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
   const states = useTopicSelector(`glove/${glove}`, (view) => view?.states ?? null);
@@ -53,6 +54,7 @@ export function FreeTrial({ glove }: { glove: string }) {
     >
       <p>{isTesting ? <StatusBadge tone="accent">{t("try.isOn")}</StatusBadge> : <StatusBadge tone="attention">{t("try.isOff")}</StatusBadge>}</p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      {gestures !== null && target === undefined && <UnknownName thing="gesture" name={gestureParameter} parameter="gesture" />}
       {target !== undefined && (
         <div className="test__two">
           <section className="test__side">

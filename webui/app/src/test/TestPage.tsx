@@ -4,8 +4,7 @@ import { SegmentedControl } from "~/design/SegmentedControl";
 import { StatusBadge } from "~/design/StatusBadge";
 import { GloveSelect, NoGlove, useSelectedGlove } from "~/glove/GloveSelect";
 import { useTopicSelector } from "~/live/hooks";
-import { useQueryParameter } from "~/route/queryParameter";
-import { useKeys } from "~/shell/keys";
+import { useChoice } from "~/route/choice";
 import { Accuracy } from "./Accuracy";
 import { FreeTrial } from "./FreeTrial";
 import "./TestPage.css";
@@ -17,9 +16,7 @@ export default function TestPage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["test", "hand"]);
   const glove = useSelectedGlove();
-  const [askedPart, setPart] = useQueryParameter("part", "try");
-  const part: Part = parts.find((part) => part === askedPart) ?? "try";
-  useKeys(parts.map((part) => ({ key: part.charAt(0), does: t(`part.${part}`), act: () => setPart(part) })));
+  const [part, setPart] = useChoice<Part>("part", parts, "try");
   return (
     <div className="test">
       <header className="test__head">

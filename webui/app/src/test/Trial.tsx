@@ -9,7 +9,6 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopic } from "~/live/hooks";
 import type { AccuracyTest } from "~/live/messages";
-import { useKeys } from "~/shell/keys";
 import { leadTest } from "./tests";
 
 const icons = { right: Check, corrected: RotateCcw, missed: CircleX };
@@ -37,10 +36,6 @@ function Stage({ accuracyTest, side, states, isConnected }: StageProps) {
     setFailure(null);
     leadTest(id, act).catch((error: unknown) => setFailure(errorText(error)));
   };
-  useKeys([
-    ...(waits ? [{ key: "Enter", does: t("trial.continue"), act: () => lead("continue") }] : []),
-    { key: "x", does: t("trial.stop"), act: () => lead("stop") },
-  ]);
   const holdPart = Math.min(1, accuracyTest.heldMs / accuracyTest.holdMs);
   const title = asked === null ? t(`trial.${waits ? phase : "rest"}.title`) : nameOf(asked.gesture);
   return (

@@ -10,7 +10,7 @@ import { stepOf, type Situation } from "./situation";
 import { FullPageState } from "./FullPageState";
 
 export function FaultStage({ situation, choose }: { situation: Situation; choose: (glove: string) => void }) {
-  const { t } = useTranslation("work");
+  const { t } = useTranslation(["work", "common"]);
   const messageText = useMessageText();
   switch (situation.kind) {
     case "connecting":
@@ -68,7 +68,7 @@ export function FaultStage({ situation, choose }: { situation: Situation; choose
     }
     case "chooseGlove":
       return (
-        <FullPageState tone="accent" icon={<Users aria-hidden />} title={t("choose.title")} means={t("choose.means")}>
+        <FullPageState tone="accent" icon={<Users aria-hidden />} title={situation.unknown === null ? t("choose.title") : t("common:unknown.glove", { name: situation.unknown })} means={t("choose.means")}>
           {situation.gloves.map((glove) => (
             <Button key={glove.glove} size="large" onPress={() => choose(glove.glove)}>
               {t("by.choose", { name: glove.person === null ? glove.glove : `${glove.person} (${glove.glove})` })}

@@ -27,7 +27,6 @@ import { FaultStage } from "./FaultStage";
 import { useAction, type ActionState } from "./useAction";
 import { useFit } from "./useFit";
 import { useOperatorActions, type OperatorActions } from "./useOperatorActions";
-import { useOperatorKeys } from "./useOperatorKeys";
 import "./WorkPage.css";
 
 export default function WorkPage() {
@@ -57,7 +56,6 @@ export default function WorkPage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t, i18n } = useTranslation(["work", "hand"]);
   useFit(page, `${step} ${i18n.language} ${minPx}`);
-  useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null, report: null }, step, report);
   const shown = answered === null ? situation.kind : "answered";
   return (
     <div className="work">

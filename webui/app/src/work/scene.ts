@@ -2,7 +2,8 @@
 import { useEffect, useMemo, useRef, useState } from "react";
 import { useFamily, useConnectionState, useLive, useTopic } from "~/live/hooks";
 import type { GloveTask, Outcome, ServiceHealth } from "~/live/messages";
-import { situationOf, type Scene, type Situation } from "./situation";
+import { useOwnStation } from "~/session/ownStation";
+import { atStation, situationOf, type Scene, type Situation } from "./situation";
 
 /** Situations that are shown only if they last: gaps between steps and short reconnections. */
 const PASSING_MS = 800;
@@ -11,17 +12,22 @@ const CHECK_MS = 1200;
 
 const noServices: readonly ServiceHealth[] = [];
 
+/** The live scene; at a station only its own gloves, worn by the person who has joined. */
 export function useScene(chosen: string | null): Scene {
+  const { isStation, station } = useOwnStation();
   const link = useConnectionState();
-  const hasSnapshot = useLive().hasSnapshot;
+  const hasSnapshot = useLive().hasSnapshot && (!isStation || station !== null);
   const services = useTopic("services") ?? noServices;
   const gloves = useFamily("glove");
   const robots = useFamily("robot");
   const processes = useFamily("process");
   const definitions = useFamily("definition");
   return useMemo(
-    () => ({ link, hasSnapshot, services, gloves, robots, processes, definitions, chosen }),
-    [link, hasSnapshot, services, gloves, robots, processes, definitions, chosen],
+    () => {
+      const scene = { link, hasSnapshot, services, gloves, robots, processes, definitions, chosen };
+      return station === null ? scene : atStation(scene, station);
+    },
+    [link, hasSnapshot, services, gloves, robots, processes, definitions, chosen, station],
   );
 }
 

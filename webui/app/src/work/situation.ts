@@ -4,6 +4,7 @@
 * In this order: faults, the Task for the hand, the robot's work, the processes that can be started. Without
 * timers and rendering.
  */
+import type { StationView } from "~/api/generated/accounts";
 import type { DefinitionView, IncidentView, NextActivity, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import type { GloveTask, GloveView, RobotView, ServiceHealth } from "~/live/messages";
 import type { ConnectionState } from "~/live/store";
@@ -42,7 +43,7 @@ export type Situation =
   | { kind: "linkLost" }
   | { kind: "serviceLost"; service: NeededService; detail: string | null }
   | { kind: "noGlove"; chosen: string | null }
-  | { kind: "chooseGlove"; gloves: readonly GloveView[] }
+  | { kind: "chooseGlove"; gloves: readonly GloveView[]; unknown: string | null }
   | ({ kind: "gloveLost" } & Prompt)
   | ({ kind: "paused" } & Prompt)
   | ({ kind: "prompt"; answerWaits: boolean } & Prompt)
@@ -63,7 +64,7 @@ export function situationOf(scene: Scene): Situation {
   const glove = gloveOf(scene);
   if (glove === null) {
     return scene.gloves.length > 0 && (scene.chosen === null || scene.gloves.length > 1)
-      ? { kind: "chooseGlove", gloves: scene.gloves }
+      ? { kind: "chooseGlove", gloves: scene.gloves, unknown: scene.chosen }
       : { kind: "noGlove", chosen: scene.chosen };
   }
   const orchestratorLost = lost("task-orchestrator");
@@ -76,6 +77,14 @@ export function situationOf(scene: Scene): Situation {
   const incident = incidentOf(process, glove);
   if (incident !== null) return { kind: "incident", glove, process, incident };
   return turn ?? { kind: "between", glove, process, task: null, next: nextOf(process) };
+}
+
+/** Return the scene as a station shows it: its own gloves, worn by the person who has joined; the only one is chosen. */
+export function atStation(scene: Scene, { gloves, joined }: Pick<StationView, "gloves" | "joined">): Scene {
+  const person = joined?.person ?? null;
+  const own = scene.gloves.filter(({ glove }) => gloves.includes(glove)).map((glove) => (person === null ? glove : { ...glove, person }));
+  const only = gloves.length === 1 ? (gloves[0] ?? null) : null;
+  return { ...scene, gloves: own, chosen: scene.chosen ?? only };
 }
 
 /** Return the glove of this page: the one in the URL, else the only one. */

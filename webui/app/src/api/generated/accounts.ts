@@ -304,10 +304,15 @@ export interface SessionBody {
   session: string;
 }
 
-/** The session that ends; `returnTo` is the page that follows a sign-out at the provider. */
+/**
+ * The session that ends; `returnTo` is the page that follows a sign-out at the provider.
+ *
+ * A station is signed out with the `pin` of the person who has joined it, or of an engineer.
+ */
 export interface SessionEnd {
   session: string;
   returnTo?: string | null;
+  pin?: string | null;
 }
 
 /** A session, with the place and the device as they were at the sign-in. */

@@ -9,7 +9,7 @@ import { duration } from "~/design/times";
 import { useTopic } from "~/live/hooks";
 import { withPicked } from "~/processes/diagram/marks";
 import { useBpmn } from "~/processes/records";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useChoice } from "~/route/choice";
 import type { Scope } from "../query";
 import { HEATS, heatMarks, isDuration, MEASURES, scaleOf, type HeatWords, type Measure } from "./heat";
 
@@ -26,8 +26,7 @@ export interface HeatMapProps {
 
 export function HeatMap({ scope, title, elements, causes, picked, onPick }: HeatMapProps) {
   const { t, i18n } = useTranslation(["cockpit", "processes"]);
-  const [asked, setMeasure] = useQueryParameter("heat", "meanMs");
-  const measure = MEASURES.find((one) => one === asked) ?? "meanMs";
+  const [measure, setMeasure] = useChoice("heat", MEASURES, "meanMs");
   const latest = useTopic(`definition/${scope.definition}`);
   const version = scope.version === "" ? (latest?.version ?? null) : Number(scope.version);
   const bpmn = useBpmn(scope.definition, version);

@@ -14,11 +14,13 @@ import { number } from "~/design/numbers";
 import { exactTime } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { RegisteredDeviceView } from "~/live/messages";
+import { UnknownAddress } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { pathOf, SERVICE, type SymbolOf } from "../gateway";
 import { digits, isoOf, spaced, valuesOf } from "../values";
 import { HistoryChart } from "./HistoryChart";
-import { columnsOf, HORIZONS, intervalIn, intervalText, isSpan, lastInterval, moved, SPANS, summaryOf, withForecast, zoomed, type Interval, type Span } from "./interval";
+import { columnsOf, HORIZONS, intervalIn, intervalText, isSpan, lastInterval, moved, SPANS, summaryOf, withForecast, zoomed, type Interval } from "./interval";
 
 const POINTS = 600;
 const INITIAL_CHARTS = 3;
@@ -29,14 +31,16 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
   const { t, i18n } = useTranslation("devices");
   const names = useMemo(() => valuesOf(device).filter(({ latest }) => latest !== null).map(({ name }) => name), [device]);
   const [wanted, setWanted] = useQueryParameter("values");
-  const [spanText] = useQueryParameter("span", "hour");
+  const [span] = useQueryParameter("span", "hour");
   const change = useQueryChange();
   const [zoom, setZoom] = useQueryParameter("time");
   const [ahead, setAhead] = useQueryParameter("forecast");
+  if (!isSpan(span)) throw new UnknownAddress("span", span);
+  if (!["", "on"].includes(ahead)) throw new UnknownAddress("forecast", ahead);
+  if (zoom !== "" && intervalIn(zoom) === null) throw new UnknownAddress("time", zoom);
   const hasForecast = ahead === "on";
   const [fault, setFault] = useState<string | null>(null);
   const [isSaving, setSaving] = useState(false);
-  const span: Span = isSpan(spanText) ? spanText : "hour";
   const fixed = useMemo(() => intervalIn(zoom), [zoom]);
   const last = lastInterval(span, useNow() / 1000);
   const interval = useMemo(() => fixed ?? { begin: last.begin, end: last.end }, [fixed, last.begin, last.end]);
@@ -63,6 +67,8 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
     }
   };
   const at = (seconds: number) => exactTime(isoOf(seconds), i18n.language);
+  const unknown = wanted === "" ? [] : wanted.split(",").filter((name) => !names.includes(name));
+  if (names.length > 0 && unknown.length > 0) return <UnknownName thing="value" name={unknown.join(", ")} parameter="values" />;
   if (names.length === 0) return <p className="quiet">{t("history.none")}</p>;
   return (
     <div className="device-history">

@@ -11,27 +11,29 @@ import { RelativeTime } from "~/design/RelativeTime";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { Select } from "~/design/Select";
 import { DataTable, type Column } from "~/design/table/DataTable";
+import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, SERVICE } from "../gateway";
 import { isoOf } from "../values";
 
 const PAGE = 100;
+const DIRECTIONS = ["all", "in", "out"] as const;
 const REFRESH_MS = 2000;
 const TYPES = ["telemetry", "state", "event", "command", "ack", "error", "refused"];
 const UNSORTED = { by: "", isDescending: false };
 
 export function MessagesPart({ device }: { device: string }) {
   const { t } = useTranslation("devices");
-  const [direction, setDirection] = useQueryParameter("direction", "all");
+  const [direction, setDirection] = useChoice("direction", DIRECTIONS, "all");
   const [type, setType] = useQueryParameter("type");
-  const query = `${direction === "in" || direction === "out" ? `&direction=${direction}` : ""}${type === "" ? "" : `&type=${encodeURIComponent(type)}`}`;
+  const query = `${direction === "all" ? "" : `&direction=${direction}`}${type === "" ? "" : `&type=${encodeURIComponent(type)}`}`;
   return (
     <div className="device__messages">
       <div className="device__filters">
         <SegmentedControl
           label={t("messages.direction")}
-          value={direction === "in" || direction === "out" ? direction : "all"}
-          options={(["all", "in", "out"] as const).map((value) => ({ value, name: t(`messages.${value}`) }))}
+          value={direction}
+          options={DIRECTIONS.map((value) => ({ value, name: t(`messages.${value}`) }))}
           onChange={setDirection}
         />
         <Select label={t("messages.type")} value={type} options={[{ value: "", name: t("messages.allTypes") }, ...TYPES.map((value) => ({ value, name: t(`messageType.${value}`) }))]} onChange={setType} />

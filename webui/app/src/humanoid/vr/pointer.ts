@@ -10,8 +10,6 @@ const KEY_STEP = 0.04;
 /** So that the panel and the feet of the robot are in the picture. */
 const LOOKS_AT = new Vector3(0, 0.8, 0);
 
-export type PointerKey = "recentre" | "pause";
-
 export class Pointer {
   readonly camera = new PerspectiveCamera(70, 1, 0.05, 40);
   readonly at = new Vector2();
@@ -39,16 +37,14 @@ export class Pointer {
     this.depthM = Math.min(Math.max(this.depthM + steps * DEPTH_STEP_M, DEPTHS_M.least), DEPTHS_M.most);
   }
 
-  /** Handle a key: an act for the view, true if it moved the hand, false if it is none of ours. */
-  key(key: string): PointerKey | boolean {
+  /** Handle a key; returns whether it moved the hand. None has a character, so that nothing typed moves it. */
+  key(key: string): boolean {
     const steps: Readonly<Record<string, readonly [number, number]>> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
     const step = steps[key];
     if (step !== undefined) this.moveTo(this.at.x + step[0] * KEY_STEP, this.at.y + step[1] * KEY_STEP);
     else if (key === "PageUp" || key === "PageDown") this.deeper(key === "PageUp" ? 1 : -1);
     else if (key === " ") this.isPressed = true;
-    else if (key === "h") this.side = this.side === "left" ? "right" : "left";
-    else if (key === "r") return "recentre";
-    else if (key === "p") return "pause";
+    else if (key === "Home" || key === "End") this.side = key === "Home" ? "left" : "right";
     else return false;
     return true;
   }

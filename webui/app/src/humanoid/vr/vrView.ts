@@ -149,17 +149,14 @@ export class VrView {
   /** Handle a key for the pointer; returns whether it had an effect. */
   key(key: string): boolean {
     if (this.#using !== "pointer") return false;
-    if (key === " " || key === "Enter") {
+    if (key === "Enter") {
       this.#aim();
       if (this.#aimed !== null || this.#isChoosing) {
         this.#select("right");
         return true;
       }
     }
-    const done = this.#pointer.key(key);
-    if (done === "recentre") this.#recentre();
-    else if (done === "pause") this.#pauseOrResume();
-    return done !== false;
+    return this.#pointer.key(key);
   }
 
   keyUp(key: string): void {

@@ -13,6 +13,8 @@ import { Select } from "~/design/Select";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { useFamily, useTopic } from "~/live/hooks";
+import { UnknownAddress } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
@@ -34,13 +36,15 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
   const { t } = useTranslation("processes");
   const [asked, setAsked] = useQueryParameter("version");
   const latest = useTopic(`definition/${name}`);
-  const version = Number.parseInt(asked, 10) || (latest?.version ?? null);
+  if (asked !== "" && !/^[1-9]\d*$/.test(asked)) throw new UnknownAddress("version", asked);
+  const version = asked === "" ? (latest?.version ?? null) : Number(asked);
   const path = `definitions/${encodeURIComponent(name)}`;
   const record = useServiceQuery<DefinitionWithActivities>(
     SERVICE,
     version === null ? path : `${path}?version=${version}`,
   );
   const definition = record.value;
+  if (record.missing && latest !== undefined) return <UnknownName thing="value" name={t("version", { version: asked })} parameter="version" />;
   if (record.missing) return <EmptyState title={t("definition.missing", { name })}>{t("definition.missingHow")}</EmptyState>;
   if (definition === null) {
     return record.failure === null ? (

@@ -16,6 +16,7 @@ import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/api/generated/task-orchestrator";
 import { processState, type ProcessState } from "~/live/processState";
 import { shortName } from "~/live/urn";
+import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
 import { markOf } from "../names";
@@ -181,9 +182,8 @@ function useView() {
   const [status, setStatus] = useQueryParameter("state");
   const [definition, setDefinition] = useQueryParameter("of");
   const [involves, setInvolves] = useQueryParameter("involves");
-  const [sort, setSort] = useQueryParameter("sort", "newest");
+  const [sorting, setSort] = useChoice("sort", SORT_ORDERS, "newest");
   const filter: ProcessFilter = useMemo(() => ({ status, definition, involves }), [status, definition, involves]);
-  const sorting = SORT_ORDERS.find((one) => one === sort) ?? "newest";
   const isSet = status !== "" || definition !== "" || involves !== "" || sorting !== "newest";
   const [isOpen, setOpen] = useState(isSet);
   const bar = (

@@ -6,6 +6,8 @@ import { SegmentedControl } from "~/design/SegmentedControl";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import type { IncidentView, ProcessView } from "~/api/generated/task-orchestrator";
+import { useChoice } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "../diagram/elements";
 import { marksOfProcess, withPicked, withTargets, withWaiting } from "../diagram/marks";
@@ -41,8 +43,7 @@ export function ProcessPanel({ id }: { id: string }) {
 
 function Shown({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
-  const [asked, setView] = useQueryParameter("view", "timeline");
-  const view = VIEWS.find((one) => one === asked) ?? "timeline";
+  const [view, setView] = useChoice<View>("view", VIEWS, "timeline");
   const [picked, setPicked] = useQueryParameter("task");
   const task = process.tasks.find((one) => taskMark(one) === picked) ?? null;
   const bpmn = useBpmn(process.definition, process.version);
@@ -92,6 +93,7 @@ function Shown({ process }: { process: ProcessView }) {
           {view === "acts" && <Acts process={process} elements={elements} />}
           {view === "comments" && <ProcessComments id={process.id} />}
           {showsTasks && <TasksView process={process} view={view} picked={picked} onPick={setPicked} />}
+          {task === null && picked !== "" && <UnknownName thing="task" name={picked} parameter="task" />}
           {task !== null && showsTasks && (
             <TaskPanel process={process} task={task} onClose={() => setPicked("")} />
           )}

@@ -2,6 +2,7 @@
 import { localizedText } from "~/i18n/server";
 import type { TaskView } from "~/api/generated/task-orchestrator";
 import type { Status } from "~/live/messages";
+import { UnknownAddress } from "~/route/choice";
 import { nameOf, performerOf, taskMark } from "../names";
 
 export interface Filter {
@@ -14,7 +15,9 @@ export const statuses: readonly Status[] = ["pending", "assigned", "inProgress",
 
 /** Read the statuses from a URL; invalid ones are ignored. */
 export function statusesOf(query: string): Status[] {
-  const wanted = query.split(",");
+  const wanted = query === "" ? [] : query.split(",");
+  const unknown = wanted.find((one) => !statuses.some((status) => status === one));
+  if (unknown !== undefined) throw new UnknownAddress("status", unknown);
   return statuses.filter((status) => wanted.includes(status));
 }
 

@@ -109,8 +109,9 @@ describe("the filter", () => {
     expect(performersOf(tasks)).toEqual(["glove-1", "ur10-1"]);
   });
 
-  it("reads states from a URL and leaves out what is none", () => {
-    expect(statusesOf("failed,cancelled,pending")).toEqual(["pending", "failed"]);
+  it("reads states from a URL and names what is none", () => {
+    expect(statusesOf("failed,pending")).toEqual(["pending", "failed"]);
+    expect(() => statusesOf("failed,cancelled")).toThrow("status=cancelled");
   });
 });
 

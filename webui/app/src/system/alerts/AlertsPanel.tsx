@@ -14,8 +14,10 @@ import { alertStateTone, severityTone } from "~/design/states";
 import { Checkbox } from "~/design/Checkbox";
 import { DataTable, type Column, type Grouping } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
-import { useFamily } from "~/live/hooks";
+import { useFamily, useHasSnapshot } from "~/live/hooks";
 import type { AlertView } from "~/live/messages";
+import { useChoice } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { GROUPINGS, passes, SEVERITIES, STATES, valuesOf, type AlertFilter, type AlertGrouping } from "./alert_list";
 import { AlertActions } from "./AlertActions";
@@ -32,6 +34,7 @@ export function AlertsPanel() {
   const [sorting, setSorting] = useSorting("-severity");
   const [openId, setOpenId] = useQueryParameter("alert");
   const [selected, setSelected] = useState<ReadonlySet<string>>(new Set());
+  const hasSnapshot = useHasSnapshot();
 
   const byId = useMemo(() => new Map(alerts.map((alert) => [alert.id, alert])), [alerts]);
   const matching = useMemo(
@@ -50,11 +53,14 @@ export function AlertsPanel() {
           },
         };
   const chosen = matching.filter((alert) => selected.has(alert.id));
-  const opened = byId.get(openId) ?? (alerts.length === 1 ? (alerts[0] ?? null) : null);
+  const opened = openId === "" ? (alerts.length === 1 ? (alerts[0] ?? null) : null) : (byId.get(openId) ?? null);
+  const isUnknown = openId !== "" && opened === null && hasSnapshot;
 
   if (alerts.length === 0) {
     return (
       <div className="alerts">
+        {isUnknown && <UnknownName thing="alert" name={openId} parameter="alert" />}
+        {Object.values(filter).some((asked) => asked !== "") && bar}
         <EmptyState icon={<CircleCheck aria-hidden size={32} />} title={t("alert.none.title")}>
           {t("alert.none.means")}
         </EmptyState>
@@ -66,6 +72,7 @@ export function AlertsPanel() {
     <div className="alerts">
       {bar}
       <AlertActions chosen={chosen} shown={matching.length} onDone={() => setSelected(new Set())} />
+      {isUnknown && <UnknownName thing="alert" name={openId} parameter="alert" />}
       <div className="alerts__frame" data-open={opened !== null || undefined}>
         <DataTable
           label={t("tab.alerts")}
@@ -150,9 +157,8 @@ function useView(alerts: readonly AlertView[]) {
   const [category, setCategory] = useQueryParameter("category");
   const [source, setSource] = useQueryParameter("from");
   const [text, setText] = useQueryParameter("find");
-  const [group, setGroup] = useQueryParameter("group");
+  const [grouping, setGroup] = useChoice<AlertGrouping>("group", GROUPINGS, "");
   const filter: AlertFilter = useMemo(() => ({ state, severity, category, source, text }), [state, severity, category, source, text]);
-  const grouping: AlertGrouping = GROUPINGS.find((each) => each === group) ?? "";
   const all = { value: "", name: t("alert.filter.all") };
   const offered = (values: readonly string[], value: string) => [...new Set([...values, ...(value === "" ? [] : [value])])];
   const bar = (

@@ -16,6 +16,7 @@ import { useSorting } from "~/design/table/useSorting";
 import { exactTime } from "~/design/times";
 import { useEvents } from "~/live/hooks";
 import type { LiveEvent } from "~/live/messages";
+import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { allEvents, csv, type EventFilter, LEVELS, merged, MAX_SHOWN, passes, sourcesOf } from "./event_log";
 import { useMessageText } from "./eventText";
@@ -139,17 +140,19 @@ function useLog() {
   return { events, sources, isWhole, busy, failure, loadOlder };
 }
 
+const CHOICES = ["", "attention", "stop"] as const;
+
 /** The filter, stored in the URL, and the bar that sets it. */
 function useFilter() {
   const { t } = useTranslation(["system", "common"]);
-  const [level, setLevel] = useQueryParameter("level");
+  const [level, setLevel] = useChoice("level", CHOICES, "");
   const [source, setSource] = useQueryParameter("source");
   const [text, setText] = useQueryParameter("text");
   const filter: EventFilter = useMemo(
-    () => ({ level: level === "attention" || level === "stop" ? level : "", source, text }),
+    () => ({ level, source, text }),
     [level, source, text],
   );
-  const levels = (["", "attention", "stop"] as const).map((value) => ({ value, name: t(`events.level.${value || "all"}`) }));
+  const levels = CHOICES.map((value) => ({ value, name: t(`events.level.${value || "all"}`) }));
   const bar = (sources: readonly string[]) => {
     const options = [
       { value: "", name: t("events.allSources") },
