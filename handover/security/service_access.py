@@ -11,7 +11,6 @@ import asyncio
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -169,7 +168,7 @@ class ServiceAccess:
         listed = list(headers)
         own = await self.headers()
         response = await http.request(method, url, [*listed, *own.items()], body, timeout_s)
-        if response.status == HTTPStatus.UNAUTHORIZED and self.renew(own):
+        if response.status == UNAUTHORIZED and self.renew(own):
             own = await self.headers()
             response = await http.request(method, url, [*listed, *own.items()], body, timeout_s)
         return response
