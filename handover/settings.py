@@ -27,6 +27,8 @@ from handover.outbound_policy import OutboundPolicy, is_loopback
 PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
 """Set by the launcher: the service ends when its standard input closes, so that no orphan remains."""
+RESTARTED = f"{PREFIX}RESTARTED"
+"""Set by the watchdog for a service that it has restarted: nothing that moves is continued by itself."""
 ENV_FILE = ".env"
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 PUBLIC_KEYS_FILE = "public-keys.json"

@@ -24,7 +24,7 @@ from handover.extensions import Service
 from handover.outbound_policy import is_loopback
 from handover.ports import held
 from handover.retry import Backoff
-from handover.settings import LIFELINE, Settings
+from handover.settings import LIFELINE, RESTARTED, Settings
 from handover.tls_trust import client_context, handshake_fault
 from handover.watchdog import Watchdog
 from services.context_broker.settings import BrokerSettings
@@ -50,6 +50,8 @@ class Running:
     process: Process | None = None
     backoff: Backoff = field(default_factory=lambda: Backoff(INITIAL_RESTART_S, MAX_RESTART_S))
     started_s: float = field(default_factory=time.monotonic)
+    was_stuck: bool = False
+    """Whether the watchdog has ended the process before."""
 
     def last_log_line(self) -> str:
         """Return its last log line, which has the reason of its end."""
@@ -153,6 +155,7 @@ class Launcher:
             **os.environ,
             **self._environment_of(running.name),
             LIFELINE: "1",
+            **({RESTARTED: "1"} if running.was_stuck else {}),
             "HANDOVER_DATA_DIR": str(self._data_dir),
             "PYTHONUNBUFFERED": "1",
         }
@@ -194,6 +197,7 @@ class Launcher:
             try:
                 code = await process.wait()
             finally:
+                running.was_stuck = bool(watch and watch.done() and not watch.exception())
                 if watch:
                     watch.cancel()
             if self._stopping:

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 
 from handover.errors import UsageError
-from handover.settings import LIFELINE, Settings
+from handover.settings import LIFELINE, RESTARTED, Settings
 from handover.watchdog import Watchdog
 
 LOOK_EVERY_S = 0.1
@@ -28,6 +28,7 @@ def run_watched(name: str, url: str, settings: Settings, say: Callable[[str], No
     if sys.platform != "linux":
         raise UsageError("--watch needs Linux; run the service without it")
     watchdog = Watchdog(name, url, settings, say)
+    was_stuck = False
     while True:
         reading, writing = os.pipe()
         service = os.fork()
@@ -36,6 +37,8 @@ def run_watched(name: str, url: str, settings: Settings, say: Callable[[str], No
             os.dup2(reading, 0)
             os.close(reading)
             os.environ[LIFELINE] = "1"
+            if was_stuck:
+                os.environ[RESTARTED] = "1"
             return
         os.close(reading)
         was_stuck, status = asyncio.run(_supervise(service, watchdog))

@@ -1,6 +1,7 @@
 """The controllers: one performer for each robot of the cell. Each executes Tasks one after another."""
 
 import asyncio
+import os
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
@@ -15,6 +16,7 @@ from handover.messages import message, text_of
 from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.retry import Backoff
+from handover.settings import RESTARTED
 from handover.task_life import type_of
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters
@@ -149,6 +151,16 @@ class Controller(Performer):
         with _counted(name), self._device_state():
             if self._fault is not None:
                 raise self._fault
+            if job.resumed and os.environ.get(RESTARTED):
+                raise TaskFailed(
+                    outcome_unknown(
+                        message(
+                            "robot.tool_restarted",
+                            "the trajectory tool did not answer and was restarted; look at the robot, then "
+                            "repeat the task or skip it",
+                        )
+                    )
+                )
             operation = operations.known(name)
             values = parameters.read(operation.parameters, name, _parameters_of(job, name))
             speed = self.cell.entry.speed * values.speed

@@ -1,5 +1,6 @@
 """A service that can be made busy for ever, or asleep for ever, by a request."""
 
+import os
 import time
 from typing import Any
 
@@ -10,7 +11,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from handover.serving import run
-from handover.settings import Settings
+from handover.settings import RESTARTED, Settings
 
 
 class BusySettings(Settings):
@@ -19,6 +20,10 @@ class BusySettings(Settings):
 
 async def answer(_: Request) -> Response:
     return PlainTextResponse("ok")
+
+
+async def restarted(_: Request) -> Response:
+    return PlainTextResponse(os.environ.get(RESTARTED, "no"))
 
 
 async def spin(_: Request) -> Response:
@@ -32,7 +37,7 @@ async def sleep(_: Request) -> Response:
 
 
 def make_app(_: BusySettings) -> Any:
-    paths = {"/healthz": answer, "/readyz": answer, "/spin": spin, "/sleep": sleep}
+    paths = {"/healthz": answer, "/readyz": answer, "/restarted": restarted, "/spin": spin, "/sleep": sleep}
     return Starlette(routes=[Route(path, endpoint) for path, endpoint in paths.items()])
 
 

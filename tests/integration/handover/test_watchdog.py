@@ -81,6 +81,7 @@ async def test_a_service_that_spins_is_restarted_with_an_alert_and_not_twice_in_
     await asked_to("spin")
     await until(lambda: watched.process() not in {before, None}, 300, "the service is not restarted")
     assert watched.said("it is restarted") == 1
+    assert httpx.get(f"{BUSY.url()}/restarted", timeout=scaled(60)).text == "1"
 
     async def alert() -> Alert | None:
         return next(iter(await watched.alerts()), None)
@@ -149,6 +150,7 @@ async def test_a_container_restarts_a_service_that_spins_and_forwards_signals(
         await until(lambda: "starting it again" in log.read_text(), 300, log.read_text)
         after = await until(service, 120, log.read_text)
         assert after != before
+        assert httpx.get(f"{BUSY.url()}/restarted", timeout=scaled(60)).text == "1"
         supervisor.terminate()
         assert supervisor.wait(scaled(60)) in {0, 128 + signal.SIGTERM}
         assert not psutil.pid_exists(after)

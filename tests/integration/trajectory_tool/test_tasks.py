@@ -14,7 +14,7 @@ import pytest
 from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
 from handover.outcomes import is_outcome_unknown
-from handover.settings import Settings
+from handover.settings import RESTARTED, Settings
 from handover.task_life import FINISHED
 from services.trajectory_tool.physics import is_available
 from tests.kit.cell import Cell
@@ -242,6 +242,26 @@ async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(n
     new_shop.cell.restart("trajectory_tool")
     assert new_shop.robot()["joints"]["position"][0] >= before
     assert (await new_shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+
+
+async def test_a_tool_that_the_watchdog_has_restarted_continues_no_motion(new_shop: Shop) -> None:
+    task = await new_shop.ask("moveTo", joints=AWAY, speed=0.2)
+    await new_shop.in_motion()
+    new_shop.cell.kill("trajectory_tool")
+    new_shop.cell.extra[RESTARTED] = "1"
+    new_shop.cell.start("trajectory_tool")
+    here = new_shop.robot()["joints"]["position"]
+
+    async def ended() -> Task | None:
+        seen = await new_shop.broker.get(task, Task)
+        return seen if seen.status.value in FINISHED else None
+
+    seen: Task = await until(ended, 60, "the Task does not end")
+    assert seen.status.value is TaskStatus.FAILED
+    assert seen.output_parameters is not None
+    assert is_outcome_unknown(seen.output_parameters.value), seen.output_parameters.value
+    assert new_shop.robot()["joints"]["position"] == here, "it has not moved"
+    assert (await new_shop.done("home"))["joints"] == HOME, "what is asked afterwards is done"
 
 
 async def test_a_tool_that_is_killed_at_random_moments_repeats_no_act(cell: Cell) -> None:

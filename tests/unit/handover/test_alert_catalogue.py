@@ -25,7 +25,10 @@ def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
         for folder in ("services", "ros_fiware_bridge")
         for file in (ROOT / folder).rglob("*.py")
     ]
-    sources += [(ROOT / "handover" / f"{name}.py").read_text() for name in ("certificate_watch", "watchdog")]
+    sources += [
+        (ROOT / "handover" / f"{name}.py").read_text()
+        for name in ("certificate_watch", "own_subscriptions", "watchdog")
+    ]
     catalogue = (ROOT / "handover" / "alert_catalogue.py").read_text()
     for name in re.findall(r"^([A-Z_]+): Final = AlertType", catalogue, flags=re.MULTILINE):
         assert any(re.search(rf"\b{name}\b", source) for source in sources), name
