@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.kit.disks import fill, small_disk
+from tests.kit.small_disk import SmallDisk, small_disk
 
 Eventually = Callable[..., Any]
 
@@ -191,8 +191,8 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
 
 @pytest.fixture(name="small_disk")
 def mounted_disk(tmp_path: Path) -> Iterator[Path]:
-    with small_disk(tmp_path / "disk") as folder:
-        yield folder
+    with small_disk(tmp_path / "disk", 32) as disk:
+        yield disk.folder
 
 
 @pytest.mark.parametrize("ends", ["killed", "stopped"])
@@ -220,7 +220,7 @@ def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
             assert http.patch(f"/entities/{ids[1]}/attrs", json={"n": 2}).status_code == 204
             assert http.delete(f"/entities/{ids[2]}").status_code == 204
             broker.kill() if ends == "killed" else broker.stop()
-    fill(small_disk)
+    SmallDisk(small_disk).fill()
     answer = broker.start_unready()
     assert answer.status_code == 503
     assert str(small_disk) in answer.json()["storage"]
@@ -236,8 +236,8 @@ def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
         assert http.get("/entities/urn:ngsi-ld:Waiting:demo:more").status_code == 404
         past = http.get("/temporal/entities", params={"type": "Waiting", "limit": 50, **ever})
         assert past.status_code == (503 if ends == "killed" else 200)
-        fill(small_disk)
-        (small_disk / "filler").unlink()
+        SmallDisk(small_disk).fill()
+        SmallDisk(small_disk).free()
         eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120).is_success)
         entity = {"id": "urn:ngsi-ld:Waiting:demo:more", "type": "Waiting", "n": 3}
         assert http.post("/entities", json=entity).status_code == 201
@@ -267,7 +267,7 @@ def test_a_full_disk_refuses_writes_until_there_is_space(
     broker = broker_on(small_disk).start()
     created = []
     with broker.client() as http:
-        fill(small_disk)
+        SmallDisk(small_disk).fill()
         for number in range(200):  # the log has space of its own, and takes some of them
             entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "pad": "x" * 100_000}
             answer = http.post("/entities", json=entity)
@@ -279,7 +279,7 @@ def test_a_full_disk_refuses_writes_until_there_is_space(
         refused = httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120)
         assert refused.status_code == 503
         assert re.search(rf"{small_disk} \(\d+ bytes free\)", refused.json()["storage"])
-        (small_disk / "filler").unlink()
+        SmallDisk(small_disk).free()
         eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120).is_success)
         assert http.post("/entities", json=entity).status_code == 201
         created.append(entity["id"])

@@ -22,7 +22,7 @@ from handover.errors import UsageError
 from handover.finished_tasks import End, FinishedTasks
 from handover.settings import Settings
 from handover.sqlite_integrity.wal_file import read_wal
-from tests.kit.disks import fill, small_disk
+from tests.kit.small_disk import small_disk
 
 WRITES: Final = """
 import sys
@@ -188,13 +188,13 @@ def test_a_file_that_another_program_has_checkpointed_is_accepted(tmp_path: Path
 
 
 def test_a_killed_service_starts_and_commits_on_a_full_disk(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk", 16) as folder:
-        file = folder / "lamp.db"
+    with small_disk(tmp_path / "disk", 16) as disk:
+        file = disk.folder / "lamp.db"
         killed_while_writing(file, 50, checkpoint_s=0.0)
-        filler = fill(folder)
+        disk.fill()
         acknowledged = killed_while_writing(file, 50, checkpoint_s=3600.0)
         assert check_database(file).faults == []
-        filler.unlink()
+        disk.free()
         assert count_of(file) >= acknowledged
         assert check_database(file) == Checked([])
 
