@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from handover.errors import HandoverError, UsageError
+from handover.folder_lock import lock_own
 from handover.sqlite_files import prepare_own, unreleased_format
 from handover.sqlite_integrity.checkpoints import Checkpoints, CountedConnection, make_durable
 from handover.sqlite_integrity.reserve import with_reserve
@@ -117,9 +118,9 @@ def connect(
 ) -> Engine:
     """Return an engine for `url` (`sqlite:///…` or `postgresql://…`), the value of `setting`.
 
-    Raises `UsageError` for other URLs, when the database cannot be opened, or when a file is damaged or, if
-    it is our own, was deleted or emptied. `answers_within_s` limits connecting and each statement of
-    PostgreSQL.
+    A service locks a file of its own until it ends (`folder_lock`). Raises `UsageError` for other URLs, when
+    the database cannot be opened, when another process holds its file, or when a file is damaged or, if it
+    is our own, was deleted or emptied. `answers_within_s` limits connecting and each statement of PostgreSQL.
     """
     try:
         parsed = make_url(url)
@@ -141,6 +142,7 @@ def connect(
             file = Path(str(parsed.database))
             file.parent.mkdir(parents=True, exist_ok=True)
             if is_own:
+                lock_own(file)
                 _refuse_unreleased(file)
                 with_reserve(file, lambda: _open_own(engine, file))
         _open(engine)

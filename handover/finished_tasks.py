@@ -22,6 +22,7 @@ import orjson
 
 from datamodels.entities import TaskStatus
 from handover.errors import UsageError
+from handover.folder_lock import hold
 from handover.settings import Settings
 from handover.sqlite_files import prepare_own
 from handover.sqlite_integrity.checkpoints import Checkpoints, CountedConnection, make_durable
@@ -54,6 +55,7 @@ class FinishedTasks:
     """The ends of the Tasks of `performer`; call `open` first. One separate thread accesses the file."""
 
     def __init__(self, settings: Settings, performer: str, *, clock: Callable[[], float] = time.time) -> None:
+        self._performer = performer
         name = re.sub(r"[^A-Za-z0-9_.-]", "_", performer)
         self.path = settings.data_dir / f"{name}.finished.db"
         self._keep_s = 3600.0 * max(MIN_KEEP_H, KEEP_PER_RETENTION * settings.retention_h)
@@ -62,9 +64,10 @@ class FinishedTasks:
         self._disk: ThreadPoolExecutor | None = None
         self._connection: sqlite3.Connection | None = None
         self._checkpoints: Checkpoints | None = None
+        self._release: Callable[[], None] = lambda: None
 
     async def open(self) -> None:
-        """Open the file; raise `UsageError` if that is not possible."""
+        """Open the file; raise `UsageError` if that is not possible, or if another process has it open."""
         self._disk = ThreadPoolExecutor(1, "finished-tasks")
         try:
             await self._on_disk(with_reserve, self.path, self._open)
@@ -120,6 +123,8 @@ class FinishedTasks:
 
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._release()  # of an attempt on a full disk
+        self._release = hold(self.path, self._performer)
         prepare_own(self.path)
         self._checkpoints = Checkpoints(self.path)
         connection = sqlite3.connect(self.path, timeout=5.0, factory=CountedConnection)
@@ -144,6 +149,7 @@ class FinishedTasks:
         if self._checkpoints is not None:
             self._checkpoints.close()
             self._checkpoints = None
+        self._release()
 
     def _find(self, task_id: str) -> End | None:
         row = self._opened.execute(

@@ -20,6 +20,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from handover.certificate_watch import CertificateWatch
 from handover.errors import UsageError
+from handover.folder_lock import serve_alone
 from handover.http_protocol import KEEP_ALIVE_S, Connections, HttpProtocol
 from handover.origin_guard import OriginGuard, OriginPolicy
 from handover.ports import hold_when_free
@@ -81,6 +82,9 @@ def serve(
         require_writable(settings.data_dir)
         for line in make_private(settings.data_dir):
             log.warning("private files", what=line)
+        if os.environ.get(LIFELINE):  # before a wait for the holder of the databases
+            threading.Thread(target=_end_with_parent, daemon=True).start()
+        serve_alone(settings, service, log.warning)
         certificate = ServerCertificate.of(settings)
         # Reserved until the server listens: otherwise a connection of the service itself could get the port.
         held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)
@@ -89,8 +93,6 @@ def serve(
         application = _StartupErrors(OriginGuard(made, policy))
     except (UsageError, OSError) as error:
         raise SystemExit(_in_one_line(service, error)) from None
-    if os.environ.get(LIFELINE):
-        threading.Thread(target=_end_with_parent, daemon=True).start()
     config = uvicorn.Config(
         behind_proxies(application, settings),
         host=settings.host,

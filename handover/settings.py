@@ -110,6 +110,11 @@ class Settings(BaseSettings):
         description="the name of this replica, where several of one service run: each subscribes for itself",
     )
     data_dir: Path = Field(Path(".handover"), description="the directory of all persistent data")
+    standby: bool = Field(
+        False,
+        description="a service whose database another process holds waits for the end of that process; "
+        "otherwise it ends with exit code 2 and names the holder",
+    )
     broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
     broker_tenant: str | None = Field(None, description="NGSILD-Tenant to work in, if any")
     context_url: str = Field(

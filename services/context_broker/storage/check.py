@@ -92,8 +92,8 @@ def _faults_of_log(database: SqliteDatabase, checkpointer: Checkpointer) -> Iter
         database.keep_others_out()
     except UsageError:
         return  # a broker is running: its log changes
-    except sqlite3.Error as error:
-        yield f"{database.path.with_suffix('.lock')}: {error}"
+    except OSError as error:
+        yield f"{database.path}: it cannot be locked: {error}"
         return
     try:
         checkpointer.recover()

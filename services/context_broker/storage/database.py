@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from handover.errors import UsageError
+from handover.folder_lock import hold
 from handover.sqlite_files import damage, require_sound
 
 Row = tuple[Any, ...]
@@ -92,7 +93,8 @@ class SqliteDatabase:
         self.is_checked = False
         """Whether the integrity check at the start was completed."""
         self._writer: sqlite3.Connection | None = None
-        self._guard: sqlite3.Connection | None = None
+        self._release: Callable[[], None] = lambda: None
+        """Releases the lock of the file."""
 
     def open(self, version: int, script: str) -> None:
         """Create the file, or open it if it is sound and of this version; else it is left unchanged."""
@@ -163,27 +165,14 @@ class SqliteDatabase:
 
     def close(self) -> None:
         """Close the file; the content of its WAL is moved into it."""
-        for connection in (self._writer, self._guard):
-            if connection is not None:
-                connection.close()
-        self._writer = self._guard = None
+        if self._writer is not None:
+            self._writer.close()
+        self._writer = None
+        self._release()
 
     def keep_others_out(self) -> None:
-        """Hold a lock while the process lives: two brokers on one file would overwrite each other."""
-        guard = sqlite3.connect(
-            self.path.with_suffix(".lock"), isolation_level=None, check_same_thread=False, timeout=0
-        )
-        try:
-            guard.execute("PRAGMA journal_mode=MEMORY")  # a full disk has no space for a journal file
-            guard.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError as error:
-            guard.close()
-            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
-                raise
-            raise UsageError(
-                f"another broker runs on {self.path}; stop it, or give this one another HANDOVER_DATA_DIR"
-            ) from None
-        self._guard = guard
+        """Hold the lock of the file: two brokers on one file would overwrite each other."""
+        self._release = hold(self.path, "broker", is_only_use=True)
 
     def _connected(self) -> sqlite3.Connection:
         if self._writer is None:
