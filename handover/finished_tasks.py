@@ -5,11 +5,13 @@ client posts it again, and must not be executed twice. So its end is recorded be
 reported again if the broker shows the Task as unfinished. Records outlive the Tasks in the broker.
 
 The file also records the acts of unfinished Tasks that must not be repeated, each before it begins and with
-its result. An act without a result has an unknown outcome after a crash.
+its result. An act without a result has an unknown outcome after a crash. And it has the identity of the
+performer as a holder of leases (`device_lease`): a process that opens the file replaces the one before it.
 """
 
 import asyncio
 import re
+import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -64,6 +66,8 @@ class FinishedTasks:
         self._disk: ThreadPoolExecutor | None = None
         self._connection: sqlite3.Connection | None = None
         self._checkpoints: Checkpoints | None = None
+        self.is_upgraded = False
+        """Whether the file is of a release that did not record which Tasks it had begun."""
         self._release: Callable[[], None] = lambda: None
 
     async def open(self) -> None:
@@ -83,6 +87,17 @@ class FinishedTasks:
             await self._on_disk(self._close)
             self._disk.shutdown(wait=False)
 
+    async def identity(self) -> tuple[str, bool]:
+        """Return the durable identity of this holder of leases, and whether it was ever granted one."""
+        return await self._on_disk(self._identity)
+
+    async def mark_leased(self) -> None:
+        """Note durably that a lease was granted. Raises `OSError` when it cannot be written."""
+        try:
+            await self._on_disk(self._mark_leased)
+        except sqlite3.Error as error:
+            raise OSError(f"{self.path}: {error}") from error
+
     async def find(self, task_id: str) -> End | None:
         """Return the end of a Task; None if this performer has not finished it."""
         return await self._on_disk(self._find, task_id)
@@ -99,6 +114,10 @@ class FinishedTasks:
             await self._on_disk(self._record, task_id, end.status.value, outputs)
         except sqlite3.Error as error:
             raise OSError(f"{self.path}: {error}") from error
+
+    async def act(self, task_id: str, name: str) -> KnownAct | None:
+        """Return an act of a Task; None if it was not begun."""
+        return await self._on_disk(self._act, task_id, name)
 
     async def begin_act(self, task_id: str, name: str) -> KnownAct | None:
         """Record durably that an act begins and return None; return it unchanged if it was begun before.
@@ -125,6 +144,7 @@ class FinishedTasks:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._release()  # of an attempt on a full disk
         self._release = hold(self.path, self._performer)
+        existed = self.path.exists()
         prepare_own(self.path)
         self._checkpoints = Checkpoints(self.path)
         connection = sqlite3.connect(self.path, timeout=5.0, factory=CountedConnection)
@@ -139,6 +159,11 @@ class FinishedTasks:
             "CREATE TABLE IF NOT EXISTS acts (task TEXT NOT NULL, name TEXT NOT NULL, result TEXT, "
             "begun_s REAL NOT NULL, PRIMARY KEY (task, name)) WITHOUT ROWID"
         )
+        tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+        connection.execute(
+            "CREATE TABLE IF NOT EXISTS identity (id TEXT PRIMARY KEY, is_leased INTEGER NOT NULL)"
+        )
+        self.is_upgraded = existed and "identity" not in tables
         self._connection = connection
         self._delete_old()
 
@@ -150,6 +175,18 @@ class FinishedTasks:
             self._checkpoints.close()
             self._checkpoints = None
         self._release()
+
+    def _identity(self) -> tuple[str, bool]:
+        row = self._opened.execute("SELECT id, is_leased FROM identity").fetchone()
+        if row is None:
+            row = (secrets.token_hex(16), 0)
+            with self._transaction() as connection:
+                connection.execute("INSERT INTO identity VALUES (?, ?)", row)
+        return str(row[0]), bool(row[1])
+
+    def _mark_leased(self) -> None:
+        with self._transaction() as connection:
+            connection.execute("UPDATE identity SET is_leased = 1")
 
     def _find(self, task_id: str) -> End | None:
         row = self._opened.execute(
@@ -170,12 +207,15 @@ class FinishedTasks:
         if self._recorded % DELETE_OLD_EVERY == 0:
             self._delete_old()
 
-    def _begin_act(self, task_id: str, name: str) -> KnownAct | None:
+    def _act(self, task_id: str, name: str) -> KnownAct | None:
         row = self._opened.execute(
             "SELECT result FROM acts WHERE task = ? AND name = ?", (task_id, name)
         ).fetchone()
-        if row is not None:
-            return KnownAct(None if row[0] is None else orjson.loads(row[0]))
+        return None if row is None else KnownAct(None if row[0] is None else orjson.loads(row[0]))
+
+    def _begin_act(self, task_id: str, name: str) -> KnownAct | None:
+        if (known := self._act(task_id, name)) is not None:
+            return known
         with self._transaction() as connection:
             connection.execute("INSERT INTO acts VALUES (?, ?, NULL, ?)", (task_id, name, self._clock()))
         return None

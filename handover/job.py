@@ -3,11 +3,15 @@
 Clients request a pause, a continuation or a cancellation. The performer reads `requested_action` (or waits
 for `changed`), stops its work in a safe state and calls `checkpoint`. The job writes the status of the Task
 to the broker.
+
+A job acts under the lease of its Device. While that is not held, the job is paused; it is dropped without a
+report if another process has it, or had it meanwhile.
 """
 
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
@@ -15,6 +19,7 @@ from typing import Any
 from datamodels.entities import RequestedStatus, Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.device_lease import DeviceLease, LeaseState
 from handover.errors import HandoverError
 from handover.finished_tasks import FinishedTasks
 from handover.messages import message
@@ -26,7 +31,9 @@ from handover.telemetry import get_logger
 log = get_logger(__name__)
 
 PROGRESS_EVERY_S = 0.5
+LEASE_POLL_S = 0.5
 DEFAULT_PRIORITY = 50
+LEASE_ENDED = "the lease of the device has ended"
 _NEVER = datetime.max.replace(tzinfo=UTC)
 
 
@@ -58,15 +65,30 @@ class TaskFailed(HandoverError):
 class Job:
     """A Task that is executed for `resource`; `requested_action` may change at any time."""
 
-    def __init__(self, task: Task, resource: str, broker: BrokerClient, records: FinishedTasks) -> None:
+    def __init__(
+        self,
+        task: Task,
+        resource: str,
+        broker: BrokerClient,
+        records: FinishedTasks,
+        lease: DeviceLease | None = None,
+    ) -> None:
         self.task = task
         self.resource = resource
         self.requested_action = RequestedAction.RUN
         self.paused = False
         self.resumed = task.status.value is not TaskStatus.PENDING
         """True when an earlier run of the performer had started the Task."""
+        self.begun_here = False
+        """True when an earlier run of this performer, with the same data directory, had begun the work."""
         self._broker = broker
         self._records = records
+        self._lease = lease
+        self._number: int | None = None
+        self.is_taken = False
+        """Whether another process has the Device, or had it meanwhile."""
+        self.on_taken: Callable[[], object] = lambda: None
+        """Called then; it ends the work."""
         self._requested: RequestedStatus | None = None
         self._requested_at: datetime | None = None
         self._earlier_request: tuple[RequestedStatus, datetime | None] | None = None
@@ -95,6 +117,60 @@ class Job:
         given = self.task.work_parameters
         return dict(given.value) if given is not None and isinstance(given.value, Mapping) else {}
 
+    def may_act(self) -> bool:
+        """Return whether this process holds the Device; ask before every setpoint or goal. Cheap."""
+        return self._lease is None or self._lease.authority().is_valid()
+
+    def may_continue(self) -> bool:
+        """Return whether a motion may continue: no pause is requested, and the lease does not end soon.
+
+        Cheap and thread-safe, for control loops.
+        """
+        is_free = self._lease is None or self._lease.may_begin()
+        return is_free and self.requested_action is RequestedAction.RUN
+
+    @property
+    def is_gone(self) -> bool:
+        """Return whether another client finished or deleted the Task, or another process has its Device."""
+        return self._gone
+
+    async def until_held(self) -> None:
+        """Wait for the lease if the work has ended without it; raise `TaskGone` if another process has it."""
+        while not self._gone and not self.may_act():
+            with suppress(TimeoutError):  # the lease of a cancelled job changes no action
+                await asyncio.wait_for(self._action_changed.wait(), LEASE_POLL_S)
+        if self._gone:
+            raise TaskGone(f"{self.task.id} was ended by another client, or another process has its Device")
+
+    def watch_lease(self) -> Callable[[], None]:
+        """Pause while the lease is not held, from now until the returned function is called."""
+        lease = self._lease
+        if lease is None:
+            return lambda: None
+        self._number = lease.number
+        lease.watchers.append(self._observe_lease)
+        self._observe_lease()
+        return lambda: lease.watchers.remove(self._observe_lease)
+
+    def _observe_lease(self) -> None:
+        lease = self._lease
+        if lease is None or self._gone:
+            return
+        state = lease.state()
+        # One more is our own next grant; further ones were those of other processes.
+        was_taken = None not in {self._number, lease.number} and (lease.number or 0) > (self._number or 0) + 1
+        if state is LeaseState.TAKEN or was_taken:
+            log.warning("task dropped: another process holds the device", task=self.task.id, by=lease.holder)
+            self.is_taken = True
+            self.abandon()
+            self.on_taken()
+        elif state is LeaseState.HELD:
+            self._number = lease.number
+            if LEASE_ENDED in self._holds:
+                self.resume(LEASE_ENDED)
+        elif LEASE_ENDED not in self._holds:
+            self.pause(LEASE_ENDED)
+
     async def changed(self, since: RequestedAction = RequestedAction.RUN) -> RequestedAction:
         """Wait until `requested_action` differs from `since`, the action the caller knows, and return it.
 
@@ -119,6 +195,7 @@ class Job:
 
         Call it while the work is stopped. Raises `TaskCancelled` when the Task was cancelled.
         """
+        self._observe_lease()
         if self.requested_action is RequestedAction.PAUSE:
             await self._move(TaskStatus.PAUSED, reason=self._pause_reason())
             self.paused = True
@@ -140,6 +217,8 @@ class Job:
         A later run of the Task gets the recorded result. Raises `TaskFailed` with an unknown outcome if an
         earlier run began the act and recorded no result.
         """
+        if not self.may_act():
+            await self.checkpoint()
         known = await self._records.begin_act(self.task.id, name)
         if known is None:
             result = dict(await act())

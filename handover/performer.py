@@ -11,11 +11,16 @@ How it works:
    every few seconds (`Resync`).
 2. Each resource has a `ResourceQueue` with one worker, so a resource executes one Task at a time: first one
    that was started before a crash, then by priority, due date and arrival.
-3. After a crash, a Task that was started is executed again. A Task whose end was recorded
-   (`finished_tasks`) is not: the recorded end is reported again, at each reconciliation until the broker
-   has it. A recorded `completed` is never replaced: work that was done is not reported as failed. What must
-   not be repeated is done by `Job.once`: a Task that a crash has interrupted within it fails with an unknown
-   outcome.
+3. It executes Tasks of a Device only while it holds its lease (`device_lease`); of several performers of
+   one Device the others stand by. `perform` calls `job.may_act` before every command that moves something,
+   and stops at `job.checkpoint` when the lease ends.
+4. A Task that was started is never executed again: after a crash, or when another process has taken the
+   Device over, it fails with an unknown outcome, so that a person decides. A performer whose acts may be
+   repeated, or that knows what was done, overrides `may_repeat`. Within such a Task, `Job.once` does what
+   must not be repeated: a Task that a crash has interrupted within it fails with an unknown outcome.
+5. The end of a Task is recorded (`finished_tasks`) before it is reported, and reported again at each
+   reconciliation until the broker has it, also after a crash. A recorded `completed` is never replaced: work
+   that was done is not reported as failed.
 """
 
 import asyncio
@@ -34,15 +39,17 @@ from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.device_lease import DeviceLeases
 from handover.finished_tasks import End, FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone
-from handover.messages import with_code
+from handover.messages import message, with_code
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.outcomes import outcome_unknown
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.retry import retry
 from handover.settings import Settings
-from handover.task_life import FINISHED, UNFINISHED_QUERY
+from handover.task_life import FINISHED, STARTED, UNFINISHED_QUERY
 from handover.telemetry import get_logger, working_on
 
 __all__ = ["Job", "Performer", "RequestedAction", "TaskCancelled", "TaskFailed", "TaskGone"]
@@ -56,6 +63,8 @@ MAX_ANNOUNCED = 200
 MAX_SELECTION_ATTEMPTS = 5
 REFUSED_CONTENT = frozenset({400, 413, 422})
 """The answers of a broker that refuses the outputs themselves; any other may be different later."""
+PERFORM = "perform"
+"""The act that is recorded for each Task before `perform` is called."""
 MAX_REMEMBERED = 10_000
 """Ended Tasks that are remembered, so that a late notification does not start them again."""
 
@@ -88,9 +97,19 @@ class Performer(ABC):
     """Executes the Tasks of resources; an asynchronous context manager while it is active.
 
     `name` identifies it to other components; the broker sends notifications to `notify_url` (see `mount`).
+    `holder` is its identity for leases where replicas share one that a database guards; by default that of
+    its data directory.
     """
 
-    def __init__(self, name: str, settings: Settings, broker: BrokerClient, *, notify_url: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        broker: BrokerClient,
+        *,
+        notify_url: str,
+        holder: str | None = None,
+    ) -> None:
         self.name = name
         self.settings = settings
         self.broker = broker
@@ -103,6 +122,13 @@ class Performer(ABC):
         self._finished = FinishedTasks(settings, name)
         self._unreported: dict[str, End] = {}
         """The ends that the broker has not accepted yet."""
+        self._holder = holder
+        self.leases = DeviceLeases(
+            settings,
+            name,
+            None if broker.credentials is None else broker.credentials.headers,
+            on_held=lambda _: self._resync.request(),
+        )
         self._announced: set[str] = set()
         self._subscribed = False
         self._selects_own = False
@@ -115,13 +141,23 @@ class Performer(ABC):
     async def perform(self, job: Job) -> Mapping[str, Any] | None:
         """Execute the Task and return its outputParameters.
 
-        Raise `TaskFailed` when it cannot be done. Call `job.checkpoint()` where the work can pause.
+        Raise `TaskFailed` when it cannot be done. Call `job.checkpoint()` where the work can pause, and
+        `job.may_act()` before every command that moves something.
         """
+
+    async def may_repeat(self, job: Job) -> bool:  # noqa: ARG002 - for those that override it
+        """Return whether `perform` may be called for a Task that was started before, here or elsewhere.
+
+        `job.begun_here` says whether that was this performer with this data directory. By default no Task is
+        executed twice.
+        """
+        return False
 
     async def act_for(self, resource: str) -> None:
         """Execute Tasks that involve `resource` (the URN of a Device or Person) from now on."""
         if resource not in self._queues:
             self._queues[resource] = ResourceQueue()
+            self.leases.of(resource)
             if self._active:
                 self._start_worker(resource)
         self._resync.request()
@@ -136,6 +172,7 @@ class Performer(ABC):
         if queue.worker is not None:
             queue.worker.cancel()
         del self._queues[resource]
+        self.leases.drop(resource)
         self._announced.discard(resource)
         return True
 
@@ -164,24 +201,32 @@ class Performer(ABC):
     async def __aenter__(self) -> Self:
         self._receiver.require_key()
         await self._finished.open()
+        identity, was_leased = await self._finished.identity()
+        self.leases.open(
+            self._holder or identity, was_leased=was_leased, keep_mark=self._finished.mark_leased
+        )
         self._active = True
         await self._tasks.__aenter__()
         for resource in self._queues:
             self._start_worker(resource)
         self._tasks.start(self._resync.run)
+        self._tasks.start_restarting(self.leases.run)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self._active = False
         await self._tasks.__aexit__()
+        await self.leases.release()
         await self._finished.close()
 
     async def probe(self) -> None:
-        """Raise `BrokerUnavailable` while the subscription to Tasks is missing."""
+        """Raise an error while the subscription to Tasks is missing, or all Devices are held by others."""
         if not self._subscribed:
             raise BrokerUnavailable(
                 503, "Not subscribed", "the broker has not accepted the subscription to Tasks yet"
             )
+        if (reason := self.leases.standby()) is not None:
+            raise ConnectionError(reason)
 
     # Discovery of Tasks
 
@@ -198,7 +243,9 @@ class Performer(ABC):
     async def _reconcile(self) -> None:
         await self._subscriptions.keep(self._subscription())
         self._subscribed = True
-        await self._announce([resource for resource in self._queues if resource not in self._announced])
+        await self._announce(
+            [one for one in self._queues if one not in self._announced and self.leases.of(one).is_held()]
+        )
         known = set(self._jobs)
         unfinished = await self._unfinished()
         for entity in unfinished:
@@ -303,10 +350,12 @@ class Performer(ABC):
             return
         if task.id in self._jobs or task.id in self._ended:
             return
+        lease = self.leases.of(resource)
         if end is not None:
-            await self._report_again(task, end)
+            if lease.is_held():  # else when it is: the lease wakes the reconciliation
+                await self._report_again(task, end)
             return
-        job = Job(task, resource, self.broker, self._finished)
+        job = Job(task, resource, self.broker, self._finished, lease)
         self._jobs[task.id] = job
         log.debug("task accepted", task=task.id, resource=resource)
         queue = self._queues[resource]
@@ -368,6 +417,10 @@ class Performer(ABC):
             while not queue.waiting:
                 queue.has_waiting.clear()
                 await queue.has_waiting.wait()
+            lease = self.leases.of(queue.waiting[0].resource)
+            if not lease.may_begin():
+                await lease.wait_until_held()
+                continue
             job = queue.take()
             try:
                 await self._work_on(job)
@@ -379,11 +432,14 @@ class Performer(ABC):
 
     async def _work_on(self, job: Job) -> None:
         with working_on(task=job.task.id, resource=job.resource), DURATION.labels(self.name).time():
+            stop_watching = job.watch_lease()
             try:
                 outcome = await self._execute(job)
             except TaskGone as gone:
                 outcome = "gone"
                 log.info("task dropped", reason=str(gone))
+            finally:
+                stop_watching()
             OUTCOMES.labels(self.name, outcome).inc()
         self._jobs.pop(job.task.id, None)
         if outcome != "gone":
@@ -392,8 +448,8 @@ class Performer(ABC):
     async def _execute(self, job: Job) -> str:
         await self._refresh(job)
         try:
-            await job.accept()
-            outputs = dict(await self.perform(job) or {})
+            await self._begin(job)
+            outputs = dict(await self._work(job) or {})
         except TaskGone:
             raise
         except TaskCancelled:
@@ -419,6 +475,43 @@ class Performer(ABC):
             await self._finish(job, TaskStatus.COMPLETED, {"reason": _not_reportable(error)})
         return "completed"
 
+    async def _work(self, job: Job) -> Mapping[str, Any] | None:
+        """Call `perform`, and cancel it if another process takes the Device over. Raises `TaskGone` then."""
+        work = asyncio.ensure_future(self.perform(job))
+        job.on_taken = work.cancel
+        try:
+            return await work
+        except asyncio.CancelledError:
+            if not job.is_taken:
+                raise
+            raise TaskGone(f"another process has the Device of {job.task.id}") from None
+
+    async def _begin(self, job: Job) -> None:
+        """Accept the Task and record that its work begins; raise `TaskFailed` if it may have begun before."""
+        was_started = job.task.status.value in STARTED
+        known = await self._finished.act(job.task.id, PERFORM)
+        job.begun_here = known is not None or (was_started and self._finished.is_upgraded)
+        if (was_started or job.begun_here) and not await self.may_repeat(job):
+            raise TaskFailed(
+                outcome_unknown(
+                    message(
+                        "task.performer_stopped",
+                        "its performer stopped after it had begun; look what was done, then retry or skip it",
+                    )
+                )
+            )
+        await job.accept()
+        try:
+            await self._finished.begin_act(job.task.id, PERFORM)
+        except OSError as error:
+            raise TaskFailed(
+                message(
+                    "task.begin_not_recorded",
+                    "the begin of the work cannot be recorded: {error}; free disk space",
+                    error=str(error),
+                )
+            ) from error
+
     async def _finish(self, job: Job, status: TaskStatus, outputs: Mapping[str, Any]) -> None:
         """Record the end of the job, then report it: after a crash in between it is not executed again."""
         self._unreported[job.task.id] = end = End(status, outputs)
@@ -427,6 +520,7 @@ class Performer(ABC):
         except (OSError, TypeError) as error:
             log.warning("end of a task not recorded", task=job.task.id, error=str(error))
         try:
+            await job.until_held()
             await job.finish(status, outputs)
         except TaskGone:
             self._unreported.pop(job.task.id, None)
@@ -444,7 +538,11 @@ class Performer(ABC):
     def _end_if_cancelled(self, job: Job) -> None:
         """End a waiting job at once when it is cancelled."""
         queue = self._queues[job.resource]
-        if job.requested_action is RequestedAction.CANCEL and job in queue.waiting:
+        is_waiting = job in queue.waiting
+        if is_waiting and job.is_gone:
+            queue.waiting.remove(job)
+            self._jobs.pop(job.task.id, None)
+        elif is_waiting and job.requested_action is RequestedAction.CANCEL and job.may_act():
             queue.waiting.remove(job)
             self._tasks.start(self._work_on, job)
 

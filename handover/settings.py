@@ -116,6 +116,16 @@ class Settings(BaseSettings):
         "otherwise it ends with exit code 2 and names the holder",
     )
     broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker and others reach the orchestrator; host and port if absent"
+    )
+    device_leases: Literal["auto", "required", "off"] = Field(
+        "auto",
+        description="whether a performer needs the lease of a Device, which the orchestrator grants: "
+        "required (always), auto (unless no orchestrator listens and none ever granted it one), off (a cell "
+        "without our orchestrator, with one performer of each Device)",
+    )
     broker_tenant: str | None = Field(None, description="NGSILD-Tenant to work in, if any")
     context_url: str = Field(
         "https://w3id.org/handover/context.jsonld",
@@ -392,6 +402,11 @@ class Settings(BaseSettings):
     def accounts(self) -> str:
         """The URL of accounts."""
         return self.url_of(self.accounts_port, self.accounts_url)
+
+    @property
+    def orchestrator(self) -> str:
+        """The URL of the orchestrator."""
+        return self.url_of(self.orchestrator_port, self.orchestrator_url)
 
     @property
     def security_folder(self) -> Path:

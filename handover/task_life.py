@@ -11,6 +11,8 @@ from functools import cache
 from datamodels.entities import Task, TaskStatus
 
 FINISHED = frozenset({TaskStatus.COMPLETED, TaskStatus.FAILED})
+STARTED = frozenset({TaskStatus.IN_PROGRESS, TaskStatus.PAUSED})
+"""The states of a Task whose work may have begun."""
 UNFINISHED_QUERY = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 """The `q` of the Tasks and Processes that have not ended."""
 

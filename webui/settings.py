@@ -36,10 +36,6 @@ class WebuiSettings(Settings):
         description="the location of the emergency stop, as shown on the Work page; the red button on the "
         "cell if absent",
     )
-    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
-    orchestrator_url: str | None = Field(
-        None, description="where the broker reaches the orchestrator; host and port if absent"
-    )
     controller_port: int = Field(
         54210, ge=1, le=65535, description="REST and WebSocket port of the controller"
     )

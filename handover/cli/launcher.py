@@ -34,6 +34,7 @@ STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
 MAX_LOG_BYTES = 10 * 1024 * 1024
 BROKER = "context-broker"
+ORCHESTRATOR = "task-orchestrator"
 NO_USE = 2
 """The exit code of a process for which a restart does not help."""
 INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
@@ -145,7 +146,12 @@ class Launcher:
                 self._ports.enter_context(await held(host, port, setting, say=self._say))
 
     def _environment_of(self, name: str) -> dict[str, str]:
-        return {"HANDOVER_OUTBOUND_ALLOW": self._broker_outbound_allow} if name == BROKER else {}
+        if name == BROKER:
+            return {"HANDOVER_OUTBOUND_ALLOW": self._broker_outbound_allow}
+        has_orchestrator = any(service.name == ORCHESTRATOR for service in self._services)
+        if has_orchestrator and self._settings.device_leases == "auto":
+            return {"HANDOVER_DEVICE_LEASES": "required"}  # it may start later than its performers
+        return {}
 
     async def _start(self, running: Running) -> None:
         running.log.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

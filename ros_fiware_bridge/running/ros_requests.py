@@ -223,6 +223,11 @@ class RosTaskPerformer(Performer):
         assert planned.resource is not None and planned.rule.task is not None  # noqa: S101, PT018 - a Task's rule
         self._requests[planned.resource, planned.rule.task] = request
 
+    async def may_repeat(self, job: Job) -> bool:
+        """Return whether the rule sends its goal again; a service is not called twice."""
+        rule = self._request_for(job).planned.rule
+        return isinstance(rule, ActionGoal)  # `perform` says which goal was active
+
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Perform the Task by its rule; return the outputs."""
         request = self._request_for(job)
@@ -239,6 +244,7 @@ class RosTaskPerformer(Performer):
         try:
             if request.planned.reads_resource:
                 values[RESOURCE] = scope_of(await self.broker.retrieve(job.resource), 0.0).values
+            await job.checkpoint()  # nothing is sent without the lease
             outputs = await request.execute(Scope(values), on_feedback, job)
         except RequestFailed as failure:
             self._on_outcome(request.planned.name, None)

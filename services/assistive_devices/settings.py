@@ -44,10 +44,6 @@ class AssistiveSettings(Settings):
     trajectory_url: str | None = Field(
         None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
     )
-    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
-    orchestrator_url: str | None = Field(
-        None, description="where the broker reaches the orchestrator; host and port if absent"
-    )
 
     @property
     def human_state(self) -> str:
@@ -58,8 +54,3 @@ class AssistiveSettings(Settings):
     def trajectory_tool(self) -> str:
         """The URL of the trajectory tool."""
         return self.url_of(self.trajectory_port, self.trajectory_url)
-
-    @property
-    def orchestrator(self) -> str:
-        """The URL of the orchestrator."""
-        return self.url_of(self.orchestrator_port, self.orchestrator_url)

@@ -46,13 +46,30 @@ class _Order:
     identifier: str
 
 
+def _command_id(job: Job) -> str:
+    return f"task-{hashlib.sha256(job.task.id.encode()).hexdigest()[:32]}"
+
+
+def _shared_holder(settings: GatewaySettings) -> str | None:
+    """Return the holder of leases of all replicas on a database server, of which that lets one lead."""
+    if not settings.database_url:
+        return None
+    return f"{SOURCE} {hashlib.sha256(settings.database_url.encode()).hexdigest()[:32]}"
+
+
 class DeviceTasks(Performer):
     """Performs the Tasks of all registered devices that take commands."""
 
     def __init__(
         self, settings: GatewaySettings, broker: BrokerClient, gateway: DeviceGateway, dispatcher: Dispatcher
     ) -> None:
-        super().__init__(SOURCE, settings, broker, notify_url=f"{settings.service_url}/notifications")
+        super().__init__(
+            SOURCE,
+            settings,
+            broker,
+            notify_url=f"{settings.service_url}/notifications",
+            holder=_shared_holder(settings),
+        )
         self._gateway = gateway
         self._dispatcher = dispatcher
         self._timeout_s = settings.device_task_timeout_s
@@ -68,6 +85,14 @@ class DeviceTasks(Performer):
         elif self.stop_acting_for(resource):
             self._names.pop(resource, None)
 
+    async def may_repeat(self, job: Job) -> bool:
+        """Return whether this gateway knows the command of a Task that was started: it is sent once."""
+        try:
+            await self._dispatcher.find(self._names[job.resource], _command_id(job))
+        except (Problem, KeyError):
+            return job.begun_here
+        return True
+
     async def perform(self, job: Job) -> Mapping[str, Any] | None:
         """Send the command of a Task and wait for its end."""
         parameters = job.parameters
@@ -79,13 +104,12 @@ class DeviceTasks(Performer):
             or not 0 < timeout_s <= 86_400
         ):
             raise TaskFailed("timeoutS must be a number of seconds, more than 0 and at most 86400")
-        identifier = f"task-{hashlib.sha256(job.task.id.encode()).hexdigest()[:32]}"
         order = _Order(
             self._names[job.resource],
             operation,
             {name: value for name, value in parameters.items() if name not in _NOT_PARAMETERS},
             float(timeout_s),
-            identifier,
+            _command_id(job),
         )
         command = await self._ordered(job, order)
         command = await self._follow_to_end(job, command)

@@ -58,10 +58,6 @@ class GatewaySettings(Settings):
     device_rules: MaybePath = Field(
         None, description="YAML file of rules for anomalies; rules can be added by REST as well"
     )
-    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
-    orchestrator_url: str | None = Field(
-        None, description="where the broker reaches the orchestrator; host and port if absent"
-    )
     device_hello_timeout_s: float = Field(
         5.0, gt=0, description="how long a device may take to send its hello"
     )
@@ -168,8 +164,3 @@ class GatewaySettings(Settings):
     def service_url(self) -> str:
         """The URL of the device gateway."""
         return self.url_of(self.gateway_port, self.gateway_url)
-
-    @property
-    def orchestrator(self) -> str:
-        """The URL of the orchestrator."""
-        return self.url_of(self.orchestrator_port, self.orchestrator_url)

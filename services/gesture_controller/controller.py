@@ -104,6 +104,10 @@ class GestureController(Performer):
         await self._drifts.save(min_change=0.0)
         self.database.dispose()
 
+    async def may_repeat(self, job: Job) -> bool:  # noqa: ARG002
+        """Return True: a person may be prompted again."""
+        return True
+
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Prompt the wearer for the gesture of the Task, and return the outputParameters of the answer."""
         glove = await self._wait_for_glove(job)

@@ -20,10 +20,6 @@ class HumanStateSettings(Settings):
     trajectory_url: str | None = Field(
         None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
     )
-    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
-    orchestrator_url: str | None = Field(
-        None, description="where the broker reaches the orchestrator; host and port if absent"
-    )
     health_history_days: float = Field(
         30.0, gt=0, description="the history of the state of persons is deleted after so many days"
     )
@@ -99,8 +95,3 @@ class HumanStateSettings(Settings):
     def trajectory_tool(self) -> str:
         """The URL of the trajectory tool."""
         return self.url_of(self.trajectory_port, self.trajectory_url)
-
-    @property
-    def orchestrator(self) -> str:
-        """The URL of the orchestrator."""
-        return self.url_of(self.orchestrator_port, self.orchestrator_url)

@@ -8,6 +8,7 @@ from handover.storage import storage_check
 from handover.telemetry import get_logger
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.routes.definitions import add_definitions
+from services.task_orchestrator.routes.device_leases import add_device_leases
 from services.task_orchestrator.routes.event_log import add_event_log
 from services.task_orchestrator.routes.events import add_events
 from services.task_orchestrator.routes.forms import add_forms
@@ -67,4 +68,5 @@ def _app(at: Components) -> FastAPI:
     add_offers(app, at)
     add_statistics(app, at)
     add_event_log(app, at)
+    add_device_leases(app, at)
     return app

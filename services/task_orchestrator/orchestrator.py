@@ -12,6 +12,7 @@ from handover.telemetry import get_logger
 from services.task_orchestrator.operations.archiving import Archiving
 from services.task_orchestrator.operations.broker_changes import BrokerChanges
 from services.task_orchestrator.operations.deployments import Deployments
+from services.task_orchestrator.operations.device_leases import DeviceLeases
 from services.task_orchestrator.operations.due_timers import DueTimers
 from services.task_orchestrator.operations.offering import Offering
 from services.task_orchestrator.operations.process_control import ProcessControl
@@ -52,9 +53,11 @@ class Orchestrator:
         self.timers = DueTimers(self.state, self.writer)
         self.archiving = Archiving(self.state, self.writer)
         self.offering = Offering(self.state, self.writer)
+        self.leases = DeviceLeases(self.store, self.on_disk)
 
     async def __aenter__(self) -> Self:
         await self.state.load()
+        await self.leases.open()
         await self.writer.__aenter__()
         log.info("orchestrator started", processes=len(self.state.active_processes.processes))
         return self

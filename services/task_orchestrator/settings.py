@@ -10,10 +10,6 @@ from handover.settings import MaybePath, Settings
 class OrchestratorSettings(Settings):
     """The settings of the orchestrator, in addition to the common ones."""
 
-    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
-    orchestrator_url: str | None = Field(
-        None, description="where the broker reaches the orchestrator; host and port if absent"
-    )
     process_dir: Path | None = Field(None, description="a folder whose *.bpmn files are deployed at start")
     mapping_file: MaybePath = Field(
         None, description="a YAML file with the mapping from names to performers, read at the first start"

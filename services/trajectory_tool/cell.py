@@ -274,6 +274,7 @@ class Cell:
         The person also sees what the gripper held, so an unknown outcome is settled.
         """
         async with self.in_hand:
+            self.robot.authority()
             part = self.held
             await self.robot.open_gripper()
             self.held = None
@@ -283,7 +284,11 @@ class Cell:
         return part
 
     async def _begin(self, act: BegunAct) -> None:
-        """Record that an act begins. Raises `OSError` if that is impossible; it must not begin then."""
+        """Record that an act begins. Raises `OSError` if that is impossible; it must not begin then.
+
+        Raises `RobotFault` without the lease of the robot.
+        """
+        self.robot.authority()
         self.begun = act
         try:
             await self.remember()

@@ -112,6 +112,7 @@ class Controller(Performer):
         self.cell.robot.mount(app)
 
     async def __aenter__(self) -> Self:
+        self.cell.robot.lease = self.leases.of(self.device.id)
         await self._on.enter_async_context(self.device)
         await self._on.enter_async_context(self._records)
         await self._try_switch_on()
@@ -143,6 +144,10 @@ class Controller(Performer):
             await backoff.wait()
             await self._try_switch_on()
         self.device.set_state(DeviceState.IDLE)
+
+    async def may_repeat(self, job: Job) -> bool:
+        """Return whether an operation continues: this cell knows its gripper's acts; targets are absolute."""
+        return job.begun_here
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Execute the operation of the Task and return its result."""
@@ -209,7 +214,7 @@ class _Steering:
         self._device = device
 
     def may_go(self) -> bool:
-        return self._job.requested_action is RequestedAction.RUN
+        return self._job.may_continue()
 
     async def rest(self) -> None:
         if self._job.requested_action is RequestedAction.PAUSE:

@@ -4,6 +4,9 @@ The cycles run in a separate thread, so that HTTP requests do not delay them. In
 the motion at this time passes the limiter and is given to `command`. A motion is one of three: a straight
 line in joint space (`Course`), a planned trajectory (`PlannedCourse`), or commanded velocities (`Jog`).
 
+Before each setpoint the lease of the robot is checked, a comparison of local values: a motion whose lease
+ends soon comes to rest, and one whose lease has ended, as in a process that was paused, sends nothing more.
+
 A motion is a generator (`Cycles`) that yields until when to wait. By default a thread of the robot runs it; a
 `ControlThread` or a simulation runs those of all its robots in one thread.
 """
@@ -15,6 +18,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 from typing import Protocol, Self, TypeVar
 
+from handover.device_lease import Authority
 from handover.messages import message
 from services.trajectory_tool.control_thread import ControlThread
 from services.trajectory_tool.cycles import Cycles
@@ -27,6 +31,7 @@ from services.trajectory_tool.planned_course import PlannedCourse
 from services.trajectory_tool.robot import (
     Joints,
     JointState,
+    LeaseEnded,
     Pace,
     Robot,
     RobotFault,
@@ -82,6 +87,8 @@ class CyclicRobot(Robot):
         self._cycle_s = 1.0 / control_hz
         self._motion: Motion | None = None
         self._stopping: Event | None = None
+        self._authority: Authority | None = None
+        """The lease under which the present motion began."""
         self._name = name
         self._thread = thread
         self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
@@ -221,10 +228,13 @@ class CyclicRobot(Robot):
                     "the robot is in motion; wait for its end or stop it before another motion",
                 )
             )
+        authority = self._authority = self.authority()
         stopping = self._stopping = Event()
 
         def allowed() -> float:
-            return 0.0 if stopping.is_set() or self.switched_off.is_set() else pace()
+            if stopping.is_set() or self.switched_off.is_set():
+                return 0.0
+            return pace() if authority is None or authority.may_continue() else 0.0
 
         try:
             if self.limiter.needs_preparation():
@@ -242,10 +252,18 @@ class CyclicRobot(Robot):
         self.limiter.start(start, started_s)
         try:
             yield from self._follow(motion, pace, started_s)
+        except LeaseEnded:
+            self.setpoint = Setpoint.at_rest(self.setpoint.positions)
+            return False
         finally:
             self._motion = None
             MOTION_SECONDS.inc(self.clock.now_s() - started_s)
         return not motion.stopping
+
+    def require_lease(self) -> None:
+        """Raise `LeaseEnded` unless the lease of the present motion is held; called before each command."""
+        if self._authority is not None and not self._authority.is_valid():
+            raise LeaseEnded("the lease of the robot has ended during the motion")
 
     def _start(self) -> Joints:
         """Return where a motion starts: at the last setpoint, unless the arm has been moved since."""
@@ -267,6 +285,7 @@ class CyclicRobot(Robot):
                     fault = why
             if fault is not None:
                 setpoint = self.limiter.brake(now_s)
+            self.require_lease()
             self.setpoint = setpoint
             self.command(setpoint)
             if fault is not None and setpoint.is_at_rest:

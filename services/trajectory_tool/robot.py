@@ -15,6 +15,7 @@ from handover.messages import message
 if TYPE_CHECKING:  # the settings import this module, and with them each command
     from fastapi import FastAPI
 
+    from handover.device_lease import Authority, DeviceLease
     from services.trajectory_tool.joint_trajectory import JointTrajectory
     from services.trajectory_tool.poses import Pose
     from services.trajectory_tool.scene import Scene
@@ -42,6 +43,10 @@ class RobotFault(HandoverError):
 
 class UnknownOutcome(RobotFault):
     """An act was commanded, and nobody knows whether it is, or will be, carried out."""
+
+
+class LeaseEnded(RobotFault):
+    """This process does not hold the lease of the robot (any more): nothing is sent to it."""
 
 
 class Unreachable(HandoverError):
@@ -92,6 +97,40 @@ class Robot(ABC):
 
     vision: "Vision | None" = None
     """The eyes of the robot, for a driver with a camera."""
+
+    lease: "DeviceLease | None" = None
+    """The lease of its Device; None where nobody else can command the robot. A driver asks `authority` at the
+    start of a motion, and whether that is valid before every setpoint, goal and gripper action."""
+
+    def authority(self) -> "Authority | None":
+        """Return the right to command the robot under the present lease; None if it needs none.
+
+        Raises `LeaseEnded` if this process does not hold it.
+        """
+        lease = self.lease
+        if lease is None:
+            return None
+        authority = lease.authority()
+        if not authority.is_valid():
+            if lease.holder is not None:
+                raise LeaseEnded(
+                    message(
+                        "robot.lease_taken",
+                        "{holder} holds the lease of {device}, so it is not commanded from here; stop that "
+                        "process to take over",
+                        device=lease.device,
+                        holder=lease.holder,
+                    )
+                )
+            raise LeaseEnded(
+                message(
+                    "robot.lease_not_granted",
+                    "the orchestrator has not granted the lease of {device}, so it is not commanded; start "
+                    "the orchestrator, or set HANDOVER_DEVICE_LEASES=off in a cell without one",
+                    device=lease.device,
+                )
+            )
+        return authority
 
     def mount(self, app: "FastAPI") -> None:  # noqa: B027 - most robots have none
         """Add routes of the robot, such as one for notifications."""

@@ -387,12 +387,14 @@ class RosRobot(CyclicRobot):
             motion.at(place.motion_s, pace=pace)
             return None
         if before is None:
+            self.require_lease()
             goal = self.link.follow(points(setpoints, self._cycle_s))
             return _Plan(place.cycle, setpoints, goal, setpoints[0].positions)
         return self._replace(before, setpoints, place)
 
     def _replace(self, before: _Plan, setpoints: list[Setpoint], place: _Place) -> _Plan:
         """Send a goal that takes the place of the one before."""
+        self.require_lease()
         late_s = max(self.clock.now_s() - place.due_s, 0.0)
         goal = self.link.follow(points(setpoints, self._cycle_s, late_s))
         return _Plan(place.cycle, setpoints, goal, before.began_at)

@@ -16,6 +16,7 @@ from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnav
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled
 from handover.notifications import KEY_HEADER
+from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
 from handover.task_life import UNFINISHED_QUERY
 from tests.kit.cell import Cell
@@ -182,7 +183,7 @@ async def test_a_task_posted_while_nobody_listened_is_found_by_asking(
     await comes_to(broker, task, TaskStatus.COMPLETED)
 
 
-async def test_a_killed_performer_takes_up_again_what_it_had_begun(
+async def test_a_killed_performer_does_not_execute_again_what_it_had_begun(
     broker: BrokerClient, lamp: LampProcess
 ) -> None:
     task = a_task("interrupted", steps=60)
@@ -190,7 +191,9 @@ async def test_a_killed_performer_takes_up_again_what_it_had_begun(
     await comes_to(broker, task, TaskStatus.IN_PROGRESS)
     lamp.kill()
     lamp.start()
-    await comes_to(broker, task, TaskStatus.COMPLETED)
+    ended = await comes_to(broker, task, TaskStatus.FAILED)
+    assert ended.output_parameters is not None
+    assert is_outcome_unknown(ended.output_parameters.value)
 
 
 async def test_a_task_is_finished_though_the_broker_was_killed_meanwhile(

@@ -31,6 +31,9 @@ SCRIPT = Path(os.environ["PERFORMER_SCRIPT"])
 class Scripted(Performer):
     """Does each Task after a moment, with the outputs that the script names for `element-visit`."""
 
+    async def may_repeat(self, job: Job) -> bool:
+        return True
+
     async def perform(self, job: Job) -> Mapping[str, Any]:
         name = "-".join(job.task.id.rsplit("-", 2)[1:])
         script = orjson.loads(SCRIPT.read_bytes()).get(name, {})
