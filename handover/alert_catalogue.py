@@ -74,6 +74,15 @@ TASK_PAST_DUE: Final = AlertType(
     "A Task has not ended at its due date, or a level of its escalation was reached.",
     "Complete the Task, or ask somebody else to.",
 )
+TASK_PERFORMER_LOST: Final = AlertType(
+    AlertCategory.TASK,
+    "taskPerformerLost",
+    Severity.HIGH,
+    "Task",
+    "The performer of a Task in progress has lost the lease of its Device: it was killed, paused or cut off.",
+    "Look at the machine, and start the performer again; otherwise the process asks, retries or waits, as "
+    "its definition says.",
+)
 TASK_LOST: Final = AlertType(
     AlertCategory.TASK,
     "taskLost",
@@ -197,6 +206,7 @@ CATALOGUE: Final = (
     UNKNOWN_GESTURE,
     TASK_NOT_ACCEPTED,
     TASK_PAST_DUE,
+    TASK_PERFORMER_LOST,
     TASK_LOST,
     PROCESS_FAILED,
     PROCESS_INCIDENT,

@@ -11,6 +11,8 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.device_lease import DeviceLease, DeviceLeases
+from handover.finished_tasks import FinishedTasks
 from handover.latest_value_writer import LatestValueWriter
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
@@ -46,7 +48,13 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
         runners[name] = MachineRunner(case, link, tasks)
         runners[name].machine.prepare(MachineContext(settings, engine))
     domain = settings.assistive_ros_domain
-    commands = None if domain is None else RosCommands(domain, list(runners.values()))
+    identity = FinishedTasks(settings, "assistive-devices")
+    leases = DeviceLeases(settings, "assistive-devices", guard.access.headers)
+
+    def lease_of(runner: MachineRunner) -> DeviceLease:
+        return leases.of(settings.entity_id("Device", runner.case.robot))
+
+    commands = None if domain is None else RosCommands(domain, list(runners.values()), lease_of)
     records = MachineRecords(settings, list(runners.values()), broker, writer)
 
     @asynccontextmanager
@@ -58,8 +66,15 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
                 tasks.start_restarting(runner.machine.work)
             tasks.start_restarting(records.run)
             if commands is not None:
+                await identity.open()
+                holder, was_leased = await identity.identity()
+                leases.open(holder, was_leased=was_leased, keep_mark=identity.mark_leased)
+                tasks.start_restarting(leases.run)
                 tasks.start_restarting(commands.run)
             yield
+        if commands is not None:
+            await leases.release()
+            await identity.close()
         for runner in runners.values():
             runner.link.close()
         engine.dispose()

@@ -275,6 +275,17 @@ class Escalation:
     """A group whose people may claim the Task as well."""
 
 
+class PerformerLost(StrEnum):
+    """What happens with a Task in progress whose performer is lost."""
+
+    ASK = "ask"
+    """An incident: a person decides."""
+    RETRY = "retry"
+    """The Task is posted again."""
+    WAIT = "wait"
+    """The Task waits for a performer."""
+
+
 @dataclass(frozen=True, slots=True)
 class Activity:
     """The Task that an activity creates each time it is reached."""
@@ -315,6 +326,7 @@ class Activity:
     retry: RetryPolicy | None = None
     escalations: tuple[Escalation, ...] = ()
     """The earliest first."""
+    performer_lost: PerformerLost = PerformerLost.ASK
     specification: Mapping[str, Value] | None = None
     """The row that is written to the specification database before the Task is posted, by field."""
 

@@ -14,6 +14,7 @@ from services.task_orchestrator.operations.broker_changes import BrokerChanges
 from services.task_orchestrator.operations.deployments import Deployments
 from services.task_orchestrator.operations.device_leases import DeviceLeases
 from services.task_orchestrator.operations.due_timers import DueTimers
+from services.task_orchestrator.operations.lost_performers import LostPerformers
 from services.task_orchestrator.operations.offering import Offering
 from services.task_orchestrator.operations.process_control import ProcessControl
 from services.task_orchestrator.operations.tasklist import Tasklist
@@ -54,15 +55,18 @@ class Orchestrator:
         self.archiving = Archiving(self.state, self.writer)
         self.offering = Offering(self.state, self.writer)
         self.leases = DeviceLeases(self.store, self.on_disk)
+        self.lost_performers = LostPerformers(self.state, self.writer, self.leases)
 
     async def __aenter__(self) -> Self:
         await self.state.load()
         await self.leases.open()
         await self.writer.__aenter__()
+        await self.lost_performers.__aenter__()
         log.info("orchestrator started", processes=len(self.state.active_processes.processes))
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        await self.lost_performers.__aexit__()
         await self.writer.__aexit__()
         self._readers.shutdown()
         await self.on_disk(self.store.close)

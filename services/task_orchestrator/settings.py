@@ -20,6 +20,12 @@ class OrchestratorSettings(Settings):
         description="an Alert is raised for a Task of a device that is not accepted within this time; a "
         "deadline in the BPMN file replaces it, and applies to Tasks of people as well",
     )
+    performer_grace_s: float = Field(
+        30.0,
+        ge=0,
+        description="a Task in progress whose performer has lost the lease of its Device is treated as its "
+        "definition says (onPerformerLost) when no performer has the lease again after this time",
+    )
     cancel_grace_s: float = Field(
         5.0, ge=0, description="a cancelled Task that no performer has accepted is closed after this time"
     )

@@ -94,6 +94,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                 if settings.humanoid_ros_link:
                     tasks.start_restarting(RosLink(settings, control, guard.access).run)
                 await performer.act_for(device.id)
+                control.links.may_command = performer.leases.of(device.id).is_held
                 async with performer:
                     yield
                 await session_writer.flush()

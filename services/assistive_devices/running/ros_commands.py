@@ -2,15 +2,17 @@
 
 A control loop never waits for the broker: each cycle writes its commands to DDS by itself, and the bridge has
 no part in it. A machine that is stopped gets velocities of 0 for `STOP_S`, then nothing, so that others may
-command it. A real machine must stop by itself when no command comes: DDS does not promise that one arrives.
+command it. Without the lease of its Device nothing is published for a machine; when the lease ends soon, it
+is stopped. A real machine must stop by itself when no command comes: DDS does not promise that one arrives.
 """
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, Final
 
+from handover.device_lease import DeviceLease
 from handover.ros_dds import TopicEndpoints, require_extra, struct_of
 from handover.telemetry import get_logger
 from services.assistive_devices.metrics import COMMANDS
@@ -28,10 +30,16 @@ RETRY_S: Final = 10.0
 class RosCommands:
     """Publishes what the machines command, from the moment when the ROS domain could be joined."""
 
-    def __init__(self, domain: int, runners: Sequence[MachineRunner]) -> None:
+    def __init__(
+        self,
+        domain: int,
+        runners: Sequence[MachineRunner],
+        lease_of: Callable[[MachineRunner], DeviceLease | None] = lambda _: None,
+    ) -> None:
         require_extra()
         self._domain = domain
         self._runners = runners
+        self._lease_of = lease_of
         self._endpoints: TopicEndpoints | None = None
         self._writers: dict[str, tuple[Any, Any]] = {}
         """By topic, the writer and the DDS type."""
@@ -60,8 +68,11 @@ class RosCommands:
         """Publish the commands of one cycle of one machine, and stop what it no longer commands."""
         if self._endpoints is None:
             return
+        lease = self._lease_of(runner)
+        if lease is not None and not lease.is_held():
+            return
         case, now_s = runner.case.name, time.monotonic()
-        commands = runner.machine.commands()
+        commands = runner.machine.commands() if lease is None or lease.may_begin() else ()
         for command in commands:
             if isinstance(command, VelocityCommand):
                 self._moving[case, command.topic] = now_s + STOP_S

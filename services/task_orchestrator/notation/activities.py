@@ -80,6 +80,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         variable=variable,
         handles_outcomes=work.handles_outcomes,
         require_pin=work.require_pin,
+        performer_lost=work.performer_lost,
         hints=hints,
         role=work.role,
         skills=work.skills,

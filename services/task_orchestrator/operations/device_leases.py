@@ -96,13 +96,11 @@ class DeviceLeases:
         """Return all leases with the time until each ends; 0 for those that have ended."""
         return [(lease, self._remaining_s(lease)) for _, lease in sorted(self._known.items())]
 
-    def unheld_s(self, device: str) -> float | None:
-        """Return for how long nobody has had the lease of a Device; None while it is held, or was never."""
-        lease = self._known.get(device)
-        if lease is None:
-            return None
-        unheld_s = self._clock() - self._ends_s[device, lease.number]
-        return unheld_s if unheld_s >= 0 else None
+    def unheld(self) -> dict[str, float]:
+        """Return the Devices of which nobody has the lease now, though somebody had; and for how many s."""
+        now_s = self._clock()
+        ends = ((device, self._ends_s[device, lease.number]) for device, lease in self._known.items())
+        return {device: now_s - end_s for device, end_s in ends if end_s <= now_s}
 
     def last(self, device: str) -> StoredLease | None:
         """Return the last lease of a Device."""

@@ -8,6 +8,7 @@ from handover.alert_catalogue import (
     TASK_LOST,
     TASK_NOT_ACCEPTED,
     TASK_PAST_DUE,
+    TASK_PERFORMER_LOST,
     AlertType,
 )
 from handover.messages import message, with_code
@@ -72,6 +73,29 @@ def clear_past_due(step: Step, task: TaskRecord) -> None:
     """Clear the Alerts of all levels: the Task has ended."""
     for level in range(task.escalated):
         step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _past_due_key(task, level)})
+
+
+def raise_performer_lost(step: Step, task: TaskRecord, holder: str) -> None:
+    """Raise the Alert that the performer of an accepted Task has lost the lease of its Device."""
+    _raise(
+        step,
+        task.process,
+        TASK_PERFORMER_LOST,
+        key=_performer_lost_key(task),
+        source=task.id,
+        description=message(
+            "alert.task_performer_lost",
+            'The performer of the Task "{task}" ({holder}) does not answer any more; the Task is {status}',
+            task=_name(task),
+            holder=holder,
+            status=task.status.value,
+        ),
+    )
+
+
+def clear_performer_lost(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: a performer has the Device again, or the Task has moved."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _performer_lost_key(task)})
 
 
 def raise_lost(step: Step, task: TaskRecord) -> None:
@@ -158,6 +182,10 @@ def _short(task: TaskRecord) -> str:
 
 def _overdue_key(task: TaskRecord) -> str:
     return f"{_short(task)} not accepted"
+
+
+def _performer_lost_key(task: TaskRecord) -> str:
+    return f"{_short(task)} performer lost"
 
 
 def _past_due_key(task: TaskRecord, level: int) -> str:

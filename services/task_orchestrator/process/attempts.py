@@ -13,6 +13,9 @@ from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.records import ProcessRecord, Retry, TaskRecord
 from services.task_orchestrator.retries import attempts_of, is_retried, retry_at
 
+MAX_LOST_ATTEMPTS = 3
+"""How often a Task is tried in all whose performer is lost, where the activity does not say it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Failure:
@@ -37,9 +40,19 @@ def postpone(
     is_caught = run.catches(task.token, failure.code)
     if policy is None or not is_retried(policy, failure.code, failure.outputs, is_caught=is_caught):
         return None
-    before = next((each for each in record.retries if each.token == task.token), None)
-    failed = 1 if before is None else before.failed + 1
+    due = retry_at(policy, _failed(record, task) + 1, now)
     attempts = attempts_of(policy, open_.variables)
+    return _next_attempt(record, open_, task, failure.reason, attempts=attempts, due=due)
+
+
+def _failed(record: ProcessRecord, task: TaskRecord) -> int:
+    return next((each.failed for each in record.retries if each.token == task.token), 0)
+
+
+def _next_attempt(
+    record: ProcessRecord, open_: OpenActivity, task: TaskRecord, reason: str, *, attempts: int, due: datetime
+) -> ProcessRecord | None:
+    failed = _failed(record, task) + 1
     if failed >= attempts:
         return None
     retry = Retry(
@@ -50,10 +63,20 @@ def postpone(
         task=task.id,
         failed=failed,
         attempts=attempts,
-        reason=failure.reason,
-        due=retry_at(policy, failed, now),
+        reason=reason,
+        due=due,
     )
-    return replace(record, retries=(*(each for each in record.retries if each is not before), retry))
+    return replace(record, retries=(*(each for each in record.retries if each.token != task.token), retry))
+
+
+def repeat_lost(
+    record: ProcessRecord, run: Run, task: TaskRecord, reason: str, now: datetime
+) -> ProcessRecord | None:
+    """Let an activity whose performer was lost wait for its next attempt; None if it was tried too often."""
+    open_ = run.open_activity(task.token)
+    policy = open_.activity.retry
+    attempts = MAX_LOST_ATTEMPTS if policy is None else attempts_of(policy, open_.variables)
+    return _next_attempt(record, open_, task, reason, attempts=attempts, due=now)
 
 
 def repeat(record: ProcessRecord, run: Run, token: str, now: datetime) -> ProcessRecord:

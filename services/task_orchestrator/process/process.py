@@ -16,8 +16,8 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
-from handover.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown
-from handover.task_life import FINISHED, is_reachable
+from handover.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown, outcome_unknown
+from handover.task_life import FINISHED, STARTED, is_reachable
 from services.task_orchestrator.allocation.allocator import Allocator, NoPerformer
 from services.task_orchestrator.allocation.assignment import Assignment
 from services.task_orchestrator.entities import (
@@ -36,6 +36,7 @@ from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.execution.span_places import SpanPlace
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.model import PerformerLost
 from services.task_orchestrator.process import alerts, attempts
 from services.task_orchestrator.process.open_tasks import OpenTasks
 from services.task_orchestrator.process.span_reservations import SpanReservations
@@ -72,6 +73,8 @@ class _StatusChange:
     status: TaskStatus
     observed_at: datetime | None
     outputs: Mapping[str, Any]
+    repeats: bool = False
+    """Whether the activity of a failed Task is tried again whatever its outcome."""
 
     @property
     def final(self) -> bool:
@@ -312,6 +315,45 @@ class Process:
         for status in statuses:
             self._apply(self.tasks[task_id], _StatusChange(status, now, outputs), step, now)
 
+    def performer_lost(self, task_id: str, holder: str, step: Step) -> None:
+        """Raise the Alert that the performer of an accepted Task has lost the lease of its Device."""
+        task = self.tasks.get(task_id)
+        if task is not None and not task.alerted and task.status is not TaskStatus.PENDING:
+            step.touched.add(self.record.id)
+            self.record_task(task.changed(alerted=True), step)
+            alerts.raise_performer_lost(step, task, holder)
+
+    def performer_found(self, task_id: str, step: Step) -> None:
+        """Clear that Alert: a performer has the lease again."""
+        task = self.tasks.get(task_id)
+        if task is not None and task.alerted and task.status is not TaskStatus.PENDING:
+            step.touched.add(self.record.id)
+            self.record_task(task.changed(alerted=False), step)
+            alerts.clear_performer_lost(step, task)
+
+    def end_lost(self, task_id: str, step: Step, now: datetime) -> None:
+        """End a Task in progress that nobody performs any more, as its activity says."""
+        task, run = self.tasks.get(task_id), self.run
+        if task is None or task.status not in STARTED:
+            return
+        is_left = task.cancelled_at is not None or run is None or not self.is_current(run, task)
+        choice = PerformerLost.ASK if is_left or run is None else run.activity(task.token).performer_lost
+        if choice is PerformerLost.WAIT:
+            return
+        step.touched.add(self.record.id)
+        reason = message(
+            "task.performer_lost",
+            "its performer does not answer any more; look what was done, then retry or skip it",
+        )
+        outputs = {"reason": CANCELLED} if is_left else with_code("reason", outcome_unknown(reason))
+        failed = {
+            "status": status_property(TaskStatus.FAILED, now),
+            "outputParameters": outputs_property(outputs, now),
+        }
+        step.enqueue(task.stream, MessageKind.APPEND, task.id, failed)
+        is_retried = choice is PerformerLost.RETRY
+        self._apply(task, _StatusChange(TaskStatus.FAILED, now, outputs, repeats=is_retried), step, now)
+
     def form_data(self, task: TaskRecord) -> dict[str, Any]:
         """Return what a form of an open Task knows: the variables and the parameters of the Task."""
         known: dict[str, Any] = {}
@@ -414,8 +456,10 @@ class Process:
         moves = task.moves + 1
         observed = [moment for moment in (task.observed_at, change.observed_at) if moment is not None]
         step.moves.append(Move(task.id, moves, change.status, change.observed_at, now))
-        if task.alerted:
+        if task.alerted and task.status is TaskStatus.PENDING:
             alerts.clear_overdue(step, task)
+        elif task.alerted:
+            alerts.clear_performer_lost(step, task)
         if change.final:
             alerts.clear_past_due(step, task)
             if task.specification == task.id:
@@ -459,7 +503,10 @@ class Process:
             given = OUTCOME_UNKNOWN_CODE
         code = None if given is None else str(given)
         failure = attempts.Failure(code, reason, change.outputs)
-        postponed = attempts.postpone(self.record, run, task, failure, now)
+        if change.repeats:
+            postponed = attempts.repeat_lost(self.record, run, task, reason, now)
+        else:
+            postponed = attempts.postpone(self.record, run, task, failure, now)
         if postponed is None:
             run.fail(task.token, code, reason, now, task=task.id, only_named=is_unknown)
         else:

@@ -40,6 +40,8 @@ class PortLinks:
         self.values: Values = {}
         self.age_s = float("inf")
         self.on_tick: Callable[[], None] = lambda: None
+        self.may_command: Callable[[], bool] = lambda: True
+        """Whether this process has the lease of the humanoid; without it nothing is written."""
         self._process = process
         self._wish, self._person, self._gains = wish, person, gains
         self._writers: dict[str, PortWriter] = {}
@@ -88,7 +90,7 @@ class PortLinks:
         if writer is None:
             return
         values = values_of(writer.names)
-        if values is not None:
+        if values is not None and self.may_command():
             writer.write(np.array(values))
 
     def _opened(self, name: str) -> PortWriter | None:

@@ -12,11 +12,13 @@ import httpx
 import pytest
 
 from handover.outcomes import is_outcome_unknown
+from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.kit import processes
 from tests.kit.cell import Cell
 from tests.kit.databases import DATABASE
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, wait_for
+from tests.unit.task_orchestrator.drawing import activity, drawing, end, path, start
 
 pytestmark = pytest.mark.slow
 
@@ -254,3 +256,59 @@ def test_a_performer_that_once_had_a_lease_does_not_act_without_the_orchestrator
     task = post(cell, "one")
     cell.start("task_orchestrator")
     comes_to(cell, task, "completed", again.log)
+
+
+def start_process(cell: Cell, choice: str, steps: int) -> str:
+    """Start a process whose only activity turns the motor; return its id."""
+    task = activity(
+        "turn",
+        f'<handover:parameter name="steps" value="{steps}"/>',
+        attributes=f'onPerformerLost="{choice}"',
+    ).replace("Device:glove-1", "Device:motor-1")
+    file = drawing(start() + task + end() + path("start", "turn", "end"))
+    with httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False) as api:
+        headers = {"Content-Type": "application/xml"}
+        assert api.post("/definitions", content=file, headers=headers).status_code == 201
+        started = api.post("/processes", json={"definition": "p"})
+        assert started.status_code == 201, started.text
+        return str(started.json()["id"])
+
+
+def alerts_of(cell: Cell, kind: str) -> list[dict[str, Any]]:
+    """Return the Alerts of a subcategory that are not cleared."""
+    url = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    parameters = {"type": "Alert", "options": "keyValues"}
+    found = httpx.get(url, params=parameters, headers={"Link": CONTEXT}, trust_env=False).json()
+    return [
+        one for one in found if one.get("subCategory") == kind and one.get("alertState") != "returnedToNormal"
+    ]
+
+
+@pytest.mark.parametrize("choice", ["ask", "retry", "wait"])
+def test_a_performer_that_dies_in_progress_is_an_alert_and_then_what_the_definition_says(
+    cell: Cell, choice: str
+) -> None:
+    cell.extra["HANDOVER_PERFORMER_GRACE_S"] = "1"
+    cell.start("context_broker", "task_orchestrator")
+    first = Motor(cell, "first").wait_ready()
+    process = start_process(cell, choice, 150)
+    first.wait_moving()
+    processes.kill(first.process)
+    wait_for(lambda: alerts_of(cell, "taskPerformerLost"), 60, lambda: cell.log("task_orchestrator"))
+
+    def shown() -> dict[str, Any]:
+        url = f"{cell.url('task_orchestrator')}/processes/{process}"
+        return httpx.get(url, trust_env=False).json()  # type: ignore[no-any-return]
+
+    if choice == "ask":
+        wait_for(lambda: shown()["incidents"], 60, lambda: str(shown()))
+        wait_for(lambda: alerts_of(cell, "processIncident"), 60)
+        wait_for(lambda: not alerts_of(cell, "taskPerformerLost"), 60)
+    again = Motor(cell, "again", first.folder, MOTOR_REPEATS="yes" if choice == "wait" else "no").wait_ready()
+    if choice == "ask":
+        assert shown()["incidents"]
+        assert not again.commands(), "a person decides first"
+        return
+    wait_for(lambda: shown()["status"] == "completed", 60, lambda: str(shown()))
+    assert len(again.commands()) == 150
+    wait_for(lambda: not alerts_of(cell, "taskPerformerLost"), 60)

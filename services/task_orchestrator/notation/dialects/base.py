@@ -20,6 +20,7 @@ from services.task_orchestrator.model import (
     EntityFilter,
     FormBinding,
     FormReference,
+    PerformerLost,
     Place,
     ProcessParameter,
     StartForm,
@@ -44,6 +45,7 @@ class Work:
     """The variable for all results; if None, a dialect that spreads them does so."""
     handles_outcomes: bool = False
     require_pin: bool = False
+    performer_lost: PerformerLost = PerformerLost.ASK
     hints: Mapping[str, str] = field(default_factory=dict)
     has_implementation: bool = False
     """Whether somebody has to do it: a send task or message event is then a Task, not a message."""

@@ -7,7 +7,8 @@
 
 With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
 the variable `outcome`; otherwise such a Task fails. With requirePin="true" the person who answers the Task
-gives the own PIN.
+gives the own PIN. onPerformerLost="ask", "retry" or "wait" says what happens with a Task in progress whose
+performer was killed, paused or cut off.
 
 <handover:material entity="Material:pallet-3"/> and <handover:asset expression="carrier"/> name what the Task
 uses. They are involved after the performer, and an expression may be a list of them.
@@ -59,6 +60,7 @@ from services.task_orchestrator.model import (
     EntityFilter,
     FormBinding,
     FormReference,
+    PerformerLost,
     Place,
     ProcessParameter,
     StartForm,
@@ -98,7 +100,18 @@ _PARTS = frozenset(
     {"involves", "material", "asset", "happensAt", "parameter", "output", "form", "inputSchema"}
 )
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "task": frozenset({"definition", "deadline", "handlesOutcomes", "requirePin", "role", "skills", *_HINTS}),
+    "task": frozenset(
+        {
+            "definition",
+            "deadline",
+            "handlesOutcomes",
+            "requirePin",
+            "onPerformerLost",
+            "role",
+            "skills",
+            *_HINTS,
+        }
+    ),
     "form": frozenset({"ref", "version"}),
     "inputSchema": frozenset(),
     "involves": frozenset({"resource", "expression"}),
@@ -228,6 +241,7 @@ class Handover:
             outputs=_outputs(parts["output"], found),
             handles_outcomes=_flag(extension, "handlesOutcomes", found),
             require_pin=_flag(extension, "requirePin", found),
+            performer_lost=_performer_lost(extension, found),
             has_implementation=True,
             role=role,
             skills=skills,
@@ -411,6 +425,14 @@ def _check_attributes(element: etree._Element, found: Findings) -> None:
 def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
     text = extension.get("deadline")
     return None if text is None else attempt(extension, lambda: parse_duration(text.strip()), None, found)
+
+
+def _performer_lost(extension: etree._Element, found: Findings) -> PerformerLost:
+    text = extension.get("onPerformerLost", PerformerLost.ASK)
+    if text in set(PerformerLost):
+        return PerformerLost(text)
+    found.fault(extension, f'onPerformerLost="{text[:64]}" is none of {", ".join(PerformerLost)}')
+    return PerformerLost.ASK
 
 
 def _form_reference(parts: list[etree._Element], found: Findings) -> FormReference | None:
