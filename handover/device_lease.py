@@ -176,7 +176,9 @@ class DeviceLeases:
     ) -> None:
         self.mode: Mode = settings.device_leases
         self._performer = performer
-        self._url = settings.orchestrator
+        self._urls = tuple(url.rstrip("/") for url in settings.lease_urls) or (settings.orchestrator,)
+        self._url = self._urls[0]
+        """The orchestrator that is asked; another one after it has not answered."""
         self._headers = headers
         self._clock = clock
         self._on_held = on_held
@@ -295,6 +297,7 @@ class DeviceLeases:
             self._note_away(str(error) or type(error).__name__)
             if self.mode == "auto" and not self._was_leased and not await self._has_listener():
                 self._act_without(leases)
+            self._ask_next()
             return False
         if status in {404, 405}:
             self._note_away(f"{self._url} gives no leases of Devices ({status})")
@@ -304,6 +307,7 @@ class DeviceLeases:
         if status != 200:
             detail = content.get("detail") if isinstance(content, dict) else None
             self._note_away(f"{self._url} answers {status}: {detail or 'no reason'}")
+            self._ask_next()
             return False
         if self._away is not None and not self._is_unleased:
             log.info("the orchestrator answers again", performer=self._performer)
@@ -353,18 +357,24 @@ class DeviceLeases:
             log.warning("leases not renewed", performer=self._performer, error=reason)
         self._away = reason
 
+    def _ask_next(self) -> None:
+        """Ask the next orchestrator from now on."""
+        self._url = self._urls[(self._urls.index(self._url) + 1) % len(self._urls)]
+
     async def _has_listener(self) -> bool:
-        """Return whether a server listens at the address of the orchestrator; it may be slow."""
-        place = address(self._url)
-        try:
-            async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                _, writer = await asyncio.open_connection(place.host, place.port)
-        except TimeoutError:
+        """Return whether a server listens at an address of an orchestrator; it may be slow."""
+        for url in self._urls:
+            place = address(url)
+            try:
+                async with asyncio.timeout(REQUEST_TIMEOUT_S):
+                    _, writer = await asyncio.open_connection(place.host, place.port)
+            except TimeoutError:
+                return True
+            except OSError:
+                continue
+            writer.close()
             return True
-        except OSError:
-            return False
-        writer.close()
-        return True
+        return False
 
     async def _post(self, path: str, body: Mapping[str, Any]) -> tuple[int, Any]:
         credentials = {} if self._headers is None else await self._headers()

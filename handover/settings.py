@@ -126,6 +126,11 @@ class Settings(BaseSettings):
         "required (always), auto (unless no orchestrator listens and none ever granted it one), off (a cell "
         "without our orchestrator, with one performer of each Device)",
     )
+    lease_urls: Names = Field(
+        (),
+        description="addresses of the orchestrators of a database, with commas, where a standby has another "
+        "address than HANDOVER_ORCHESTRATOR_URL: a performer asks each for leases until one answers",
+    )
     broker_tenant: str | None = Field(None, description="NGSILD-Tenant to work in, if any")
     context_url: str = Field(
         "https://w3id.org/handover/context.jsonld",

@@ -1,7 +1,7 @@
 """A cell for tests: broker, orchestrator and a scripted performer as real processes that can be killed."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -90,6 +90,7 @@ class Cell:
         free_port: FreePort,
         database_url: str | None = None,
         extra: Mapping[str, str] | None = None,
+        standby_urls: Sequence[str] = (),
     ) -> None:
         broker, orchestrator, performer = free_port(), free_port(), free_port()
         self.database = database_url or default_url(folder) or f"sqlite:///{folder / 'orchestrator.db'}"
@@ -113,6 +114,7 @@ class Cell:
         of_orchestrator = {**environment, **database}
         of_performer = {
             **environment,
+            "HANDOVER_LEASE_URLS": ",".join([f"http://127.0.0.1:{orchestrator}", *standby_urls]),
             "PERFORMER_PORT": str(performer),
             "PERFORMER_DONE": str(self.done_file),
             "PERFORMER_SCRIPT": str(self.script_file),
@@ -213,9 +215,13 @@ def cell(
     free_port: FreePort,
     database_url: str | None = None,
     extra: Mapping[str, str] | None = None,
+    standby_urls: Sequence[str] = (),
 ) -> Iterator[Cell]:
-    """Run a cell with all its members up; `extra` are settings of all of them."""
-    running = Cell(folder, free_port, database_url, extra)
+    """Run a cell with all its members up; `extra` are settings of all of them.
+
+    `standby_urls` are the addresses of further orchestrators on its database.
+    """
+    running = Cell(folder, free_port, database_url, extra, standby_urls)
     try:
         for member in running.members:
             member.start()

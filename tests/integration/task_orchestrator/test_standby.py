@@ -21,9 +21,9 @@ def test_a_standby_takes_over_and_nothing_is_lost_or_doubled(
     tmp_path: Path, new_database: Callable[[], str]
 ) -> None:
     database = new_database()
-    with cell(tmp_path, next_free_port, database) as running:
-        port = next_free_port()
-        url = f"http://127.0.0.1:{port}"
+    port = next_free_port()
+    url = f"http://127.0.0.1:{port}"
+    with cell(tmp_path, next_free_port, database, standby_urls=[url]) as running:
         standby = Member(
             "standby",
             "services.task_orchestrator",
