@@ -6,7 +6,7 @@ move. Each message also has a key and values, so that a screen can translate it.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from datamodels.states import Outcome
 from services.gesture_controller.recognition.finger_states import STRAIGHT
@@ -46,6 +46,10 @@ class Advice:
         return {"stretch": list(self.stretch), "bend": list(self.bend)}
 
 
+MAX_ALMOST_FINGERS: Final = 2
+"""Up to so many fingers that differ, a hand is almost the gesture."""
+
+
 def differing(states: str, code: str) -> list[str]:
     """Return the fingers, thumb first, whose state in `states` differs from `code`."""
     return [
@@ -65,6 +69,13 @@ def advice(fingers: Sequence[str], code: str) -> Advice:
 def show(gesture: str) -> OperatorMessage:
     """Return the prompt for a single gesture."""
     return OperatorMessage("show", f"Show: {gesture}.", {"gesture": gesture})
+
+
+def differs(gesture: str, hint: Advice) -> OperatorMessage:
+    """Return the prompt if more fingers differ than are almost the gesture; it names them all."""
+    return OperatorMessage(
+        "differs", f"Show: {gesture}. Not yet: {hint}.", {"gesture": gesture, **hint.as_dict()}
+    )
 
 
 def almost(gesture: str, hint: Advice) -> OperatorMessage:

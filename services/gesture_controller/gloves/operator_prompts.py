@@ -105,8 +105,10 @@ def _for_one_hand(glove: Glove, spec: PromptSpec) -> OperatorMessage:
         if spec.composite is None:
             return messages.hold_on(timing.confirm_ms - timing.announce_ms)
     still_ms = (hold.seen_s - state.states_since_s) * 1000
-    if state.gesture is None and 0 < len(differing) <= 2 and still_ms >= timing.announce_ms:
-        return messages.almost(due.gesture, messages.advice(differing, due.code))
+    if state.gesture is None and differing and still_ms >= timing.announce_ms:
+        hint = messages.advice(differing, due.code)
+        almost = len(differing) <= messages.MAX_ALMOST_FINGERS
+        return messages.almost(due.gesture, hint) if almost else messages.differs(due.gesture, hint)
     return _invitation(glove, spec, due)
 
 

@@ -79,3 +79,9 @@ def test_the_work_page_has_words_for_every_message(language: str) -> None:
     sent = {message.key for message in every_message()}
     assert {"answeredNotGood", "holdOnProblem", "wearBothLeft", "show"} <= sent
     assert sent - known == set()
+
+
+def test_every_differing_finger_is_named_however_many_they_are() -> None:
+    hint = wording.advice(wording.differing("20000", "02222"), "02222")
+    named = wording.differs("Thumbs up", hint).values
+    assert (named["stretch"], named["bend"]) == (["thumb"], ["index", "middle", "ring", "little"])

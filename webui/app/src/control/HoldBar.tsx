@@ -9,6 +9,7 @@ export function HoldBar({ control: { connection, driver, now } }: { control: Con
   const { t } = useTranslation("control");
   if (now.phase !== "on") return null;
   const state = now.state;
+  const why = now.stopped === null ? "" : t(`stopped.${now.stopped}`);
   const text =
     state?.needsRelease === true ? t("hold.release") : state?.limit != null && !state.moves ? t("hold.limit", { limit: state.limit }) : state?.moves === true ? t("hold.moves") : t("hold.hold", { key: keyName(driver.keyboard.keys.hold) });
   return (
@@ -23,7 +24,10 @@ export function HoldBar({ control: { connection, driver, now } }: { control: Con
         <Hand aria-hidden size={28} />
         <span>{t("hold.button")}</span>
       </HoldButton>
-      <p role="status">{text}</p>
+      <p role="status">
+        {why !== "" && <strong>{why} </strong>}
+        {text}
+      </p>
     </div>
   );
 }

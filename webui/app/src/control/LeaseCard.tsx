@@ -9,6 +9,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { mayDo } from "~/session/session";
 import type { ControlledRobot, Lease } from "./robots";
+import type { Stopped } from "./connection";
 import type { Control } from "./useControl";
 
 export function LeaseCard({ robot, lease, control: { connection, now } }: { robot: ControlledRobot; lease: Lease; control: Control }) {
@@ -21,7 +22,7 @@ export function LeaseCard({ robot, lease, control: { connection, now } }: { robo
     <Card
       className="lease"
       title={isMine ? t("lease.mine", { robot: robot.name }) : now.phase === "waiting" ? t("lease.waiting", { name: now.holder ?? "" }) : holder === null ? t("lease.free", { robot: robot.name }) : t("lease.taken", { name: holder, robot: robot.name })}
-      aside={isMine ? <StatusBadge tone={now.state?.moves === true ? "attention" : "ok"}>{t(now.state?.moves === true ? "state.moves" : "state.rests")}</StatusBadge> : undefined}
+      aside={isMine ? <StatusBadge tone={now.state?.moves === true || isUnwanted(now.stopped) ? "attention" : "ok"}>{now.state?.moves === true ? t("state.moves") : now.stopped === null ? t("state.rests") : t(`stopped.${now.stopped}`)}</StatusBadge> : undefined}
     >
       <div className="lease__acts">
         {now.phase === "off" && holder === null && (
@@ -58,6 +59,11 @@ export function LeaseCard({ robot, lease, control: { connection, now } }: { robo
       {now.state?.fault != null && <ErrorMessage>{now.state.fault}</ErrorMessage>}
     </Card>
   );
+}
+
+/** Whether the motion ended although the person held the control. */
+function isUnwanted(stopped: Stopped | null): boolean {
+  return stopped === "slow" || stopped === "limit" || stopped === "fault";
 }
 
 const KNOWN_CODES = [4401, 4403, 4404, 4408, 4409, 4410, 4502, 4503];

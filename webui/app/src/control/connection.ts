@@ -42,7 +42,21 @@ export interface ControlState {
 
 export type Phase = "off" | "connecting" | "waiting" | "on";
 
+/** Why a motion ended: released, held without a direction, or by the service, although it was held. */
+export type Stopped = "released" | "still" | "slow" | "limit" | "fault";
+
+/** Why the motion before `state` ended, while the person holds the control or not. */
+export function stoppedBy(state: Pick<ControlState, "fault" | "limit" | "needsRelease">, isHeld: boolean): Stopped {
+  if (state.fault !== null) return "fault";
+  if (!isHeld) return "released";
+  // The service asks for a release after 100 ms without a message.
+  if (state.needsRelease) return "slow";
+  return state.limit === null ? "still" : "limit";
+}
+
 export interface ControlSnapshot {
+  /** Why the last motion ended; null while the robot moves, and before it has. */
+  stopped: Stopped | null;
   phase: Phase;
   /** Who has the control while this page waits. */
   holder: string | null;
@@ -59,7 +73,7 @@ export type RobotService = "trajectory-tool" | "device-gateway";
 export type Mode = "refuse" | "wait" | "takeOver";
 
 const OFF: ControlSnapshot = {
-  phase: "off", holder: null, state: null, error: null, latency: { networkMs: null, networkMaxMs: null }, ended: null,
+  stopped: null, phase: "off", holder: null, state: null, error: null, latency: { networkMs: null, networkMaxMs: null }, ended: null,
 };
 
 export class ControlConnection {
@@ -67,6 +81,7 @@ export class ControlConnection {
   #socket: WebSocket | null = null;
   #timer: ReturnType<typeof setInterval> | undefined;
   #seq = 0;
+  #isHeld = false;
   #trips = new RoundTrips();
   readonly #listeners = new Set<() => void>();
   readonly #input: () => ControlInput;
@@ -104,6 +119,7 @@ export class ControlConnection {
     const socket = this.#socket;
     if (socket?.readyState !== WebSocket.OPEN || socket.bufferedAmount > 0) return; // it would be old when it arrives
     const input = this.#input();
+    this.#isHeld = input.held;
     this.#seq += 1;
     this.#trips.send(this.#seq, performance.now());
     socket.send(JSON.stringify({ seq: this.#seq, ...input }));
@@ -125,7 +141,9 @@ export class ControlConnection {
     } else {
       const state = message as unknown as ControlState;
       this.#trips.receive(state.seq, state.inputAgeMs, performance.now());
-      this.#set({ ...this.#snapshot, phase: "on", state, latency: this.#trips.now(), error: state.moves ? null : this.#snapshot.error });
+      const { state: before, stopped: last } = this.#snapshot;
+      const ended = before?.moves === true ? stoppedBy(state, this.#isHeld) : last;
+      this.#set({ ...this.#snapshot, stopped: state.moves ? null : ended, phase: "on", state, latency: this.#trips.now(), error: state.moves ? null : this.#snapshot.error });
     }
   }
 

@@ -1,5 +1,6 @@
 import { describe, expect, test } from "vitest";
 import { SCAN_GAP_MS } from "~/shell/scans";
+import { stoppedBy } from "./connection";
 import { Driver, MAX_TOOL_MPS } from "./driver";
 import { GAMEPAD } from "./mapping";
 
@@ -10,6 +11,16 @@ function driver(): Driver {
   made.position = [0, 0];
   return made;
 }
+
+test.each([
+  [{ fault: null, limit: null, needsRelease: false }, false, "released"],
+  [{ fault: null, limit: null, needsRelease: false }, true, "still"],
+  [{ fault: null, limit: null, needsRelease: true }, true, "slow"],
+  [{ fault: null, limit: "workspace", needsRelease: false }, true, "limit"],
+  [{ fault: "no drive", limit: null, needsRelease: true }, true, "fault"],
+] as const)("a motion that ends with %j while held is %s ended %s", (state, isHeld, why) => {
+  expect(stoppedBy(state, isHeld)).toBe(why);
+});
 
 describe("the person", () => {
   test("moves the tool with the screen while the dead-man control is held", () => {

@@ -19,6 +19,8 @@ export interface HandProps {
   size?: string;
   /** Draw the hand as large as it fits, instead of every hand at the same scale. */
   closeUp?: boolean;
+  /** The states whose close-up is the frame, so that this hand lies over that one at the same scale. */
+  frameBy?: string;
   /** Fingers to highlight. */
   differs?: readonly Finger[];
   /** The name, "Thumbs up"; by default a list of the finger states. */
@@ -27,10 +29,10 @@ export interface HandProps {
 
 const noFingers: readonly Finger[] = [];
 
-export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, closeUp = false, differs = noFingers, label }: HandProps) {
+export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, closeUp = false, frameBy = states, differs = noFingers, label }: HandProps) {
   const description = useFingers(states);
   const bends = useEased(bendsOf(states), moveMs, animateFrom === undefined ? undefined : bendsOf(animateFrom));
-  const frame = closeUp ? frameOf(bendsOf(states)) : { x: 0, y: 0, ...box };
+  const frame = closeUp ? frameOf(bendsOf(frameBy)) : { x: 0, y: 0, ...box };
   const left = side === "left" ? box.width - frame.x - frame.width : frame.x;
   const style: CSSProperties | undefined = size === undefined ? undefined : { height: size };
   return (

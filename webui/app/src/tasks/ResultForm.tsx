@@ -24,7 +24,7 @@ export interface ResultFormProps {
   by: string;
   /** Further acts, beside the one that completes the Task. */
   children: ReactNode;
-  onEnd: () => void;
+  onEnd: (outcome: Outcome) => void;
 }
 
 export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
@@ -73,7 +73,7 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
       throw error;
     }
     keepDraft(task.id, by, null);
-    onEnd();
+    onEnd(draft.outcome);
   };
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key !== "Enter" || !(event.ctrlKey || event.metaKey) || busy) return;

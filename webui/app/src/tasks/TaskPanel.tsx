@@ -168,8 +168,8 @@ function Acts({ task, onChange, onEnd, onNews }: ActsProps) {
         <ResultForm
           task={task}
           by={user}
-          onEnd={() => {
-            onNews(t("news.completed", { name: task.name }));
+          onEnd={(outcome) => {
+            onNews(t(`news.${outcome === "ok" ? "completed" : outcome}`, { name: task.name }));
             onEnd();
           }}
         >

@@ -44,9 +44,12 @@ export default function TasksPage() {
   ]);
   return (
     <div className="tasklist" ref={page} data-open={chosen === "" ? undefined : true}>
-      <TaskList tasks={all} who={who} chosen={chosen} onChoose={choose} onIdentify={() => setIdentifies(true)} searchRef={search} />
+      <TaskList tasks={all} who={who} chosen={chosen} onChoose={(task) => {
+          setNews("");
+          choose(task);
+        }} onIdentify={() => setIdentifies(true)} searchRef={search} />
       {chosen === "" ? (
-        <EmptyState icon={<ListTodo aria-hidden size={40} />} title={t("choose")}>
+        <EmptyState icon={<ListTodo aria-hidden size={40} />} title={news === "" ? t("choose") : news}>
           {t("chooseHow")}
         </EmptyState>
       ) : (

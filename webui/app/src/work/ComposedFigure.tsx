@@ -7,6 +7,7 @@ import { useGestureName } from "~/hand/Hand";
 import type { GesturePart, GloveView } from "~/live/messages";
 import { PromptHand, DoneCheck } from "./Figure";
 import { HoldRing } from "./HoldRing";
+import { LiveHand, useWornGloves } from "./LiveHand";
 import "./ComposedFigure.css";
 
 export interface ComposedFigureProps {
@@ -22,6 +23,7 @@ const tones: Record<GesturePart["state"], Tone> = { done: "ok", held: "ok", now:
 export function ComposedFigure({ glove, parts, open, done = false }: ComposedFigureProps) {
   const { t } = useTranslation("work");
   const nameOf = useGestureName();
+  const worn = useWornGloves(glove);
   const inTurn = parts.every(({ hand }) => hand === null);
   return (
     <ul className="figures">
@@ -38,6 +40,7 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
               <div className="figure">
                 <HoldRing hold={glove.hold} right={open && isHeld(glove, parts, part)} closed={state === "done"} />
                 <PromptHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} done={done} />
+                {!done && part.state !== "done" && <LiveParts worn={worn} part={part} />}
                 {done && <DoneCheck />}
               </div>
               <p className="figures__place">{t(`part.${part.hand ?? (index === 0 ? "first" : "second")}`)}</p>
@@ -49,6 +52,12 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
       })}
     </ul>
   );
+}
+
+/** The live hand over a part: the hand that it is for, or in a sequence the only one over the present part. */
+function LiveParts({ worn, part }: { worn: readonly GloveView[]; part: GesturePart }) {
+  const glove = part.hand === null ? (part.state === "next" ? undefined : worn[0]) : worn.find(({ hand }) => hand === part.hand);
+  return glove === undefined ? null : <LiveHand glove={glove} code={part.code} />;
 }
 
 /** Whether the ring of a part fills: for two hands once both are right, in a sequence for the present part. */

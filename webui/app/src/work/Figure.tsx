@@ -1,9 +1,10 @@
-/** The requested gesture in its ring, and the check mark after it was confirmed. */
+/** The requested gesture in its ring, the live hand over it, and the check mark after it was confirmed. */
 import { Check } from "lucide-react";
 import { memo } from "react";
 import { Hand, useGestureName } from "~/hand/Hand";
 import type { GloveView } from "~/live/messages";
 import { HoldRing } from "./HoldRing";
+import { LiveHand } from "./LiveHand";
 import "./Figure.css";
 
 export interface FigureProps {
@@ -21,6 +22,7 @@ export function Figure({ glove, gesture, code, open, done = false }: FigureProps
     <div className="figure">
       <HoldRing hold={glove.hold} right={right} closed={done} />
       <PromptHand code={code} side={glove.hand} gesture={gesture} done={done} />
+      {!done && <LiveHand glove={glove} code={code} />}
       {done && <DoneCheck />}
     </div>
   );

@@ -1,4 +1,4 @@
-/** The live hand in the glove; fingers that differ from the requested gesture are highlighted. */
+/** The live hand in the glove: it lies over the requested one, as large; fingers that differ are highlighted. */
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
 import { fingers } from "~/hand/geometry";
@@ -6,52 +6,52 @@ import { Hand } from "~/hand/Hand";
 import { useFamily } from "~/live/hooks";
 import type { Finger, GesturePart, GloveView } from "~/live/messages";
 
-export function LiveHand({ glove }: { glove: GloveView }) {
-  const { t } = useTranslation("work");
-  if (glove.states === null && glove.message.key === "putOn") return null;
-  if (glove.states === null) return <p className="work__live work__live-word">{t("noHand")}</p>;
+/** The live hand over the requested gesture `code`, in the same frame. */
+export function LiveHand({ glove, code }: { glove: GloveView; code: string }) {
+  const { connected, states, hand } = glove;
+  if (!connected || states === null || glove.testing) return null;
+  const isAdvised = showsAdvice(glove);
   return (
-    <div className="work__live">
-      <Drawn states={glove.states} side={glove.hand} differs={showsAdvice(glove) ? glove.differs.join(" ") : ""} />
-      <span className="work__live-word">{t("yourHand")}</span>
+    <div className="figure__live" data-advised={isAdvised || undefined}>
+      <Drawn states={states} side={hand} code={code} differs={isAdvised ? differing(glove, states, code) : ""} />
     </div>
   );
 }
 
-/** Both live hands for a gesture of two hands. */
-export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly GesturePart[] }) {
-  const { t } = useTranslation("work");
+/** The glove of each hand of the person: that of the page, and the one on the other hand. */
+export function useWornGloves(glove: GloveView): readonly GloveView[] {
   const gloves = useFamily("glove");
   const other = gloves.find((each) => glove.person !== null && each.person === glove.person && each.hand !== glove.hand);
-  if (other === undefined || parts.every(({ hand }) => hand === null)) return <LiveHand glove={glove} />;
-  const worn = [glove, other].sort((a, b) => (a.hand < b.hand ? -1 : 1));
+  return other === undefined ? [glove] : [glove, { ...other, message: glove.message, differs: [] }];
+}
+
+/** What the two hands of the figure are, and gloves without a hand in them. */
+export function LiveLegend({ glove, parts }: { glove: GloveView; parts: readonly GesturePart[] }) {
+  const { t } = useTranslation("work");
+  const worn = useWornGloves(glove);
+  const shown = parts.some(({ hand }) => hand !== null) ? worn : worn.slice(0, 1);
+  if (glove.testing || glove.message.key === "putOn") return null;
+  if (glove.states === null) return <p className="work__live-word">{t("noHand")}</p>;
   return (
-    <div className="work__live">
-      <div className="work__pair">
-      {worn.map(({ glove: name, states, hand }) =>
-        states === null ? (
-          <span key={name}>{t("silentHand", { glove: name })}</span>
-        ) : (
-          <Drawn key={name} states={states} side={hand} differs={showsAdvice(glove) ? differing(states, hand, parts) : ""} />
-        ),
-      )}
-      </div>
-      <span className="work__live-word">{t("yourHands")}</span>
-    </div>
+    <p className="work__live-word">
+      {shown.map(({ glove: name, states }) => states === null && <span key={name}>{t("silentHand", { glove: name })} </span>)}
+      {showsAdvice(glove) && t("liveAdvised")}
+    </p>
   );
 }
 
-/** Fingers are highlighted only if the controller's message names them: an open hand differs in all. */
+/** Fingers are highlighted once the controller names them: a hand on its way differs in many. */
 function showsAdvice({ message }: GloveView): boolean {
-  return message.key === "almost" || message.key === "wrong";
+  return ["almost", "differs", "wrong"].includes(message.key);
 }
 
-function differing(states: string, side: GloveView["hand"], parts: readonly GesturePart[]): string {
-  const code = parts.find(({ hand }) => hand === side)?.code ?? states;
-  return fingers.filter((_, index) => states[index] !== code[index]).join(" ");
+function differing(glove: GloveView, states: string, code: string): string {
+  const named = fingers.filter((_, index) => states[index] !== code[index]);
+  return (named.length > 0 ? named : glove.differs).join(" ");
 }
 
-const Drawn = memo(function Drawn({ states, side, differs }: { states: string; side: "left" | "right"; differs: string }) {
+const Drawn = memo(function Drawn({ states, side, code, differs }: { states: string; side: "left" | "right"; code: string; differs: string }) {
+  const { t } = useTranslation("work");
   const named = differs === "" ? [] : (differs.split(" ") as Finger[]);
-  return <Hand states={states} side={side} moveMs={140} size="var(--small-hand)" differs={named} />;
+  return <Hand states={states} side={side} moveMs={140} closeUp frameBy={code} differs={named} label={t("yourHand")} />;
 });

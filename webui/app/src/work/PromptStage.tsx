@@ -6,7 +6,7 @@ import type { GesturePart, GloveTask, GloveView, Outcome } from "~/live/messages
 import { AnswerHands } from "./AnswerHands";
 import { ComposedFigure } from "./ComposedFigure";
 import { Figure } from "./Figure";
-import { LiveHands } from "./LiveHand";
+import { LiveLegend } from "./LiveHand";
 import "./RobotStage.css";
 import { useMessageText } from "./messageText";
 
@@ -40,7 +40,7 @@ export function PromptStage({ glove, task, answerWaits }: PromptStageProps) {
         {!glove.filtering && <p className="work__notice">{t("unfiltered")}</p>}
         {answerWaits && <p className="work__notice">{t("answerWaits")}</p>}
         <div className="work__hands">
-          <LiveHands glove={glove} parts={partsOf(task)} />
+          <LiveLegend glove={glove} parts={partsOf(task)} />
           {glove.connected && !glove.testing && <AnswerHands task={task} side={glove.hand} held={glove.hold.outcome ?? null} />}
         </div>
       </div>

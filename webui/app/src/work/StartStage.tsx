@@ -11,7 +11,6 @@ import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestra
 import type { GloveView } from "~/live/messages";
 import { startCode, waitAfter, waiting } from "./confirmation";
 import { Figure } from "./Figure";
-import { LiveHand } from "./LiveHand";
 import type { ActionState } from "./useAction";
 
 const START_GESTURE = "Thumbs up";
@@ -83,11 +82,6 @@ export function StartStage({ glove, startable, completed, acting, onStart }: Sta
                 {t("by.start", { title: definition.title })}
               </Button>
             ))}
-          </div>
-        )}
-        {glove.connected && (
-          <div className="work__hands">
-            <LiveHand glove={glove} />
           </div>
         )}
       </div>

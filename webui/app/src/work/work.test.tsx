@@ -88,7 +88,7 @@ describe("the operator's page", () => {
     const [left, other] = screen.getAllByRole("listitem");
     expect(left?.textContent).toBe("Left handThumbs upshow it now");
     expect(other?.textContent).toBe("Right handHornsright");
-    expect(screen.getByText("Your hands now")).toBeTruthy();
+    expect(screen.getAllByRole("img", { name: /Your hand now/ })[1]).toBeTruthy();
     expect(screen.getAllByRole("img")).toHaveLength(4);
   });
 
@@ -102,7 +102,7 @@ describe("the operator's page", () => {
       "FirstPoint with indexdone",
       "ThenHornsshow it now",
     ]);
-    expect(screen.getByText("Your hand now")).toBeTruthy();
+    expect(screen.getByRole("img", { name: /Your hand now/ })).toBeTruthy();
   });
 
   it("leaves in English what a newer controller says and this page does not know", async () => {
