@@ -116,7 +116,7 @@ def rise_bpm(window: list[Interval], steady: list[Interval], at_s: float) -> flo
         return 0.0
     first, middle, last = (60 / float(np.mean(part)) for part in parts)
     rise = last - first
-    if rise < MIN_RISE_BPM or min(middle - first, last - middle) < rise / 3:
+    if rise < MIN_RISE_BPM or min(middle - first, last - middle) < rise / 4:
         return 0.0
     middle_s = (steady[0].at_s - steady[0].length_s + newest_s) / 2
     return min(1.5 * rise / RISE_S, MAX_RISE_BPM_PER_S) * max(0.0, at_s - middle_s)
