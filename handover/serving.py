@@ -80,11 +80,11 @@ def serve(
         require_protection(settings, settings.host, "HANDOVER_HOST")
         os.umask(UMASK)
         require_writable(settings.data_dir)
-        for line in make_private(settings.data_dir):
-            log.warning("private files", what=line)
         if os.environ.get(LIFELINE):  # before a wait for the holder of the databases
             threading.Thread(target=_end_with_parent, daemon=True).start()
         serve_alone(settings, service, log.warning)
+        for line in make_private(settings.data_dir):
+            log.warning("private files", what=line)
         certificate = ServerCertificate.of(settings)
         # Reserved until the server listens: otherwise a connection of the service itself could get the port.
         held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)

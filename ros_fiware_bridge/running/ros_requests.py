@@ -223,10 +223,9 @@ class RosTaskPerformer(Performer):
         assert planned.resource is not None and planned.rule.task is not None  # noqa: S101, PT018 - a Task's rule
         self._requests[planned.resource, planned.rule.task] = request
 
-    async def may_repeat(self, job: Job) -> bool:
-        """Return whether the rule sends its goal again; a service is not called twice."""
-        rule = self._request_for(job).planned.rule
-        return isinstance(rule, ActionGoal)  # `perform` says which goal was active
+    async def may_repeat(self, job: Job) -> bool:  # noqa: ARG002
+        """Return True: `perform` sends again only what the rule permits, and says what was interrupted."""
+        return True
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Perform the Task by its rule; return the outputs."""

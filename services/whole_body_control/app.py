@@ -84,13 +84,16 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
         await asyncio.to_thread(control.open)
         try:
             async with broker, writer, tasks:
-                tasks.start_restarting(control.process.watch)
-                tasks.start_restarting(control.links.run)
-                tasks.start_restarting(limits.run)
-                tasks.start_restarting(control.keep_stops)
-                tasks.start_restarting(device.run)
-                tasks.start_restarting(session_writer.run)
-                tasks.start_restarting(recordings.run)
+                for work in (
+                    control.process.watch,
+                    control.links.run,
+                    limits.run,
+                    control.keep_stops,
+                    device.run,
+                    session_writer.run,
+                    recordings.run,
+                ):
+                    tasks.start_restarting(work)
                 if settings.humanoid_ros_link:
                     tasks.start_restarting(RosLink(settings, control, guard.access).run)
                 await performer.act_for(device.id)
