@@ -78,10 +78,8 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        await asyncio.to_thread(store.prepare)
-        await asyncio.to_thread(sessions.prepare)
-        await asyncio.to_thread(recordings.prepare)
-        await asyncio.to_thread(control.open)
+        for prepare in (store.prepare, sessions.prepare, recordings.prepare, control.open):
+            await asyncio.to_thread(prepare)
         try:
             async with broker, writer, tasks:
                 for work in (
