@@ -245,7 +245,7 @@ async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(n
 
 
 async def test_a_tool_that_the_watchdog_has_restarted_continues_no_motion(new_shop: Shop) -> None:
-    task = await new_shop.ask("moveTo", joints=AWAY, speed=0.2)
+    task = await new_shop.ask("moveTo", joints=AWAY, speed=0.4)
     await new_shop.in_motion()
     new_shop.cell.kill("trajectory_tool")
     new_shop.cell.extra[RESTARTED] = "1"
