@@ -4,7 +4,7 @@ It asks `/healthz` every few seconds. A service that is silent for `MAX_SILENCE_
 `MIN_CPU_S` of processor time meanwhile, is killed and started again by its launcher. Without that
 processor time it is the machine that is slow, or the process was stopped: that is only reported. A service is
 restarted at most once in `MIN_RESTART_INTERVAL_S`, and each time an Alert is raised, as soon as the broker
-takes it. A service that has not answered since its start is left alone: it may have much to load.
+takes it. A service that has not answered since its start is left alone for `START_S`: it may load much.
 
 The launcher has a watchdog for each service; in containers `handover run --watch` has one. Processor time is
 known on Linux only; elsewhere silence is only reported.
@@ -38,6 +38,8 @@ MIN_LOOKS: Final = 8
 LOOK_EVERY_S: Final = 1.0
 ASK_EVERY_S: Final = 2.0
 ASK_AGAIN_S: Final = 0.2
+START_S: Final = 120.0
+"""How long a start may take until the first answer."""
 CALM_S: Final = 600.0
 """After so long without a restart the Alert returns to normal."""
 
@@ -90,12 +92,15 @@ class Watchdog:
         self._to_report: Message | None = None
         self._has_alert = False
 
-    async def watch(self, pid: int, kill: Callable[[], None]) -> bool:
+    async def watch(self, pid: int, kill: Callable[[], None], *, is_ready: bool = False) -> bool:
         """Watch the process `pid` until it has to be restarted: `kill` it and return True.
 
-        Cancel it when the process has ended.
+        Cancel it when the process has ended. `is_ready` says that it has answered since its start.
         """
-        await self._answer()  # it has started
+        if not is_ready:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(START_S):
+                    await self._answer()
         async with (
             ServiceAccess(self._settings, self._name) as access,
             BrokerClient(self._settings, credentials=access) as broker,

@@ -196,10 +196,14 @@ class Launcher:
 
     async def _keep(self, running: Running) -> None:
         watchdog = running.url and Watchdog(running.name, running.url, self._settings, self._say)
+        is_ready = True  # at first; it has been waited for
         while True:
             process = running.process
             assert process is not None  # noqa: S101 - started before it is watched
-            watch = watchdog and asyncio.create_task(watchdog.watch(process.pid, process.kill))
+            watch = watchdog and asyncio.create_task(
+                watchdog.watch(process.pid, process.kill, is_ready=is_ready)
+            )
+            is_ready = False
             try:
                 code = await process.wait()
             finally:
