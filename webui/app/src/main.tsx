@@ -38,7 +38,7 @@ const root = document.getElementById("root");
 if (root === null) throw new Error("index.html has no #root");
 // An address that names nothing is no fault of the page, which says so.
 const onCaughtError = (error: unknown) => {
-  if (!(error instanceof UnknownAddress)) console.error(error);
+  if (!(error instanceof UnknownAddress)) reportError(error);
 };
 createRoot(root, { onCaughtError }).render(
   <Live value={live}>

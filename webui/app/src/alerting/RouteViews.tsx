@@ -109,7 +109,7 @@ function WhichRoutes() {
     <section className="alerting__which" aria-label={t("which.title")}>
       <h2>{t("which.title")}</h2>
       <div className="alerting__bar">
-        <Select label={t("which.severity")} value={severity} options={SEVERITIES.map((value) => ({ value, name: t(`severity.${value}`) }))} onChange={(value) => setSeverity(value as Severity)} />
+        <Select label={t("which.severity")} value={severity} options={SEVERITIES.map((value) => ({ value, name: t(`severity.${value}`) }))} onChange={(value) => setSeverity(value)} />
         <Field label={t("which.category")} value={category} onChange={setCategory} />
         <Field label={t("which.place")} value={place} onChange={setPlace} />
         <Button icon={<Split aria-hidden size={18} />} onPress={() => void ask()}>

@@ -199,7 +199,7 @@ function RuleTester({ valid, device, value }: { valid: () => Rule | null; device
       ) : (
         <div className="alerting__bar">
           <Select label={t("test.series")} value={key} options={series.map((one) => ({ value: one.key, name: one.name }))} onChange={setChosen} />
-          <Select label={t("test.span")} value={span} options={(Object.keys(SPANS) as Span[]).map((one) => ({ value: one, name: t(`test.spans.${one}`) }))} onChange={(one) => setSpan(one as Span)} />
+          <Select label={t("test.span")} value={span} options={(Object.keys(SPANS) as Span[]).map((one) => ({ value: one, name: t(`test.spans.${one}`) }))} onChange={(one) => setSpan(one)} />
           <Button icon={<FlaskConical aria-hidden size={18} />} isDisabled={busy} onPress={() => void run()}>
             {t("test.act")}
           </Button>
