@@ -37,7 +37,7 @@ def entity(entity_id: str, kind: str, **attributes: Any) -> dict[str, Any]:
 
 def token(*grants: Grant, kind: CallerKind = CallerKind.USER, subject: str = "subject-1") -> dict[str, str]:
     caller = Caller(kind, subject, "Anna", grants)
-    return {"Authorization": f"Bearer {KEY.issue(caller, valid_s=600)}"}
+    return {"Authorization": f"Bearer {KEY.issue(caller, valid_s=86_400)}"}
 
 
 SERVICE = token(Grant(Role.SERVICE), kind=CallerKind.SERVICE)
