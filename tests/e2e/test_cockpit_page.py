@@ -205,12 +205,12 @@ def test_an_engineer_confirms_who_gets_the_work(cockpit: Cell, open_page: OpenPa
     url = cockpit.url("task_orchestrator")
     page = open_page("/cockpit", viewport=SIZES["laptop"], forgives=(*AWAY, "409"))
     page.get_by_role("grid", name="Definitions").wait_for()
-    page.keyboard.press("a")
+    page.get_by_role("radio", name="Agents").click()
     agents = page.get_by_role("grid", name="Agents")
     expect(agents.get_by_role("row").filter(has_text="ur10-7")).to_contain_text("assemble (level 3)")
     expect(agents.get_by_role("row").filter(has_text="aino")).to_contain_text("absent")
 
-    page.keyboard.press("m")
+    page.get_by_role("radio", name="Mapping").click()
     names = page.get_by_role("grid", name="Names without an entry")
     names.get_by_role("row").filter(has_text="Topic").filter(has_text="assemble").get_by_role(
         "button"

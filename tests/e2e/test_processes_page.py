@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpenPage, answer
+from tests.e2e.conftest import OpenPage, answer, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
@@ -230,7 +230,7 @@ def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_p
     page = open_page(f"/processes/{process['id']}")
     dialog = page.get_by_role("dialog")
     page.locator(".incident").wait_for()
-    page.keyboard.press("i")
+    type_slowly(page, "g", "i")
     expect(page.get_by_role("button", name="Retry “Confirm that the cell is clear”")).to_be_focused()
     page.get_by_role("button", name="Skip …").click()
     dialog.get_by_label("Results of the step (JSON)").fill('{"seen": true}')
