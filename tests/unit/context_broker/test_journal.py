@@ -87,4 +87,4 @@ def test_a_file_of_before_the_first_release_is_refused_and_left_unchanged(
         journal.open()
     journal.close()
     assert file.read_bytes() == before
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["broker.db", "broker.lock"]
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["broker.db", "broker.db.lock"]

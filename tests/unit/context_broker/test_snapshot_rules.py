@@ -50,7 +50,7 @@ def test_the_lifetime_of_a_snapshot_is_limited(wanted: str | None, lasts_s: floa
 def test_a_failed_snapshot_has_the_reason_at_each_query() -> None:
     made = new_snapshot("urn:x:1", require_valid({"snapshotQueries": [QUERY, QUERY]}, has_queries=True))
     assert made.status is Status.PREPARING
-    failed = restored(made.failed(Problem(500, "Internal error", "no luck")).stored())["urn:x:1"]
+    failed = restored("urn:x:1", made.failed(Problem(500, "Internal error", "no luck")).stored())
     assert failed.status is Status.FAILURE
     reasons = failed.document["snapshotQueriesDetails"]
     assert [one["resultStatus"] for one in reasons] == ["failure", "failure"]

@@ -10,6 +10,7 @@ from sqlalchemy import Engine, inspect, text
 
 from handover.database import connect
 from handover.errors import UsageError
+from handover.sqlite_integrity.marks import TABLE as COMMITS
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.storage import schema
 from services.task_orchestrator.storage.store import Store
@@ -20,15 +21,18 @@ def tables(engine: Engine) -> dict[str, list[str]]:
     return {
         name: sorted(column["name"] for column in inspector.get_columns(name))
         for name in inspector.get_table_names()
+        if name != COMMITS
     }
 
 
-def test_a_new_database_has_version_1_and_a_second_start_changes_nothing(tmp_path: Path) -> None:
+def test_a_new_database_has_the_version_and_a_second_start_changes_nothing(tmp_path: Path) -> None:
     engine = connect(f"sqlite:///{tmp_path / 'orchestrator.db'}")
     schema.migrate(engine)
     created = tables(engine)
     with engine.connect() as connection:
-        assert connection.execute(text("SELECT version FROM orchestrator_version")).all() == [(1,)]
+        assert connection.execute(text("SELECT version FROM orchestrator_version")).all() == [
+            (schema.SCHEMA_VERSION,)
+        ]
     schema.migrate(engine)
     assert tables(engine) == created
     engine.dispose()
@@ -54,7 +58,7 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_not_changed(tm
         connection.execute(text("UPDATE orchestrator_version SET version = 99"))
         connection.execute(text("DROP TABLE orchestrator_start_timers"))
     before = tables(engine)
-    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 1; install [^\n]*$"):
+    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 2; install [^\n]*$"):
         schema.migrate(engine)
     assert tables(engine) == before
     engine.dispose()

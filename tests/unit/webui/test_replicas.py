@@ -11,7 +11,7 @@ from webui.sources.broker_entities import BrokerEntities
 def subscription_of(**settings: Any) -> dict[str, Any]:
     made = WebuiSettings.load(**settings)
     entities = BrokerEntities(made, broker=None, handlers=(), services=None)  # type: ignore[arg-type]
-    return entities._subscription()
+    return entities._new_subscription()
 
 
 def test_one_page_server_keeps_one_subscription_for_ever(tmp_path: Any) -> None:
