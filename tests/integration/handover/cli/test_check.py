@@ -54,7 +54,7 @@ def test_sound_data_are_found_sound_also_while_a_broker_uses_them(data_dir: Path
             journal.open()
         reported = checked(data_dir)
         assert reported.returncode == 0, reported.stdout
-        assert reported.stdout.splitlines() == [
+        assert [line for line in reported.stdout.splitlines() if not line.startswith("open ")] == [
             f"ok       {data_dir / 'broker.db'}",
             f"ok       {data_dir / 'orchestrator.db'}",
         ]
