@@ -12,7 +12,7 @@ _FRAME: Final = struct.Struct(">II8s8x")
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class WalFrame:
     """A copy of a page. `database_pages` is the size of the database after a commit, 0 inside of one."""
 
     page: int
@@ -28,7 +28,7 @@ class WalFile:
     page_size: int
     salts: bytes
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[WalFrame]:
         """Yield the frames since the log was started the last time, including interrupted ones at its end."""
         with self.path.open("rb") as file:
             file.seek(_HEADER.size)
@@ -37,7 +37,7 @@ class WalFile:
                 content = file.read(self.page_size)
                 if salts != self.salts or len(content) < self.page_size:
                     return
-                yield Frame(page, pages, content)
+                yield WalFrame(page, pages, content)
 
 
 def wal_of(database: Path) -> Path:

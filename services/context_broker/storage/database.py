@@ -4,7 +4,6 @@ The modules that use it have the SQL, once for both: parameters are `?`, types w
 `{bytes}` and `{number}`.
 """
 
-import os
 import re
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from handover.durable_files import sync_folder
 from handover.errors import UsageError
 from handover.folder_lock import hold
 from handover.sqlite_files import damage, require_sound
@@ -229,7 +229,7 @@ class SqliteDatabase:
             header = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {version};"
             connection.executescript(f"BEGIN; {script} {header} COMMIT;")
         unfinished.replace(self.path)
-        flush_folder(self.path.parent)
+        sync_folder(self.path.parent)
 
     def _start_over(self) -> None:
         """Close a connection on which something failed; the next transaction opens a new one."""
@@ -246,16 +246,6 @@ def unusable(path: Path, error: Exception) -> UsageError:
     return UsageError(
         f"the broker cannot use {path}: {error}; give it another HANDOVER_DATA_DIR, or free space there"
     )
-
-
-def flush_folder(folder: Path) -> None:
-    """Flush a folder, where that is possible, so that the name of a new file survives a power failure."""
-    if os.name != "nt":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 class _SqliteWriter:

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from services.context_broker.storage.database import flush_folder
+from handover.durable_files import sync_folder
 from services.context_broker.storage.write_ahead_log.frames import (
     FILE_BYTES,
     PAGE_BYTES,
@@ -90,7 +90,7 @@ class LogFile:
             _write(self._handle, encode_header(header))
             if not _DSYNC or len(content) != FILE_BYTES:
                 os.fsync(self._handle.fileno())
-                flush_folder(self.path.parent)
+                sync_folder(self.path.parent)
         except OSError:
             self.close()
             raise
