@@ -12,6 +12,8 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import ParamSpec, Self
 
+from handover.database_outage import is_outage
+from handover.errors import HandoverError
 from handover.retry import MAX_DELAY_S, Backoff
 from handover.telemetry import get_logger
 
@@ -89,6 +91,9 @@ class BackgroundTasks:
             await function(*args, **kwargs)
         except Exception as error:
             name = getattr(function, "__qualname__", repr(function))
-            log.exception("background task failed", owner=self._owner, task=name)
+            if isinstance(error, HandoverError) or is_outage(error):
+                log.warning("background task failed", owner=self._owner, task=name, error=str(error))
+            else:
+                log.exception("background task failed", owner=self._owner, task=name)
             if self._on_failure is not None:
                 self._on_failure(error)

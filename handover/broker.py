@@ -350,7 +350,7 @@ def _refusal(response: HttpResponse, act: str) -> BrokerError:
         error_class = NotFound
     elif status == HTTPStatus.CONFLICT:
         error_class = AlreadyExists
-    elif status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _TRANSIENT:
+    elif _is_transient(status):
         error_class = BrokerUnavailable
     return error_class(status, title, f"{detail} ({act})", kind)
 
@@ -376,7 +376,26 @@ def _require_all_done(
     if answer.status == HTTPStatus.MULTI_STATUS:
         failures = [each for each in orjson.loads(answer.body).get(undone, []) if not is_ignored(each)]
         if failures:
-            raise BrokerError(400, "Refused in part", "; ".join(map(describe, failures)))
+            raise _refused_in_part(failures, describe)
+
+
+def _refused_in_part(failures: Sequence[NgsiLd], describe: Callable[[NgsiLd], str]) -> BrokerError:
+    """Return `BrokerUnavailable` if one of the failures concerns the moment: all may be sent again."""
+    text = "; ".join(map(describe, failures))
+    status = next(filter(_is_transient, map(_status_of, failures)), None)
+    if status is not None:
+        return BrokerUnavailable(status, "Unavailable in part", text)
+    return BrokerError(400, "Refused in part", text)
+
+
+def _status_of(error: Mapping[str, Any]) -> int:
+    problem = error.get("error")
+    status = problem.get("status") if isinstance(problem, Mapping) else None
+    return int(status) if isinstance(status, int | str) and str(status).isdecimal() else 0
+
+
+def _is_transient(status: int) -> bool:
+    return status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _TRANSIENT
 
 
 def _refused(answer: HttpResponse) -> frozenset[str]:
@@ -385,7 +404,7 @@ def _refused(answer: HttpResponse) -> frozenset[str]:
         return frozenset()
     errors = orjson.loads(answer.body).get("errors", [])
     if not all(isinstance(error.get("entityId"), str) for error in errors):
-        raise BrokerError(400, "Refused in part", "; ".join(map(_batch_error, errors)))
+        raise _refused_in_part(errors, _batch_error)
     return frozenset(error["entityId"] for error in errors)
 
 
@@ -412,7 +431,7 @@ def _is_not_found(error: Mapping[str, Any]) -> bool:
     if not isinstance(problem, Mapping):
         return False
     named = str(problem.get("type", "")).endswith("/ResourceNotFound")
-    return named or problem.get("status") in {404, "404"}
+    return named or _status_of(error) == HTTPStatus.NOT_FOUND
 
 
 def _batch_error(error: Mapping[str, Any]) -> str:

@@ -17,6 +17,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import ConnectionPoolEntry
 
+from handover.database_outage import Outages
 from handover.errors import HandoverError, UsageError
 from handover.folder_lock import lock_own
 from handover.sqlite_files import prepare_own, unreleased_format
@@ -137,6 +138,8 @@ def connect(
     except (ArgumentError, NoSuchModuleError):
         raise UsageError(_unusable(url, setting)) from None
     _close_late_ones(engine)
+    if engine.dialect.name == "postgresql":
+        Outages(engine)
     try:
         if engine.dialect.name == "sqlite" and parsed.database not in {None, "", ":memory:"}:
             file = Path(str(parsed.database))

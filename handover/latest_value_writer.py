@@ -64,8 +64,8 @@ class LatestValueWriter:
                 log.warning("broker unavailable, write waits", key=key, error=str(error))
                 await backoff.wait()
                 write = self._waiting.pop(key, write)
-            except (BrokerError, ValueError):
-                log.exception("write rejected", key=key)
+            except (BrokerError, ValueError) as error:
+                log.error("write rejected", key=key, error=str(error))  # noqa: TRY400 - it says everything
                 if self._on_rejected is not None:
                     self._on_rejected(key)
                 return

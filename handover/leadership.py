@@ -24,6 +24,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from handover.database import LOCK_POLL_S, DatabaseLock, LockLost
+from handover.database_outage import RETRY_AFTER_S
 from handover.errors import Problem
 from handover.origin_guard import send_problem
 from handover.retry import Backoff
@@ -169,4 +170,4 @@ async def _refusal(connection: HTTPConnection, why: str) -> Problem:
             await authenticated(connection)
     except Problem as problem:
         return problem
-    return Problem(503, "Standby", why)
+    return Problem(503, "Standby", why, extra={"retryAfterS": RETRY_AFTER_S})

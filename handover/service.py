@@ -17,6 +17,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
@@ -24,6 +25,7 @@ from starlette.types import Lifespan
 from starlette.websockets import WebSocket
 
 from handover.body_limit import limit_of, limited
+from handover.database_outage import outage_problem
 from handover.errors import Problem
 from handover.origin_guard import REFUSED
 from handover.security.act_recording import audited, unrecorded
@@ -31,7 +33,7 @@ from handover.security.audit_routes import add_audit_routes
 from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.guard import Guard
 from handover.security.open_streams import EndOfStreams
-from handover.telemetry import get_logger
+from handover.telemetry import get_logger, mark_logged
 from handover.validation import fault_text
 
 log = get_logger(__name__)
@@ -91,7 +93,8 @@ class TypedRoute(APIRoute):
             except (RequestValidationError, HTTPException, ClientDisconnect):
                 raise  # the handler was not called
             except Exception as error:
-                await trail.finish(act, error.status if isinstance(error, Problem) else 500)
+                problem = outage_problem(error) if isinstance(error, SQLAlchemyError) else error
+                await trail.finish(act, problem.status if isinstance(problem, Problem) else 500)
                 raise
             is_recorded = await trail.finish(act, response.status_code)
             if act.way is Way.AFTER and response.status_code < 400 and not is_recorded:
@@ -157,6 +160,7 @@ def create_app(
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
+    app.add_exception_handler(SQLAlchemyError, _on_database_error)  # type: ignore[arg-type]
     app.add_exception_handler(Exception, _on_unexpected)
     return app
 
@@ -247,8 +251,18 @@ async def _on_disconnect(_: Request, __: Exception) -> Response:
     return Response(status_code=CLIENT_CLOSED_REQUEST)  # it is not sent, and it is no error of the service
 
 
+async def _on_database_error(connection: Request | WebSocket, error: Exception) -> Response | None:
+    """Answer 503 while the database is away, of which its engine writes one log line (`Outages`)."""
+    assert isinstance(error, SQLAlchemyError)  # noqa: S101
+    problem = outage_problem(error)
+    if problem is None:
+        raise error
+    return await _on_problem(connection, problem)
+
+
 async def _on_unexpected(request: Request, error: Exception) -> Response:
     log.error("request failed", path=request.url.path, exc_info=error)
+    mark_logged(error)
     return problem_response(
         Problem(
             500, "Internal error", f"{type(error).__name__} while answering; the log of this service has more"

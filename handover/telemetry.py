@@ -5,15 +5,22 @@
 """
 
 import logging
+import os
 import sys
 from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, Final, cast
 
 import structlog
 from structlog.typing import Processor
 
+from handover.log_files import LOG_FILE, LogFileHandler
+from handover.repeated_lines import RepeatedLines
 from handover.settings import Settings
+
+_LOGGED: Final = "handover_logged"
+"""The attribute of an exception that has been logged."""
 
 
 def log_to_stderr() -> None:
@@ -57,13 +64,16 @@ def set_up_logging(settings: Settings, service: str) -> None:
         wrapper_class=structlog.stdlib.BoundLogger,
         cache_logger_on_first_use=True,
     )
-    handler = logging.StreamHandler(sys.stderr)
+    file = os.environ.get(LOG_FILE)
+    handler = LogFileHandler(Path(file)) if file else logging.StreamHandler(sys.stderr)
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,
             processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, renderer],
         )
     )
+    handler.addFilter(RepeatedLines())
+    logging.getLogger("uvicorn.error").addFilter(_is_new)
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(settings.log_level.upper())
@@ -75,6 +85,16 @@ def set_up_logging(settings: Settings, service: str) -> None:
 def _without_uvicorns_colours(_: Any, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
     event.pop("color_message", None)
     return event
+
+
+def mark_logged(error: BaseException) -> None:
+    """Leave `error`, which was logged, out of the log of uvicorn, which gets it after the response."""
+    error.__dict__[_LOGGED] = True
+
+
+def _is_new(record: logging.LogRecord) -> bool:
+    error = record.exc_info and record.exc_info[1]
+    return not (isinstance(error, BaseException) and error.__dict__.get(_LOGGED))
 
 
 def get_logger(name: str) -> structlog.stdlib.BoundLogger:

@@ -21,6 +21,7 @@ import httpx
 from handover.cli.processes import Process, ProcessStarter
 from handover.errors import UsageError
 from handover.extensions import Service
+from handover.log_files import LOG_FILE, open_log, rotate
 from handover.outbound_policy import is_loopback
 from handover.ports import held
 from handover.retry import Backoff
@@ -32,7 +33,6 @@ from services.context_broker.settings import BrokerSettings
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
-MAX_LOG_BYTES = 10 * 1024 * 1024
 BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
 NO_USE = 2
@@ -154,18 +154,18 @@ class Launcher:
         return {}
 
     async def _start(self, running: Running) -> None:
-        running.log.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if running.log.exists() and running.log.stat().st_size > MAX_LOG_BYTES:
-            running.log.replace(running.log.with_suffix(".log.1"))
+        with contextlib.suppress(FileNotFoundError):
+            rotate(running.log)
         environment = {
             **os.environ,
             **self._environment_of(running.name),
             LIFELINE: "1",
+            LOG_FILE: str(running.log),
             **({RESTARTED: "1"} if running.was_stuck else {}),
             "HANDOVER_DATA_DIR": str(self._data_dir),
             "PYTHONUNBUFFERED": "1",
         }
-        with os.fdopen(os.open(running.log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600), "ab") as log:
+        with os.fdopen(open_log(running.log), "ab") as log:
             running.process = await self._starter.start(running.command, environment, log)
         running.started_s = time.monotonic()
 

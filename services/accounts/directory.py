@@ -3,13 +3,14 @@
 import asyncio
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final, Self, TypeVar
 
 from sqlalchemy import Column, Connection, func, select
-from sqlalchemy.exc import SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
 from handover.client_networks import network_of
+from handover.database_outage import in_database
 from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
@@ -109,8 +110,9 @@ class Directory:
             with self.store.change(actor, method) as change:
                 return function(change)
 
-        result = await self._stored(run)
-        await self._look()
+        result = await in_database(run)
+        with suppress(Problem):  # it has been changed: a database that goes away now must not say otherwise
+            await self._look()  # otherwise `_follow` does it as soon as there is a database
         return result
 
     async def read(self, function: Callable[[Connection], T]) -> T:
@@ -120,17 +122,7 @@ class Directory:
             with self.store.read() as connection:
                 return function(connection)
 
-        return await self._stored(run)
-
-    @staticmethod
-    async def _stored(function: Callable[[], T]) -> T:
-        try:
-            return await asyncio.to_thread(function)
-        except SQLAlchemyError as error:
-            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
-            raise Problem(
-                503, "Storage unavailable", f"the accounts cannot be stored now: {reason}"
-            ) from None
+        return await in_database(run)
 
     # Revocations
 
@@ -166,7 +158,7 @@ class Directory:
     async def _note_uses(self) -> None:
         uses, self._uses = self._uses, {}
         if uses:
-            await self._stored(lambda: self.store.note_uses(uses))
+            await in_database(self.store.note_uses, uses)
 
     async def _clean(self) -> None:
         while True:

@@ -284,7 +284,7 @@ class Broker:
         try:
             await commits.store(Entries(documents=dict(documents)))
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
 
 
 def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:

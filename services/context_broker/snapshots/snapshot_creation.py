@@ -150,7 +150,7 @@ class SnapshotCreator:
         try:
             await write_content(self._tenants.inside(tenant, snapshot.id), content)
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
 
     async def _finish(
         self, tenant: Tenant, snapshot: Snapshot, results: Mapping[str, list[dict[str, Any]]]

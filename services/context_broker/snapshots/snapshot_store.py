@@ -148,4 +148,4 @@ async def _write(tenant: Tenant, some: Entries) -> None:
     try:
         await tenant.commits.store(some)
     except NotStored as error:
-        raise not_stored(str(error)) from error
+        raise not_stored(str(error), is_away=error.is_away) from error

@@ -261,7 +261,7 @@ class CommitQueue:
                 _call_failed(write, NotCompleted(f"{type(error).__name__}: {error}"))
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
-        log.error("the disk refuses changes", error=str(error), writes=len(writes))
+        log.error("the database refuses changes", error=str(error))
         self._unfinished -= len(writes)
         if writes[-1].era == self._era:
             self._era += 1

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 from handover.durable_files import sync_folder
 from handover.errors import UsageError
@@ -26,6 +26,15 @@ APPLICATION_ID: Final = 0x484F5652
 
 class NotStored(Exception):
     """The database refused a transaction (nothing of it is stored), or cannot be read."""
+
+    is_away: ClassVar[bool] = False
+    """Whether the database is out of reach, and not merely full."""
+
+
+class DatabaseAway(NotStored):
+    """The server of the database does not answer now."""
+
+    is_away = True
 
 
 class Writer(Protocol):

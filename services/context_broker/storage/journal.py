@@ -140,7 +140,7 @@ class Journal:
             try:
                 self._write(entries)
             except NotStored as error:  # the connection may have ended while it was idle
-                log.info("a commit is tried once more", error=str(error))
+                log.warning("a commit is tried once more", error=str(error))
                 self._write(entries)
         self._last_notice += len(entries.pending)
 

@@ -24,7 +24,7 @@ from uuid import uuid4
 
 from handover.errors import UsageError
 from handover.telemetry import get_logger
-from services.context_broker.storage.database import NotStored, Row
+from services.context_broker.storage.database import DatabaseAway, NotStored, Row
 
 if TYPE_CHECKING:
     import psycopg
@@ -155,7 +155,7 @@ class PostgresDatabase:
                 connection.close()
             if self._is_closed:
                 return False
-            raise NotStored(f"{self.name}: {_in_one_line(error)}") from error
+            raise _refused_with(error, f"{self.name}: {_in_one_line(error)}") from error
         except NotStored:
             if connection is not None:
                 connection.close()
@@ -206,7 +206,7 @@ class PostgresDatabase:
             except psycopg.Error as error:
                 is_alive = self._roll_back()
                 if is_alive or not (is_committing and self._was_committed()):
-                    raise NotStored(f"{self.name}: {_in_one_line(error)}") from error
+                    raise _refused_with(error, f"{self.name}: {_in_one_line(error)}") from error
             except BaseException:
                 self._roll_back()
                 raise
@@ -297,7 +297,7 @@ class PostgresDatabase:
         import psycopg  # noqa: PLC0415 - as above
 
         if self.lost is not None or self._is_closed:
-            raise NotStored(self.lost or f"{self.name} is closed")
+            raise DatabaseAway(self.lost or f"{self.name} is closed")
         time.sleep(max(0.0, self._not_before_s - time.monotonic()))
         self._not_before_s = time.monotonic() + RECONNECT_INTERVAL_S
         connection: psycopg.Connection | None = None
@@ -313,15 +313,15 @@ class PostgresDatabase:
             if connection is not None:
                 connection.close()
             self.unreachable = _in_one_line(error)
-            raise NotStored(f"{self.name}: {self.unreachable}") from error
+            raise _refused_with(error, f"{self.name}: {self.unreachable}") from error
         self.unreachable = None
         return connection, commits
 
     def _require_ownership(self, *, is_locked: bool) -> None:
         if self.lost is not None:
-            raise NotStored(self.lost)
+            raise DatabaseAway(self.lost)
         if not is_locked:
-            raise NotStored("the server still holds the lock of the connection that ended")
+            raise DatabaseAway("the server still holds the lock of the connection that ended")
 
     def _require_version(self, connection: "psycopg.Connection") -> None:
         found = _one(connection, "SELECT max(version) FROM format")
@@ -344,7 +344,7 @@ class PostgresDatabase:
         except psycopg.Error as error:
             if connection is not None:
                 connection.close()
-            raise NotStored(f"{self.name} cannot be read: {_in_one_line(error)}") from error
+            raise _refused_with(error, f"{self.name} cannot be read: {_in_one_line(error)}") from error
         except BaseException:
             if connection is not None:
                 connection.close()
@@ -411,6 +411,16 @@ def _options_in(url: str) -> str:
     from psycopg.conninfo import conninfo_to_dict  # noqa: PLC0415 - as above
 
     return str(conninfo_to_dict(url).get("options") or "")
+
+
+def _refused_with(error: Exception, text: str) -> NotStored:
+    """Return what a refusal of the server, or ours, means for a write: its disk is full, or it is away."""
+    import psycopg  # noqa: PLC0415 - as above
+
+    if isinstance(error, psycopg.errors.DiskFull):
+        return NotStored(text)
+    is_away = isinstance(error, psycopg.OperationalError | psycopg.InterfaceError | DatabaseAway)
+    return DatabaseAway(text) if is_away else NotStored(text)
 
 
 def _in_one_line(error: BaseException) -> str:

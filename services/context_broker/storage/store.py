@@ -61,7 +61,7 @@ class Staged:
         if self.outcome.done():
             return
         if isinstance(error, NotStored):
-            self.outcome.set_exception(not_stored(str(error)))
+            self.outcome.set_exception(not_stored(str(error), is_away=error.is_away))
         else:
             self.outcome.set_exception(went_wrong(error, "completing a change that is stored"))
 

@@ -369,7 +369,7 @@ async def _commit(tenant: Tenant, entries: Entries) -> None:
     try:
         await tenant.commits.store(entries)
     except NotStored as error:
-        raise not_stored(str(error)) from error
+        raise not_stored(str(error), is_away=error.is_away) from error
 
 
 def _row(entity_seq: int, seq: int, change: Change) -> HistoryRow:

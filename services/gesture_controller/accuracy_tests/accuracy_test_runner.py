@@ -15,8 +15,9 @@ from uuid import uuid4
 from sqlalchemy.exc import SQLAlchemyError
 
 from datamodels.times import iso
+from handover.database_outage import in_database
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import message
 from handover.telemetry import get_logger
 from services.gesture_controller.accuracy_tests.report import first_recognized
 from services.gesture_controller.accuracy_tests.store import AccuracyTest, AccuracyTestStore
@@ -154,7 +155,7 @@ class AccuracyTestRunner:
         plan = Plan(codes, draw_order(codes, rounds, used_seed), used_seed, hold_ms, limit_ms, gap_ms, breaks)
         began_at = iso(datetime.now(UTC))
         test = AccuracyTest(str(uuid4()), glove.name, glove.person, plan, Phase.REST, "", began_at, None)
-        await self._written(self._store.add, test)
+        await in_database(self._store.add, test)
         self._start(RunningTest(test, glove, Progress()))
         log.info("accuracy test begins", test=test.id, glove=glove.name, trials=len(plan.asked))
         return await self.one(test.id)
@@ -209,7 +210,7 @@ class AccuracyTestRunner:
         if running is not None:
             running.progress = running.progress.stopped()
             self._release(running)
-        if not await self._written(self._store.delete, test_id):
+        if not await in_database(self._store.delete, test_id):
             raise _unknown(test_id)
 
     async def all(self) -> list[TestSummary]:
@@ -308,21 +309,7 @@ class AccuracyTestRunner:
 
     async def _save_phase(self, test_id: str, phase: Phase, reason: str) -> None:
         ended_at = datetime.now(UTC) if phase.is_over else None
-        await self._written(self._store.set_phase, test_id, phase, reason, ended_at)
-
-    async def _written(self, act: Callable[..., Any], *what: Any) -> Any:
-        try:
-            return await asyncio.to_thread(act, *what)
-        except SQLAlchemyError as error:
-            raise Problem(
-                503,
-                "Database away",
-                message(
-                    "accuracy_test.database_away",
-                    "nothing was changed: {error}; try again later",
-                    error=text_of(error),
-                ),
-            ) from None
+        await in_database(self._store.set_phase, test_id, phase, reason, ended_at)
 
     async def _stored(self, test_id: str) -> AccuracyTest:
         test = await asyncio.to_thread(self._store.test, test_id)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from handover.database_outage import in_database
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
@@ -32,7 +33,6 @@ from services.gesture_controller.calibration.sensor_diagnostics import (
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.gloves.operator_messages import OperatorMessage
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.finger_states import BENT, STRAIGHT
 from services.gesture_controller.recognition.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.recognition.registry import UnknownRecognizer, factory_of
@@ -142,7 +142,7 @@ class CalibrationSessions:
         self._sessions[glove.name] = session
         glove.observers.calibration = session.view
         async with self._writing:
-            await persist(lambda: self._store.begin_calibration(glove.name, gesture))
+            await in_database(self._store.begin_calibration, glove.name, gesture)
         return session.view()
 
     async def stop(self, glove: Glove) -> None:
@@ -150,7 +150,7 @@ class CalibrationSessions:
         if self._drop(glove):
             async with self._writing:
                 if glove.name not in self._sessions:
-                    await persist(lambda: self._store.end_calibration(glove.name))
+                    await in_database(self._store.end_calibration, glove.name)
 
     def view(self, glove: Glove) -> dict[str, Any] | None:
         """Return the view of the current or last session of `glove`."""
@@ -259,7 +259,7 @@ class CalibrationSessions:
         async with self._writing:
             if self._sessions.get(name) is session:
                 try:
-                    await persist(lambda: self._store.end_calibration(name))
+                    await in_database(self._store.end_calibration, name)
                 except Problem as problem:
                     log.warning("the end of a calibration was not stored", glove=name, reason=problem.detail)
 

@@ -7,6 +7,7 @@ crash a level is off by at most that much.
 
 from dataclasses import replace
 
+from handover.database_outage import in_database
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.gesture_controller.calibration.calibration_store import CalibrationStore, FitKey, StoredDrift
@@ -14,7 +15,6 @@ from services.gesture_controller.calibration.glove_records import GloveRecords
 from services.gesture_controller.calibration.glove_store import NOBODY
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.known_gloves import KnownGloves
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.drift import Drift
 
 log = get_logger(__name__)
@@ -46,7 +46,7 @@ class DriftPersistence:
                 changed[_key(glove)] = drift
         if changed:
             try:
-                await persist(lambda: self._store.save_drifts(changed))
+                await in_database(self._store.save_drifts, changed)
             except Problem as problem:
                 log.warning("drift was not stored", gloves=len(changed), reason=problem.detail)
             else:

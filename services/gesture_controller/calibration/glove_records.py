@@ -3,9 +3,9 @@
 import asyncio
 from collections.abc import Mapping
 
+from handover.database_outage import in_database
 from services.gesture_controller.calibration.glove_store import NOBODY, Fit, GloveStore, StoredGlove
 from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.thresholds import Thresholds
 
 
@@ -38,7 +38,7 @@ class GloveRecords:
     async def save(self, *gloves: StoredGlove) -> None:
         """Write `gloves`."""
         async with self.writing:
-            await persist(lambda: self._store.save(*gloves))
+            await in_database(self._store.save, *gloves)
             self._gloves |= {glove.name: glove for glove in gloves}
 
     def fit(self, glove: str, person: str | None) -> Fit:
@@ -57,7 +57,7 @@ class GloveRecords:
         """Write the fit of `glove` on its wearer; recognition does not change."""
         person, stored = glove.person or NOBODY, self.of(glove)
         async with self.writing:
-            written = await persist(lambda: self._store.save_fit(stored, person, fit))
+            written = await in_database(self._store.save_fit, stored, person, fit)
             self._gloves[glove.name] = stored
             self._fits[glove.name, person] = written
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from handover.database_outage import in_database
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.security.secret_tokens import new_token, token_hash
@@ -25,7 +26,6 @@ from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.people.wearers import Wearers
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.frames import Hello, is_glove_name
 from services.gesture_controller.recognition.gestures import codes_in_use
 from services.gesture_controller.recognition.pipeline import RecognitionConfig
@@ -170,7 +170,7 @@ class GloveRegistry:
 
     async def _change_token(self, glove: Glove, sha256: str | None, remedy: str) -> None:
         async with self.records.writing:
-            await persist(lambda: self._tokens.save(glove.name, sha256))
+            await in_database(self._tokens.save, glove.name, sha256)
             self.admission.set_hash(glove.name, sha256)
         if glove.connection.link is not None:
             glove.connection.link.end(f"the token of {glove.name} was changed; {remedy}")

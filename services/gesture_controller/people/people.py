@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import cast
 
+from handover.database_outage import in_database
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
@@ -22,7 +23,6 @@ from services.gesture_controller.people.person import (
 )
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.people.views import Finger, NeighbourView
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.frames import is_glove_name
 from services.gesture_controller.recognition.gestures import Commands, Gestures, WrongGesture, is_code
 from services.gesture_controller.recognition.thresholds import Thresholds
@@ -97,7 +97,7 @@ class People:
         """Delete a person with their fits; raise `Problem` 404 if there is none."""
         self.named(name)
         async with self.changing:
-            await persist(lambda: self._store.remove(name))
+            await in_database(self._store.remove, name)
             self._people.pop(name, None)
         self.changed(name)
 
@@ -260,7 +260,7 @@ class People:
 
     async def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
         """Write `person` and their fits; return the fits as stored. Hold `changing`, then call `replace`."""
-        return await persist(lambda: self._store.save_profile(person, fits))
+        return await in_database(self._store.save_profile, person, fits)
 
     def replace(self, person: Person) -> None:
         """Use `person`, who has been written, in place of the person of the same name."""
@@ -281,7 +281,7 @@ class People:
         await self._keep(changed)
 
     async def _keep(self, person: Person) -> None:
-        await persist(lambda: self._store.save(person))
+        await in_database(self._store.save, person)
         self._people[person.name] = person
         self.changed(person.name)
 

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from handover.database_outage import in_database
 from handover.telemetry import get_logger
 from services.gesture_controller.calibration.glove_fits import GloveFits
 from services.gesture_controller.calibration.glove_store import NOBODY, Fit
@@ -13,7 +14,6 @@ from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import Person
 from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.people.study_conditions import StudyCondition, StudyConditions
-from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.gestures import Commands
 
 log = get_logger(__name__)
@@ -95,7 +95,7 @@ class Wearers:
 
     async def _save_conditions(self) -> None:
         conditions = dict(self.conditions.items())
-        await persist(lambda: self._condition_store.replace(conditions))
+        await in_database(self._condition_store.replace, conditions)
 
     def condition_of(self, glove: Glove) -> StudyCondition | None:
         """Return the study condition that applies to `glove`, if any."""

@@ -352,7 +352,7 @@ class SubscriptionForwarder:
             try:
                 await tenant.commits.store(Entries(pending=notifications))
             except NotStored as error:
-                raise not_stored(str(error)) from error
+                raise not_stored(str(error), is_away=error.is_away) from error
             tenant.notifier.deliver(notifications)
         return Response(200)
 

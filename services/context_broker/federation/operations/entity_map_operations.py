@@ -71,7 +71,7 @@ class EntityMapOperations:
         try:
             await federated(request.tenant).entity_maps.update(request.names[0], document)
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
         return _DONE
 
     async def delete(self, request: RequestContext) -> Response:
@@ -80,7 +80,7 @@ class EntityMapOperations:
         try:
             await federated(request.tenant).entity_maps.delete(request.names[0])
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
         return _DONE
 
     async def create(self, request: RequestContext) -> Response:
@@ -176,7 +176,7 @@ class EntityMapOperations:
                 is_private=request.tenant.store.may_see_private(),
             )
         except NotStored as error:
-            raise not_stored(str(error)) from error
+            raise not_stored(str(error), is_away=error.is_away) from error
 
     async def _kept(self, request: RequestContext, entities: dict[str, list[str]]) -> Response:
         """Store a map of the broker's own matches and of those in the maps of sources."""

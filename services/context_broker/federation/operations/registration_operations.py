@@ -334,7 +334,7 @@ async def _write(tenant: Tenant, entries: Entries) -> None:
     try:
         await tenant.commits.store(entries)
     except NotStored as error:
-        raise not_stored(str(error)) from error
+        raise not_stored(str(error), is_away=error.is_away) from error
 
 
 def _absent(registration_id: str) -> Problem:
