@@ -8,6 +8,7 @@ from typing import Final
 from handover.alert_catalogue import CERTIFICATE_EXPIRES, CERTIFICATE_NOT_LOADED, AlertType
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient, BrokerError
+from handover.security.service_access import ServiceAccess
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import (
@@ -37,7 +38,8 @@ class CertificateWatch:
         self._certificate = certificate
         self._settings = settings
         self._service = service
-        self._broker = broker or BrokerClient(settings)
+        self._access = ServiceAccess(settings, service)
+        self._broker = broker or BrokerClient(settings, credentials=self._access)
         self._reported: dict[AlertType, str | None] = {}
         self._fault: str | None = None
         self._faulty_looks = 0
@@ -45,7 +47,7 @@ class CertificateWatch:
 
     async def run(self) -> None:
         """Look every few seconds until cancelled."""
-        async with self._broker:
+        async with self._access, self._broker:
             while True:
                 await self.look()
                 await asyncio.sleep(LOOK_EVERY_S)

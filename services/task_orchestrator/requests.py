@@ -159,7 +159,7 @@ class MendRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name = Field(description="the person who decides; nobody verifies the name yet")
+    by: Name = Field(description="the person who decides; with accounts the name of the account is stored")
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
     variables: dict[str, Any] = Field(default_factory=dict, description="variables that are set before")
 
@@ -186,7 +186,7 @@ class OfferRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name = Field(description="the engineer who decides; nobody verifies the name yet")
+    by: Name = Field(description="the engineer who decides; with accounts the name of the account is stored")
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
 
 
@@ -195,7 +195,7 @@ class PauseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name = Field(description="the person who decides; nobody verifies the name yet")
+    by: Name = Field(description="the person who decides; with accounts the name of the account is stored")
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
 
 
@@ -234,7 +234,7 @@ Text = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=2
 
 
 class ClaimRequest(BaseModel):
-    """The person who claims a Task; nobody verifies name and groups yet."""
+    """The person who claims a Task; with accounts the name of the account counts."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -70,7 +70,10 @@ class MappingRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Text = Field(max_length=200, description="the person who confirms it; nobody verifies the name yet")
+    by: Text = Field(
+        max_length=200,
+        description="the person who confirms it; with accounts the name of the account is stored",
+    )
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
     version: int | None = Field(None, ge=0, description="the version that it replaces: 409 if it is another")
     entries: tuple[MappingEntry, ...] = Field(max_length=MAX_ENTRIES)

@@ -3,7 +3,7 @@ import { useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
-import { currentSession, onSession } from "~/session/session";
+import { currentSession, onSession, useSession } from "~/session/session";
 
 const STORAGE_KEY = "handover.who";
 const listeners = new Set<() => void>();
@@ -27,6 +27,13 @@ export function useUserName(): string {
       forget();
     };
   }, userName);
+}
+
+/** The name to record, where there are no accounts to say it; nothing with accounts, whose name is recorded. */
+export function UserNameField({ value, onChange, hint, autoFocus = false }: { value: string; onChange: (name: string) => void; hint: string; autoFocus?: boolean }) {
+  const { t } = useTranslation("common");
+  if (useSession().hasAccounts) return null;
+  return <Field label={t("who.label")} hint={hint} value={value} onChange={onChange} maxLength={100} isRequired validationBehavior="aria" autoFocus={autoFocus} />;
 }
 
 /**

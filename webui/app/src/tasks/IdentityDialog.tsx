@@ -8,8 +8,9 @@ import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
 import { shortName } from "~/live/urn";
+import { useSession } from "~/session/session";
 import { setUserGroups, userGroups } from "~/shell/userGroups";
-import { setUserName, userName } from "~/shell/userName";
+import { UserNameField, setUserName, userName } from "~/shell/userName";
 
 export interface IdentityDialogProps {
   /** The groups that Tasks are offered to. */
@@ -18,7 +19,8 @@ export interface IdentityDialogProps {
 }
 
 export function IdentityDialog({ offered, onClose }: IdentityDialogProps) {
-  const { t } = useTranslation(["tasks", "common"]);
+  const { t } = useTranslation("tasks");
+  const { hasAccounts } = useSession();
   const { value: agents } = useServiceQuery<AgentView[]>("task-orchestrator", "agents");
   const [name, setName] = useState(userName());
   const [groups, setGroups] = useState<readonly string[]>(userGroups());
@@ -39,15 +41,15 @@ export function IdentityDialog({ offered, onClose }: IdentityDialogProps) {
       act={t("identity.save")}
       isDisabled={name.trim() === ""}
       onAct={() => {
-        setUserName(name);
+        if (!hasAccounts) setUserName(name);
         setUserGroups([...groups, ...more.split(",")]);
         return Promise.resolve();
       }}
     >
-      {persons.length > 0 && (
+      {!hasAccounts && persons.length > 0 && (
         <Select label={t("identity.person")} value={persons.some(({ id }) => shortName(id) === name) ? name : ""} options={[{ value: "", name: t("notChosen") }, ...persons.map(({ id }) => ({ value: shortName(id), name: shortName(id) }))]} onChange={choose} />
       )}
-      <Field label={t("common:who.label")} hint={t("identity.hint")} value={name} onChange={setName} maxLength={100} autoFocus />
+      <UserNameField value={name} onChange={setName} hint={t("identity.hint")} autoFocus />
       {known.length > 0 && (
         <fieldset className="form-group">
           <legend>{t("identity.groups")}</legend>

@@ -7,7 +7,7 @@ import { useGestureName } from "~/hand/Hand";
 import type { GesturePart, GloveView } from "~/live/messages";
 import { PromptHand, DoneCheck } from "./Figure";
 import { HoldRing } from "./HoldRing";
-import { LiveHand, useWornGloves } from "./LiveHand";
+import { LiveHand, frameFor, useWornGloves } from "./LiveHand";
 import "./ComposedFigure.css";
 
 export interface ComposedFigureProps {
@@ -29,6 +29,7 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
     <ul className="figures">
       {parts.map((part, index) => {
         const state = done ? "done" : part.state;
+        const live = state === "done" ? undefined : liveOver(worn, part);
         return (
           <Fragment key={index}>
             {inTurn && index > 0 && (
@@ -39,8 +40,8 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
             <li className="figures__part" data-state={state}>
               <div className="figure">
                 <HoldRing hold={glove.hold} right={open && isHeld(glove, parts, part)} closed={state === "done"} />
-                <PromptHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} done={done} />
-                {!done && part.state !== "done" && <LiveParts worn={worn} part={part} />}
+                <PromptHand code={part.code} frameBy={frameFor(live, part.code)} side={part.hand ?? glove.hand} gesture={part.gesture} done={done} />
+                {live !== undefined && <LiveHand glove={live} code={part.code} />}
                 {done && <DoneCheck />}
               </div>
               <p className="figures__place">{t(`part.${part.hand ?? (index === 0 ? "first" : "second")}`)}</p>
@@ -54,10 +55,10 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
   );
 }
 
-/** The live hand over a part: the hand that it is for, or in a sequence the only one over the present part. */
-function LiveParts({ worn, part }: { worn: readonly GloveView[]; part: GesturePart }) {
-  const glove = part.hand === null ? (part.state === "next" ? undefined : worn[0]) : worn.find(({ hand }) => hand === part.hand);
-  return glove === undefined ? null : <LiveHand glove={glove} code={part.code} />;
+/** The glove shown over a part: that of the hand that it is for, or in a sequence the only one over the present part. */
+function liveOver(worn: readonly GloveView[], part: GesturePart): GloveView | undefined {
+  if (part.hand !== null) return worn.find(({ hand }) => hand === part.hand);
+  return part.state === "next" ? undefined : worn[0];
 }
 
 /** Whether the ring of a part fills: for two hands once both are right, in a sequence for the present part. */

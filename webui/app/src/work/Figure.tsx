@@ -4,7 +4,7 @@ import { memo } from "react";
 import { Hand, useGestureName } from "~/hand/Hand";
 import type { GloveView } from "~/live/messages";
 import { HoldRing } from "./HoldRing";
-import { LiveHand } from "./LiveHand";
+import { LiveHand, frameFor } from "./LiveHand";
 import "./Figure.css";
 
 export interface FigureProps {
@@ -21,7 +21,7 @@ export function Figure({ glove, gesture, code, open, done = false }: FigureProps
   return (
     <div className="figure">
       <HoldRing hold={glove.hold} right={right} closed={done} />
-      <PromptHand code={code} side={glove.hand} gesture={gesture} done={done} />
+      <PromptHand code={code} frameBy={done ? code : frameFor(glove, code)} side={glove.hand} gesture={gesture} done={done} />
       {!done && <LiveHand glove={glove} code={code} />}
       {done && <DoneCheck />}
     </div>
@@ -38,13 +38,15 @@ export function DoneCheck() {
 
 interface PromptHandProps {
   code: string;
+  /** The states whose close-up is the frame. */
+  frameBy: string;
   side: "left" | "right";
   gesture: string;
   done?: boolean;
 }
 
 /** Rendered once per step, not for every frame of the glove; animated from the open hand unless done. */
-export const PromptHand = memo(function PromptHand({ code, side, gesture, done = false }: PromptHandProps) {
+export const PromptHand = memo(function PromptHand({ code, frameBy, side, gesture, done = false }: PromptHandProps) {
   const nameOf = useGestureName();
-  return <Hand states={code} side={side} {...(done ? {} : { animateFrom: "00000" })} closeUp label={nameOf(gesture)} />;
+  return <Hand states={code} side={side} {...(done ? {} : { animateFrom: "00000" })} closeUp frameBy={frameBy} label={nameOf(gesture)} />;
 });

@@ -6,6 +6,14 @@ import { Hand } from "~/hand/Hand";
 import { useFamily } from "~/live/hooks";
 import type { Finger, GesturePart, GloveView } from "~/live/messages";
 
+/** Every hand fits into the frame of the open one. */
+const OPEN_HAND = "00000";
+
+/** The states whose frame both hands share: while fingers differ, one of them may be longer than the gesture. */
+export function frameFor(glove: GloveView | undefined, code: string): string {
+  return glove !== undefined && showsAdvice(glove) ? OPEN_HAND : code;
+}
+
 /** The live hand over the requested gesture `code`, in the same frame. */
 export function LiveHand({ glove, code }: { glove: GloveView; code: string }) {
   const { connected, states, hand } = glove;
@@ -13,7 +21,7 @@ export function LiveHand({ glove, code }: { glove: GloveView; code: string }) {
   const isAdvised = showsAdvice(glove);
   return (
     <div className="figure__live" data-advised={isAdvised || undefined}>
-      <Drawn states={states} side={hand} code={code} differs={isAdvised ? differing(glove, states, code) : ""} />
+      <Drawn states={states} side={hand} frameBy={frameFor(glove, code)} differs={isAdvised ? differing(glove, states, code) : ""} />
     </div>
   );
 }
@@ -50,8 +58,8 @@ function differing(glove: GloveView, states: string, code: string): string {
   return (named.length > 0 ? named : glove.differs).join(" ");
 }
 
-const Drawn = memo(function Drawn({ states, side, code, differs }: { states: string; side: "left" | "right"; code: string; differs: string }) {
+const Drawn = memo(function Drawn({ states, side, frameBy, differs }: { states: string; side: "left" | "right"; frameBy: string; differs: string }) {
   const { t } = useTranslation("work");
   const named = differs === "" ? [] : (differs.split(" ") as Finger[]);
-  return <Hand states={states} side={side} moveMs={140} closeUp frameBy={code} differs={named} label={t("yourHand")} />;
+  return <Hand states={states} side={side} moveMs={140} closeUp frameBy={frameBy} differs={named} label={t("yourHand")} />;
 });

@@ -113,7 +113,7 @@ export interface CheckedDefinition {
   created: boolean;
 }
 
-/** The person who claims a Task; nobody verifies name and groups yet. */
+/** The person who claims a Task; with accounts the name of the account counts. */
 export interface ClaimRequest {
   by: string;
   groups?: string[];

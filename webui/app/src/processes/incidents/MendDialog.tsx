@@ -3,9 +3,9 @@ import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import type { MendRequest } from "~/api/generated/task-orchestrator";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
-import { Field } from "~/design/Field";
 import { TextBox } from "~/design/TextBox";
-import { setUserName, useUserName } from "~/shell/userName";
+import { useSession } from "~/session/session";
+import { UserNameField, setUserName, useUserName } from "~/shell/userName";
 import { editedVariables, variablesText, type Edited } from "./variables";
 
 export interface MendDialogProps {
@@ -26,9 +26,11 @@ export interface MendDialogProps {
 const MAX_ROWS = 14;
 
 export function MendDialog({ title, act, kind = "main", means, variables, children, isDisabled = false, onClose, onAct }: MendDialogProps) {
-  const { t } = useTranslation(["processes", "common"]);
+  const { t } = useTranslation("processes");
   const known = useUserName();
-  const [name, setName] = useState(known);
+  const { hasAccounts } = useSession();
+  const [given, setName] = useState(known);
+  const name = hasAccounts ? known : given;
   const [why, setWhy] = useState("");
   // What was there when the dialog was opened: a process that continues does not change the text.
   const [before] = useState(variables?.before ?? {});
@@ -39,7 +41,7 @@ export function MendDialog({ title, act, kind = "main", means, variables, childr
   const count = Object.keys(changes).length;
   const lacksChange = variables?.isRequired === true && count === 0;
   const decide = async () => {
-    setUserName(name);
+    if (!hasAccounts) setUserName(name);
     await onAct({ by: name.trim(), why: why.trim(), ...(count === 0 ? {} : { variables: changes }) });
   };
   return (
@@ -67,7 +69,7 @@ export function MendDialog({ title, act, kind = "main", means, variables, childr
         />
       )}
       <TextBox label={t("mend.why")} value={why} onChange={setWhy} maxLength={1000} isRequired validationBehavior="aria" autoFocus={variables === undefined} />
-      <Field label={t("common:who.label")} hint={t("mend.nameHint")} value={name} onChange={setName} maxLength={100} isRequired validationBehavior="aria" />
+      <UserNameField value={name} onChange={setName} hint={t("mend.nameHint")} />
     </ConfirmDialog>
   );
 }
