@@ -92,6 +92,8 @@ def test_a_cell_without_a_bridge_has_no_ros_section(open_page: OpenPage, cell: C
     del cell.extra["HANDOVER_ROS_MAPPING"]
     cell.start("webui")
     page = open_page("/system?tab=ros")
+    expect(page.get_by_text("This page has no “ros”")).to_be_visible()
+    page.get_by_role("button", name="Show what there is").click()
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Context broker"))).to_be_visible()
     expect(page.get_by_role("tab", name="ROS 2")).to_have_count(0)

@@ -38,7 +38,7 @@ export function useServiceQuery<T>(service: Service, path: string | null, { revi
       queryKey: [service, path],
       queryFn: ({ signal }) => requestService<T>(service, path ?? "", { signal }),
       enabled: path !== null,
-      refetchInterval: intervalMs ?? false,
+      refetchInterval: (query) => (isServiceMissing(query.state.error) ? false : (intervalMs ?? false)),
       ...(keepsPrevious ? { placeholderData: keepPreviousData<T | undefined> as never } : {}),
     },
     queryClient,
@@ -56,6 +56,11 @@ export function useServiceQuery<T>(service: Service, path: string | null, { revi
 
 function isMissing(error: Error | null): boolean {
   return error instanceof ApiError && error.problem.status === 404;
+}
+
+/** The cell has no such service, and will have none before its server is restarted. */
+function isServiceMissing(error: Error | null): boolean {
+  return error instanceof ApiError && error.problem["detailCode"] === "page.no_such_service";
 }
 
 function isTransient(error: Error): boolean {

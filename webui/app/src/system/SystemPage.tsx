@@ -6,6 +6,7 @@ import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert, Waypoints } from "
 import { attentionOf } from "~/alerts/attention";
 import { useFamily, useTopic } from "~/live/hooks";
 import { useChoice } from "~/route/choice";
+import { UnknownName } from "~/route/UnknownName";
 import { AlertsPanel } from "./alerts/AlertsPanel";
 import { DevicesPanel } from "./devices/DevicesPanel";
 import { EventsPanel } from "./events/EventsPanel";
@@ -33,9 +34,12 @@ export default function SystemPage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["system", "hand"]);
   const [tab, setTab] = useChoice<TabId>("tab", TAB_IDS, "services");
-  const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
-  // Without a ROS bridge there is no ROS tab, but for an address that asks for it.
-  const tabs = allTabs.filter(({ id }) => id !== "ros" || hasRos || tab === id);
+  const services = useTopic("services");
+  const hasRos = services?.some((service) => service.name === "ros-bridge") ?? false;
+  const tabs = allTabs.filter(({ id }) => id !== "ros" || hasRos);
+  if (tab === "ros" && !hasRos) {
+    return services === undefined ? <p className="quiet">{t("common:loading")}</p> : <UnknownName thing="value" name={tab} parameter="tab" />;
+  }
   return (
     <div className="system">
       <h1 className="visually-hidden">{t("title")}</h1>
