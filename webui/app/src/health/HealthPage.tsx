@@ -82,14 +82,14 @@ export default function HealthPage() {
       ) : person === null ? (
         <UnknownName thing="person" name={asked} parameter="person">{t("noPerson")}</UnknownName>
       ) : (
-        <Person key={person.person} person={person} onChange={reload} />
+        <Person key={person.person} person={person} onChange={reload} onDelete={() => setAsked("")} />
       )}
     </div>
   );
 }
 
 /** Without consent there is the form of the consent, and nothing of the body. */
-function Person({ person, onChange }: { person: PersonView; onChange: () => void }) {
+function Person({ person, onChange, onDelete }: { person: PersonView; onChange: () => void; onDelete: () => void }) {
   const [isChanging, setChanging] = useState(false);
   const done = () => {
     setChanging(false);
@@ -97,7 +97,7 @@ function Person({ person, onChange }: { person: PersonView; onChange: () => void
   };
   return (
     <>
-      <RecordedCard person={person} onChange={onChange} onChangeConsent={() => setChanging(true)} />
+      <RecordedCard person={person} onChange={onChange} onChangeConsent={() => setChanging(true)} onDeletePerson={onDelete} />
       {(isChanging || !consents(person)) && <ConsentForm person={person} onDone={done} {...(isChanging ? { onCancel: () => setChanging(false) } : {})} />}
       {consents(person) && <Body person={person} onChange={onChange} />}
       <AccessCard person={person} />

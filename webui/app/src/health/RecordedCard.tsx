@@ -18,7 +18,14 @@ const ACTS = {
 } as const;
 type Act = keyof typeof ACTS;
 
-export function RecordedCard({ person, onChange, onChangeConsent }: { person: PersonView; onChange: () => void; onChangeConsent: () => void }) {
+interface RecordedCardProps {
+  person: PersonView;
+  onChange: () => void;
+  onChangeConsent: () => void;
+  onDeletePerson: () => void;
+}
+
+export function RecordedCard({ person, onChange, onChangeConsent, onDeletePerson }: RecordedCardProps) {
   const { t, i18n } = useTranslation("health");
   const [asked, setAsked] = useState<Act | null>(null);
   const isOn = person.purposes.length > 0;
@@ -68,6 +75,7 @@ export function RecordedCard({ person, onChange, onChangeConsent }: { person: Pe
           kind="stop"
           onAct={async () => {
             await requestService(SERVICE, `${pathOf(person.person)}${ACTS[asked].path}`, { method: "DELETE" });
+            if (asked === "deletePerson") onDeletePerson();
             onChange();
           }}
         >

@@ -36,7 +36,7 @@ it("shows what is recorded, and asks before it deletes", async () => {
   const sent = vi.fn<typeof fetch>(() => Promise.resolve(new Response(null, { status: 204 })));
   vi.stubGlobal("fetch", sent);
   const onChange = vi.fn();
-  render(<RecordedCard person={{ ...person, purposes: ["live", "history"] }} onChange={onChange} onChangeConsent={vi.fn()} />);
+  render(<RecordedCard person={{ ...person, purposes: ["live", "history"] }} onChange={onChange} onChangeConsent={vi.fn()} onDeletePerson={vi.fn()} />);
   const states = screen.getAllByRole("listitem").map((each) => each.textContent);
   expect(states).toEqual(["Live displayon", "Speed limitsoff", "Historyon", "Context brokeroff", "Broker historyoff", "Recordingsoff"]);
   fireEvent.click(screen.getByRole("button", { name: "Delete the values" }));

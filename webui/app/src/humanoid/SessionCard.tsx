@@ -18,7 +18,7 @@ import { Slider } from "~/control/Slider";
 import { requestService } from "~/api/http";
 import { shortName } from "~/live/urn";
 import { UnknownName } from "~/route/UnknownName";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { SERVICE, type LiveDocument, type SessionState } from "./humanoid";
 import { ProgressChart } from "./ProgressChart";
@@ -134,6 +134,7 @@ export function SessionsCard() {
   const { t, i18n } = useTranslation("humanoid");
   const [person, setPerson] = useQueryParameter("person");
   const [shown, setShown] = useQueryParameter("session");
+  const change = useQueryChange();
   const [isDeleting, setDeleting] = useState(false);
   const { value: all, failure, reload } = useServiceQuery<SessionView[]>(SERVICE, "sessions", { intervalMs: LIST_EVERY_MS });
   const people = [...new Set((all ?? []).flatMap((one) => (one.person === null ? [] : [shortName(one.person)])))].sort();
@@ -188,7 +189,7 @@ export function SessionsCard() {
         kind="stop"
         onAct={async () => {
           await requestService(SERVICE, `persons/${encodeURIComponent(person)}`, { method: "DELETE" });
-          setPerson("");
+          change({ person: "", session: "" }); // the open session may be one of theirs
           reload();
         }}
       >
