@@ -77,10 +77,16 @@ def scan(page: Page, text: str) -> None:
 
 
 def type_slowly(page: Page, *keys: str) -> None:
-    """Press keys one after the other as a person does, far enough apart that they are no scan."""
+    """Press keys one after the other as a person does, far enough apart that they are no scan.
+
+    A character that no key of Playwright's keyboard has, such as "ö", is inserted.
+    """
     for key in keys:
         page.wait_for_timeout(PERSON_MS)
-        page.keyboard.press(key)
+        if len(key) == 1:
+            page.keyboard.type(key)
+        else:
+            page.keyboard.press(key)
 
 
 def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
