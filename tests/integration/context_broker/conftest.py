@@ -19,9 +19,10 @@ from tests.kit import processes
 from tests.kit.context_sources import ScriptedSource
 from tests.kit.databases import DATABASE
 from tests.kit.ports import next_free_port
-from tests.kit.waiting import wait_for
+from tests.kit.waiting import scaled, wait_for
 
 JSON = {"Content-Type": "application/json"}
+LOG_LINE = re.compile(r"\S+ \[(info|warning|error)\s*\] ")
 
 
 @dataclass
@@ -69,6 +70,20 @@ class BrokerProcess:
             lambda: processes.answer(process, f"{self.url}/readyz", self.log),
             why="the broker does not answer",
         )
+
+    def refused_start(self) -> str:
+        """Start a broker that refuses to, and return why: one line, the last, after lines of its log only."""
+        file = (self.log_dir or self.data_dir) / "log"
+        said = len(self.log()) if file.exists() else 0
+        process = self.spawn()
+        try:
+            assert process.wait(scaled(60)) == 2, self.log()[said:]
+        finally:
+            process.kill()
+        *logged, reason = self.log()[said:].strip().splitlines()
+        assert reason.startswith("context-broker: "), reason
+        assert [line for line in logged if not LOG_LINE.match(line)] == []
+        return reason
 
     def kill(self) -> None:
         assert self.process is not None

@@ -39,16 +39,6 @@ def numbers(subscriber: Any) -> list[int]:
     return [number for place, number in enumerate(received) if place == 0 or received[place - 1] != number]
 
 
-def refused(broker: Any) -> str:
-    """Return the last line of a broker that does not start."""
-    process = broker.spawn()
-    try:
-        assert process.wait(120) == 2
-    finally:
-        process.kill()
-    return str(broker.log().strip().splitlines()[-1])
-
-
 @pytest.mark.slow
 @on_both
 def test_notifications_pending_at_a_power_failure_are_sent_after_it(
@@ -332,7 +322,7 @@ def test_a_damaged_log_is_refused_in_one_line(own_broker: Any) -> None:
     content = file.read_bytes()
     at = content.rindex(b"Waiting:demo:1")
     file.write_bytes(content[:at] + b"?" + content[at + 1 :])
-    last = refused(own_broker)
+    last = own_broker.refused_start()
     assert "damaged data: " in last
     assert "broker.log-1" in last
     assert "restore the data directory" in last
@@ -352,7 +342,7 @@ def test_a_bit_that_flips_in_an_entity_is_refused_in_one_line(own_broker: Any) -
         content[at] ^= 1
         at = content.find(b"1234567")
     file.write_bytes(content)
-    last = refused(own_broker)
+    last = own_broker.refused_start()
     assert "broker.db: an entity is not as it was written; restore the data directory" in last
 
 
@@ -398,7 +388,7 @@ def test_a_database_that_was_stopped_in_order_can_be_restored_alone(
         left.unlink()
     file.write_bytes(kept)
     if others == "killed":
-        last = refused(own_broker)
+        last = own_broker.refused_start()
         assert "broker.log-1 holds changes of this database, later" in last
         assert "if broker.db itself was restored, move broker.log-1 and broker.log-2 away" in last
         for log in own_broker.data_dir.glob("broker.log-*"):
@@ -411,7 +401,7 @@ def test_a_database_that_was_stopped_in_order_can_be_restored_alone(
 @in_a_file
 def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any) -> None:
     own_broker.start()
-    last = refused(type(own_broker)(own_broker.data_dir))
+    last = type(own_broker)(own_broker.data_dir).refused_start()
     assert "another broker runs on" in last
     assert "HANDOVER_DATA_DIR" in last
 
@@ -419,6 +409,4 @@ def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any
 @in_a_file
 def test_an_invalid_database_file_is_refused_in_one_line(own_broker: Any) -> None:
     (own_broker.data_dir / "broker.db").write_bytes(b"shopping list: bolts, nuts" * 100)
-    refused(own_broker)
-    assert own_broker.log().strip().count("\n") == 0
-    assert "broker.db: file is not a database; restore" in own_broker.log()
+    assert "broker.db: file is not a database; restore" in own_broker.refused_start()

@@ -280,21 +280,10 @@ def test_connections_that_end_while_they_are_idle_are_replaced(pair: Pair, event
             eventually(lambda: is_ready(broker))
 
 
-def failed_start(broker: BrokerProcess) -> str:
-    """Return what a broker says that refuses to start."""
-    process = broker.spawn()
-    try:
-        assert process.wait(scaled(20)) == 2
-    finally:
-        process.kill()
-    return broker.log().strip().splitlines()[-1]
-
-
 def test_a_database_out_of_reach_is_refused_in_one_line(tmp_path: Path) -> None:
     url = "postgresql://somebody:secret@127.0.0.1:9/nothing"
     broker = BrokerProcess(tmp_path, extra={"HANDOVER_BROKER_DATABASE_URL": url})
-    assert "HANDOVER_BROKER_DATABASE_URL" in failed_start(broker)
-    assert broker.log().strip().count("\n") == 0
+    assert "HANDOVER_BROKER_DATABASE_URL" in broker.refused_start()
     assert "secret" not in broker.log()
 
 
@@ -308,7 +297,7 @@ def test_tables_of_another_format_are_refused_and_left_as_they_are(pair: Pair) -
     assert [one.status_code for one in answers] == [507, 507]
     assert "newer release" in answers[1].json()["detail"]
     broker.stop()
-    assert "use the version that wrote them" in failed_start(broker)
+    assert "use the version that wrote them" in broker.refused_start()
     assert pair.query("SELECT count(*) FROM entities") == [(1,)]
 
 
@@ -318,6 +307,6 @@ def test_tables_of_before_the_first_release_are_refused_and_left_as_they_are(pai
         connection.execute("CREATE TABLE context_broker.schema_version (version BIGINT)")
         connection.execute("INSERT INTO context_broker.schema_version VALUES (4)")
     (broker, _) = pair._both
-    assert "of a version before the first release" in failed_start(broker)
+    assert "of a version before the first release" in broker.refused_start()
     tables = "SELECT tablename FROM pg_tables WHERE schemaname = 'context_broker'"
     assert pair.query(tables) == [("schema_version",)]
