@@ -26,7 +26,7 @@ import hashlib
 import json
 import secrets
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -37,6 +37,7 @@ from sqlalchemy import (
     Connection,
     Float,
     Index,
+    Insert,
     Integer,
     MetaData,
     ScalarSelect,
@@ -50,6 +51,7 @@ from sqlalchemy import (
     select,
     update,
 )
+from sqlalchemy.dialects import postgresql, sqlite
 
 GENESIS: Final = "0" * 64
 """The hash before the first record."""
@@ -200,6 +202,10 @@ class AuditLog:
         own = head.c.id == 1
         # Made once: building and comparing statements costs more than executing them.
         self._step = update(head).where(own).values(seq=head.c.seq + 1).returning(head.c.seq, head.c.hash)
+        self._begin: Mapping[str, Insert] = {
+            "sqlite": sqlite.insert(head).on_conflict_do_nothing(),
+            "postgresql": postgresql.insert(head).on_conflict_do_nothing(),
+        }
         self._insert_record = insert(tables.records)
         self._insert_text = insert(tables.texts)
         self._set_head = (
@@ -291,15 +297,11 @@ class AuditLog:
         connection.execute(delete(names).where(names.c.subject.not_in(needed)))
 
     def _next(self, connection: Connection) -> tuple[int, str]:
-        head = self._tables.head
         row = connection.execute(self._step).first()
-        if row is None:
-            connection.execute(
-                insert(head).values(
-                    id=1, seq=1, hash=GENESIS, first_seq=1, first_previous_hash=GENESIS, changed_s=time.time()
-                )
-            )
-            return 1, GENESIS
+        if row is None:  # the first record; another connection may write it now, then this one is after it
+            new = {"id": 1, "seq": 0, "hash": GENESIS, "first_seq": 1, "first_previous_hash": GENESIS}
+            connection.execute(self._begin[connection.dialect.name], {**new, "changed_s": time.time()})
+            row = connection.execute(self._step).one()
         return int(row[0]), str(row[1])
 
     def _aliased(self, connection: Connection, resource: str, *, is_personal: bool) -> str:

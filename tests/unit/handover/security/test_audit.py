@@ -1,15 +1,18 @@
 """The audit chain: any change, removal or insertion is found; a deleted person leaves it verifiable."""
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sqlalchemy import Engine, MetaData, create_engine, delete, insert, select, update
+from sqlalchemy import Engine, MetaData, create_engine, delete, insert, select, text, update
 
 from handover.database import connect
 from handover.security.audit import AuditFilter, AuditLog, AuditTables
+from tests.kit.waiting import wait_for
 
 METADATA = MetaData()
 TABLES = AuditTables(METADATA, "test")
@@ -121,27 +124,30 @@ def test_old_records_expire_from_the_start_and_the_rest_stays_verifiable() -> No
     assert fault(engine) is None
 
 
-def test_concurrent_appends_are_ordered(tmp_path: Path) -> None:
-    import threading
-
-    engine = connect(f"sqlite:///{tmp_path / 'audit.db'}")
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_concurrent_appends_are_ordered(kind: str, new_database: Callable[[], str], tmp_path: Path) -> None:
+    """From the first record on: several connections find an empty log."""
+    engine = connect(new_database() if kind == "postgresql" else f"sqlite:///{tmp_path / 'audit.db'}")
     METADATA.create_all(engine)
-    with engine.begin() as connection:
-        LOG.append(connection, "subject-0", "start")
+    waiting = text("SELECT count(*) FROM pg_locks WHERE NOT granted")
 
     def append_many() -> None:
         for _ in range(20):
             with engine.begin() as connection:
                 LOG.append(connection, "subject-1", "user.changed")
 
-    threads = [threading.Thread(target=append_many) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(3) as threads:
+        with engine.begin() as connection:
+            LOG.append(connection, "subject-0", "start")
+            appending = [threads.submit(append_many) for _ in range(3)]
+            if kind == "postgresql":
+                wait_for(lambda: connection.execute(waiting).scalar() == 3, why="the others do not wait")
+        for each in appending:
+            each.result()
     with engine.begin() as connection:
         checked = LOG.verify(connection)
     assert (checked.records, checked.fault) == (61, None)
+    engine.dispose()
 
 
 def test_filters_select_records() -> None:
