@@ -82,6 +82,7 @@ def serve(
         require_writable(settings.data_dir)
         if os.environ.get(LIFELINE):  # before a wait for the holder of the databases
             threading.Thread(target=_end_with_parent, daemon=True).start()
+        ServerCertificate.of(settings)  # one that cannot be used is refused now, not at the end of a standby
         serve_alone(settings, service, log.warning)
         for line in make_private(settings.data_dir):
             log.warning("private files", what=line)
