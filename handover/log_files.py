@@ -39,6 +39,19 @@ def rotate(path: Path, max_bytes: int = MAX_LOG_BYTES) -> None:
         path.replace(older(path))
 
 
+def own_log() -> Path | None:
+    """Return the log file of this process; None if its standard error goes elsewhere."""
+    named = os.environ.get(LOG_FILE)
+    if not named:
+        return None
+    own = os.fstat(2)
+    for path in (Path(named), older(Path(named))):  # another process may have renamed it just now
+        with suppress(OSError):
+            if os.path.samestat(path.stat(), own):
+                return Path(named)
+    return None
+
+
 class LogFileHandler(logging.StreamHandler):  # type: ignore[type-arg]  # of whatever standard error is
     """Writes to standard error, which is the log file `path`, and replaces a file of `max_bytes`."""
 

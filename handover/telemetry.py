@@ -5,17 +5,15 @@
 """
 
 import logging
-import os
 import sys
 from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Final, cast
 
 import structlog
 from structlog.typing import Processor
 
-from handover.log_files import LOG_FILE, LogFileHandler
+from handover.log_files import LogFileHandler, own_log
 from handover.repeated_lines import RepeatedLines
 from handover.settings import Settings
 
@@ -64,8 +62,8 @@ def set_up_logging(settings: Settings, service: str) -> None:
         wrapper_class=structlog.stdlib.BoundLogger,
         cache_logger_on_first_use=True,
     )
-    file = os.environ.get(LOG_FILE)
-    handler = LogFileHandler(Path(file)) if file else logging.StreamHandler(sys.stderr)
+    file = own_log()
+    handler = logging.StreamHandler(sys.stderr) if file is None else LogFileHandler(file)
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,

@@ -62,3 +62,21 @@ def test_only_the_last_two_files_are_kept_and_others_cannot_read_them(tmp_path: 
         assert path.stat().st_size < 5_000 + 300
         assert path.stat().st_mode & 0o077 == 0
     assert "w out 999" in log.read_text()
+
+
+def test_a_child_that_logs_elsewhere_has_no_log_file(tmp_path: Path) -> None:
+    log, elsewhere = tmp_path / "lamp.log", tmp_path / "child.log"
+    ask = "from handover.log_files import own_log; print(own_log())"
+    environment = {**os.environ, LOG_FILE: str(log)}
+    for file, said in ((log, str(log)), (older(log), str(log)), (elsewhere, "None")):
+        descriptor = open_log(file)
+        found = subprocess.run(
+            [sys.executable, "-c", ask],
+            env=environment,
+            stderr=descriptor,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        os.close(descriptor)
+        assert found.stdout.strip() == said
