@@ -636,7 +636,7 @@ def test_an_address_that_names_nothing_says_so_on_every_page(
             re.compile("nope|999|does not exist|not found|is unknown|cannot be read", re.IGNORECASE)
         )
         try:
-            said.first.wait_for(state="attached", timeout=45_000)
+            said.first.wait_for(state="attached")
         except TimeoutError:
             missed.append(f"{address}: {page.locator('main').inner_text()[:200]}")
             continue
