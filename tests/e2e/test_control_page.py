@@ -60,8 +60,8 @@ def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[]
         release()
         page.wait_for_timeout(100)  # so that the release is sent
         hold()
-        for _ in range(10):  # half a second is enough on a machine without other work
-            page.wait_for_timeout(500)
+        for _ in range(50):  # often, since the robot rests again after any 100 ms without an input
+            page.wait_for_timeout(100)
             if not rests(cell):
                 return True
         return False

@@ -19,6 +19,8 @@ from tests.kit.cell import Cell
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 WORK = "/work?glove=glove-1"
+NOTHING_RUNS = "[data-situation=idle], [data-situation=completed]"
+"""What the page shows before a process, and after one that another test has completed."""
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_with_the_keyboard_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page(WORK, who="")
-    page.get_by_role("heading", name="Nothing to do right now").wait_for()
+    page.locator(NOTHING_RUNS).wait_for()
     accessible(page)
     keep(page, "work-idle")
 
@@ -73,7 +75,7 @@ def test_with_the_keyboard_only(
         type_slowly(page, "Enter")
 
     type_slowly(page, "s", "Enter", "c", " ")  # keys that nothing has the focus for
-    page.get_by_role("heading", name="Nothing to do right now").wait_for()
+    page.locator(NOTHING_RUNS).wait_for()
     press("Start Bin picking")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     accessible(page)
@@ -83,14 +85,14 @@ def test_with_the_keyboard_only(
     expect(page.get_by_role("dialog")).to_have_count(0)
     press("Complete by hand")
     page.get_by_role("dialog", name="Who are you?").wait_for()
-    type_slowly(page, *"Aino", "Enter")
+    with appearing(page, "Completed by Aino"):
+        type_slowly(page, *"Aino", "Enter")
 
     def answer() -> None:
         with contextlib.suppress(AssertionError, Error):  # the step may be over
             press("Complete by hand")
         page.wait_for_timeout(400)
 
-    page.get_by_text("Completed by Aino").wait_for()
     keep(page, "work-answered")
     until_done(page, answer)
     keep(page, "work-completed")
@@ -220,7 +222,7 @@ def test_with_the_glove_only(
         for each in httpx.get(f"{cell.url('gesture_controller')}/gestures", timeout=120).json()
     }
     page = open_page(WORK)
-    page.get_by_role("heading", name="Nothing to do right now").wait_for()
+    page.locator(NOTHING_RUNS).wait_for()
     wearer = put_on()
     page.get_by_text("Show Thumbs up to start Bin picking").wait_for()
     wearer.show("02222")
@@ -237,10 +239,10 @@ def test_with_the_glove_only(
             page.get_by_text("That is Horns").wait_for()
             accessible(page)
             keep(page, "work-wrong-gesture")
-        wearer.show(gestures[wanted])
-        page.get_by_text("Right. Hold it").wait_for()
-        keep(page, "work-hold")
-        page.get_by_text("Confirmed", exact=True).wait_for()
+        with appearing(page, "Confirmed"):  # for 1.2 s, which a picture may take
+            with appearing(page, "Right. Hold it"):
+                wearer.show(gestures[wanted])
+            keep(page, "work-hold")
         wearer.show("22222")
 
     page.wait_for_timeout(300)
