@@ -178,9 +178,10 @@ export function SessionsCard() {
               </tbody>
             </table>
           </div>
-          {shown !== "" && (isKnown ? <Report key={shown} session={shown} /> : <UnknownName thing="session" name={shown} parameter="session" />)}
+          {isKnown && <Report key={shown} session={shown} />}
         </>
       )}
+      {all !== null && shown !== "" && !isKnown && <UnknownName thing="session" name={shown} parameter="session" />}
       <ConfirmDialog
         isOpen={isDeleting}
         onClose={() => setDeleting(false)}
