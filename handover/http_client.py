@@ -73,11 +73,15 @@ class SendError(Exception):
     """The other side could not be reached or sent no valid response."""
 
 
-class ResponseTimeout(SendError):
+class NoResponse(SendError):
+    """The request may have been sent, and no whole response came: it may have been carried out."""
+
+
+class ResponseTimeout(NoResponse):
     """The other side sent no response in time."""
 
 
-class ResponseTooLarge(SendError):
+class ResponseTooLarge(NoResponse):
     """The response exceeds the limit."""
 
 
@@ -150,7 +154,7 @@ class _Connection(asyncio.Protocol):
         try:
             self._parser.feed_data(data)
         except httptools.HttpParserError as error:
-            self._fail(SendError(f"the answer is not HTTP ({error})"))
+            self._fail(NoResponse(f"the answer is not HTTP ({error})"))
         if self._received > self.max_answer_bytes:
             self._fail(ResponseTooLarge(f"the answer has more than {self.max_answer_bytes} bytes"))
 
@@ -170,7 +174,7 @@ class _Connection(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         why = f"the connection was closed before an answer came{f' ({exc})' if exc else ''}"
-        self._fail(SendError(why))
+        self._fail(NoResponse(why))
 
     def close(self) -> None:
         """Close the connection."""

@@ -18,7 +18,7 @@ import orjson
 
 from handover.clocks import Lifetime
 from handover.errors import HandoverError, UsageError
-from handover.http_client import BodyReadingHttpClient, HttpResponse, SendError
+from handover.http_client import BodyReadingHttpClient, HttpResponse, NoResponse, SendError
 from handover.security.caller import CallerKind
 from handover.security.keys_in_force import KeysInForce
 from handover.security.secret_tokens import is_secret_token, kind_of
@@ -27,6 +27,8 @@ from handover.settings import Settings
 SERVICE_TOKENS_FOLDER: Final = "service-tokens"
 REQUEST_TIMEOUT_S: Final = 4.0
 UNAUTHORIZED: Final = 401
+INTERNAL_ERROR: Final = 500
+UNAVAILABLE: Final = 503
 MAX_ANSWER_BYTES: Final = 1024 * 1024
 _RENEW_AT: Final = 0.5
 """Part of the life of a token after which it is renewed."""
@@ -51,11 +53,17 @@ def read_service_token(file: Path) -> str:
 
 
 class AccountsUnavailable(HandoverError):
-    """`accounts` does not answer, or refuses; `problem` are the problem details of a refusal."""
+    """`accounts` does not answer, or refuses; `problem` are the problem details of a refusal.
 
-    def __init__(self, reason: str, problem: Mapping[str, Any] | None = None) -> None:
+    `may_have_acted`: the request was sent, and `accounts` may have carried it out.
+    """
+
+    def __init__(
+        self, reason: str, problem: Mapping[str, Any] | None = None, *, may_have_acted: bool = False
+    ) -> None:
         super().__init__(reason)
         self.problem = problem
+        self.may_have_acted = may_have_acted
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +137,7 @@ class ServiceAccess:
         try:
             document = await self.call("POST", "/service-tokens", {}, bearer=secret)
         except AccountsUnavailable as error:
+            error.may_have_acted = False  # the request for which it is was not sent
             if (error.problem or {}).get("status") != UNAUTHORIZED:
                 raise
             raise AccountsUnavailable(
@@ -216,11 +225,16 @@ class ServiceAccess:
                 response = await self._http.request(method, url, headers, content, timeout_s)
             document = orjson.loads(response.body) if response.body else {}
         except (SendError, OSError, orjson.JSONDecodeError) as error:
-            raise AccountsUnavailable(f"accounts at {url}: {error}") from None
+            is_sent = isinstance(error, NoResponse | orjson.JSONDecodeError)
+            raise AccountsUnavailable(f"accounts at {url}: {error}", may_have_acted=is_sent) from None
         if response.status >= 300:
             problem = document if isinstance(document, dict) else {}
             detail = problem.get("detail", "")
-            raise AccountsUnavailable(f"accounts at {url} answered {response.status}: {detail}", problem)
+            raise AccountsUnavailable(
+                f"accounts at {url} answered {response.status}: {detail}",
+                problem,
+                may_have_acted=response.status >= INTERNAL_ERROR and response.status != UNAVAILABLE,
+            )
         if not isinstance(document, dict):
             raise AccountsUnavailable(f"accounts at {url} answered no JSON object")
         return document

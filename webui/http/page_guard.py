@@ -39,6 +39,8 @@ OPEN_PATHS: Final = frozenset(
 )
 """Paths that a person who is not signed in may POST to; what they do depends on no cookie."""
 _READS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+_READING: Final = frozenset({"/session-tokens", "/links/preview"})
+"""Requests to `accounts` with a body that change nothing, so that they may be repeated."""
 
 Headers = Mapping[bytes, bytes]
 
@@ -138,10 +140,10 @@ class PageGuard(Guard):
     async def ask_accounts(self, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Send a request of the page server to `accounts`, without a body a GET.
 
-        Raises `Problem` as it answered, or 503.
+        Raises `Problem` as it answered; 503 if it did not act, 504 if a change may have been made.
         """
+        method = "GET" if body is None else "POST"
         try:
-            method = "GET" if body is None else "POST"
             return await self.access.call(method, path, body, timeout_s=ACCOUNTS_TIMEOUT_S)
         except AccountsUnavailable as error:
             problem = error.problem or {}
@@ -150,6 +152,17 @@ class PageGuard(Guard):
                 retry = {"retryAfterS": problem["retryAfterS"]} if "retryAfterS" in problem else None
                 raise Problem(
                     status, str(problem.get("title", "")), str(problem.get("detail", "")), extra=retry
+                ) from None
+            if error.may_have_acted and method == "POST" and path not in _READING:
+                raise Problem(
+                    504,
+                    "No answer of accounts",
+                    message(
+                        "session.no_answer",
+                        "accounts may have done it, and its answer is missing ({reason}); see whether it is "
+                        "done, by signing in, before you try again",
+                        reason=str(error),
+                    ),
                 ) from None
             raise Problem(503, "Accounts unavailable", f"signing in is not possible now: {error}") from None
         except UsageError as error:
