@@ -7,7 +7,7 @@ same request may succeed later. A statement that the database refuses for what i
 import asyncio
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from threading import Lock
 from typing import Any, Final, ParamSpec, TypeVar
 
@@ -16,7 +16,7 @@ from sqlalchemy.engine import ExceptionContext
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as NoConnectionFree
 
-from handover.errors import Problem
+from handover.errors import ChangeMade, Problem
 from handover.messages import message
 from handover.telemetry import get_logger
 
@@ -90,6 +90,25 @@ async def in_database(function: Callable[P, T], *args: P.args, **kwargs: P.kwarg
         if (problem := outage_problem(error)) is not None:
             raise problem from error
         raise
+
+
+async def shown_after_change(view: Awaitable[T]) -> T:
+    """Return `view`, which reads what a change has made.
+
+    Raises `ChangeMade` 504 if the database is away by now: 503 would say that nothing was changed.
+    """
+    try:
+        return await view
+    except SQLAlchemyError as error:
+        if not is_outage(error):
+            raise
+        detail = message(
+            "service.change_made",
+            "the change was made, and cannot be shown: the database cannot be used now ({reason}); look "
+            "again later, and do not repeat it",
+            reason=reason_of(error),
+        )
+        raise ChangeMade(504, "Changed, not shown", detail) from error
 
 
 class Outages:

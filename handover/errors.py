@@ -40,3 +40,7 @@ class Problem(HandoverError):
             **with_code("detail", self.detail),
             **(self.extra or {}),
         }
+
+
+class ChangeMade(Problem):
+    """A change was made, and the response to it cannot be: it is recorded as done, and no refusal."""

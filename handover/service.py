@@ -26,7 +26,7 @@ from starlette.websockets import WebSocket
 
 from handover.body_limit import limit_of, limited
 from handover.database_outage import outage_problem
-from handover.errors import Problem
+from handover.errors import ChangeMade, Problem
 from handover.origin_guard import REFUSED
 from handover.security.act_recording import audited, unrecorded
 from handover.security.audit_routes import add_audit_routes
@@ -93,8 +93,7 @@ class TypedRoute(APIRoute):
             except (RequestValidationError, HTTPException, ClientDisconnect):
                 raise  # the handler was not called
             except Exception as error:
-                problem = outage_problem(error) if isinstance(error, SQLAlchemyError) else error
-                await trail.finish(act, problem.status if isinstance(problem, Problem) else 500)
+                await trail.finish(act, _recorded_status(error))
                 raise
             is_recorded = await trail.finish(act, response.status_code)
             if act.way is Way.AFTER and response.status_code < 400 and not is_recorded:
@@ -102,6 +101,14 @@ class TypedRoute(APIRoute):
             return response
 
         return checked
+
+
+def _recorded_status(error: Exception) -> int:
+    """Return the status that the record of a request has whose handler raised `error`."""
+    problem = outage_problem(error) if isinstance(error, SQLAlchemyError) else error
+    if isinstance(problem, ChangeMade):
+        return HTTPStatus.OK
+    return problem.status if isinstance(problem, Problem) else HTTPStatus.INTERNAL_SERVER_ERROR
 
 
 def require_media_type(request: Request, accepted: tuple[str, ...]) -> None:

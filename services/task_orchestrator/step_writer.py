@@ -133,7 +133,8 @@ class StepWriter:
         self, process_id: str, act: Callable[[Process, Step], T], *, is_lowering: bool = False
     ) -> T:
         """Change a process that may be over; raise `Problem` 404 if there is none."""
-        await self._state.require_process(process_id)
+        if process_id not in self._state.active_processes.processes:  # a pause must not wait for a database
+            await self._state.require_process(process_id)
         return await self.apply(
             lambda step: act(self._state.find_process(process_id), step),
             process=process_id,

@@ -19,7 +19,7 @@ from services.task_orchestrator.responses import (
     PausedProcesses,
     json_response,
 )
-from services.task_orchestrator.routes.process_response import PROCESS, process_response
+from services.task_orchestrator.routes.process_response import PROCESS, changed_process_response
 from services.task_orchestrator.routes.resources import acting_name, of_definition_query, of_process
 
 
@@ -39,7 +39,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         await orchestrator.processes.pause(
             at.plain_id(process_id), ActKind.PAUSE, by=acting_name(body.by), why=body.why
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)
 
     @app.post(
         "/processes/{process_id}/resume",
@@ -52,7 +52,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         await orchestrator.processes.pause(
             at.plain_id(process_id), ActKind.RESUME, by=acting_name(body.by), why=body.why
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)
 
     @app.post(
         "/pause",
@@ -97,7 +97,7 @@ def add_repairs(app: FastAPI, at: Components) -> None:
             to=body.to if isinstance(body, MoveRequest) else None,
             values=body.variables,
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)
 
     @app.post(
         "/processes/{process_id}/reservations/{key}/release",
@@ -110,7 +110,7 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         await orchestrator.processes.release(
             at.plain_id(process_id), key, by=acting_name(body.by), why=body.why
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)
 
     @app.post(
         "/processes/{process_id}/variables",

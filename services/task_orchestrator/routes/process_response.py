@@ -4,6 +4,7 @@ from typing import Any
 
 from fastapi import Response
 
+from handover.database_outage import shown_after_change
 from handover.errors import Problem
 from handover.messages import message
 from services.task_orchestrator.components import Components
@@ -22,6 +23,11 @@ PROCESS: dict[int | str, dict[str, Any]] = {200: {"model": ProcessView}}
 async def process_response(at: Components, process_id: str) -> Response:
     """Return a process with all details as JSON; raise `Problem` 404 if there is none."""
     return json_response(await process_content(at, process_id))
+
+
+async def changed_process_response(at: Components, process_id: str) -> Response:
+    """Return a process that was changed; raise `ChangeMade` if it cannot be read."""
+    return await shown_after_change(process_response(at, process_id))
 
 
 async def process_content(at: Components, process_id: str) -> ProcessView:

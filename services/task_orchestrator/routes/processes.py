@@ -8,6 +8,7 @@ from pydantic import AwareDatetime
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
+from handover.database_outage import shown_after_change
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
@@ -24,7 +25,12 @@ from services.task_orchestrator.responses import (
     ProcessSummary,
     json_response,
 )
-from services.task_orchestrator.routes.process_response import PROCESS, process_content, process_response
+from services.task_orchestrator.routes.process_response import (
+    PROCESS,
+    changed_process_response,
+    process_content,
+    process_response,
+)
 from services.task_orchestrator.routes.resources import (
     acting_name,
     definition_id,
@@ -60,7 +66,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
         process_id, created = await orchestrator.processes.start(
             body.definition, body.parameters, version=body.version, key=body.key
         )
-        view = await process_content(at, process_id)
+        view = await shown_after_change(process_content(at, process_id))
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
     @app.get(
@@ -120,7 +126,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
         await orchestrator.processes.cancel(
             at.plain_id(process_id), acting_name((body and body.by) or "") or None
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)
 
     @app.post(
         "/processes/{process_id}/tasks/{task_id}/retry",
@@ -133,4 +139,4 @@ def add_processes(app: FastAPI, at: Components) -> None:
         await orchestrator.processes.retry(
             at.plain_id(process_id), settings.entity_id("Task", task_id), acting_name(body.by)
         )
-        return await process_response(at, process_id)
+        return await changed_process_response(at, process_id)

@@ -7,6 +7,7 @@ from starlette.responses import JSONResponse
 
 from datamodels.entities import TaskStatus
 from handover.body_limit import max_body
+from handover.database_outage import shown_after_change
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
@@ -128,7 +129,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         """Claim a Task and start it: 409 if another person or a component has it."""
         groups = [group.strip() for group in body.groups]
         await tasklist.claim(_urn(at, task_id), caller.acting_name(body.by), groups, override=body.override)
-        return json_response(await _details(at, _urn(at, task_id)))
+        return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
     @app.post(
         "/tasks/{task_id}/return",
@@ -142,7 +143,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
     ) -> Response:
         """Return a claimed Task, so that others can claim it."""
         await tasklist.give_back(_urn(at, task_id), caller.acting_name(body.by), body.why)
-        return json_response(await _details(at, _urn(at, task_id)))
+        return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
     @app.post(
         "/tasks/{task_id}/decline",
@@ -156,7 +157,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
     ) -> Response:
         """Decline a Task with a reason: the next suitable person gets it, or it stays open for others."""
         await tasklist.decline(_urn(at, task_id), caller.acting_name(body.by), body.why.strip())
-        return json_response(await _details(at, _urn(at, task_id)))
+        return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
     @app.post(
         "/tasks/{task_id}/complete",
@@ -184,7 +185,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
             body.outputs,
             performed_by=caller.person,
         )
-        return json_response(await _details(at, _urn(at, task_id)))
+        return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
     @app.post(
         "/tasks/{task_id}/comments",
