@@ -50,7 +50,7 @@ def routes(cell: Cell) -> list[str]:
 
 
 def answers(urls: list[str]) -> dict[str, int]:
-    """Read each once; return the statuses, of which 503 tells when to try again."""
+    """Read each once; return the statuses, of which 503 says when to try again."""
     statuses = {}
     with httpx.Client(timeout=60, trust_env=False) as http:
         for url in urls:

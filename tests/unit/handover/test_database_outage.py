@@ -43,7 +43,7 @@ def test_a_full_or_locked_database_is_an_outage(engine: Engine, tmp_path: Path) 
     assert outage_problem(fault_of(engine, "INSERT INTO lamp VALUES ('a')")) is not None
 
 
-@pytest.mark.parametrize("statement", ["SELECT * FROM torch", "SELEC 1", "INSERT INTO lamp VALUES (NULL)"])
+@pytest.mark.parametrize("statement", ["SELECT * FROM torch", "SELECT FROM WHERE", "INSERT INTO lamp VALUES (NULL)"])
 def test_a_wrong_statement_is_none(engine: Engine, statement: str) -> None:
     assert outage_problem(fault_of(engine, statement)) is None
 
@@ -68,7 +68,7 @@ async def test_every_route_of_a_service_answers_so(engine: Engine) -> None:
 
 
 async def test_other_errors_of_a_function_are_its_own(engine: Engine) -> None:
-    error = fault_of(engine, "SELEC 1")
+    error = fault_of(engine, "SELECT FROM WHERE")
 
     def fails(raised: Exception) -> None:
         raise raised
