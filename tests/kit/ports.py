@@ -12,6 +12,7 @@ import re
 import socket
 import tempfile
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +22,7 @@ MAX_RESERVED: Final = 1_500
 
 _worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "")) or 0)
 _first = 2_000 * (_worker % 8) + os.getpid() * 37 % 1_200
-_order = itertools.cycle((*PORTS[_first:], *PORTS[:_first]))
+_order: Iterator[int] = itertools.cycle((*PORTS[_first:], *PORTS[:_first]))
 _reserved: deque[int] = deque()
 _locks = os.open(
     Path(tempfile.gettempdir()) / f"handover-test-ports-{os.getuid()}",
