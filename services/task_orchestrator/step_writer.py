@@ -22,6 +22,7 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
 from handover.database import LockLost
+from handover.database_outage import RETRY_AFTER_S, is_outage, outage_problem
 from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover.retry import Backoff
@@ -247,19 +248,20 @@ class StepWriter:
         expected = isinstance(error, HandoverError | SQLAlchemyError)
         reason = _reason_of(error)
         log.error("step not written", error=reason, exc_info=None if expected else error)
+        problem = Problem(
+            503,
+            NOT_WRITTEN,
+            message(
+                "process.not_written",
+                "nothing was changed: {reason}; correct that and send the request again",
+                reason=reason,
+            ),
+            extra={"retryAfterS": RETRY_AFTER_S} if is_outage(error) else None,
+        )
+        if isinstance(error, DBAPIError) and error.connection_invalidated:
+            problem = outage_problem(error) or problem  # the server may have carried out the commit
         for change in changes:
-            _answer(
-                change,
-                Problem(
-                    503,
-                    NOT_WRITTEN,
-                    message(
-                        "process.not_written",
-                        "nothing was changed: {reason}; correct that and send the request again",
-                        reason=reason,
-                    ),
-                ),
-            )
+            _answer(change, problem)
 
     async def _delete_delivered(self) -> None:
         """Delete delivered messages from the database if no other step does so."""

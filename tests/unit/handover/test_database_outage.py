@@ -43,7 +43,9 @@ def test_a_full_or_locked_database_is_an_outage(engine: Engine, tmp_path: Path) 
     assert outage_problem(fault_of(engine, "INSERT INTO lamp VALUES ('a')")) is not None
 
 
-@pytest.mark.parametrize("statement", ["SELECT * FROM torch", "SELECT FROM WHERE", "INSERT INTO lamp VALUES (NULL)"])
+@pytest.mark.parametrize(
+    "statement", ["SELECT * FROM torch", "SELECT FROM WHERE", "INSERT INTO lamp VALUES (NULL)"]
+)
 def test_a_wrong_statement_is_none(engine: Engine, statement: str) -> None:
     assert outage_problem(fault_of(engine, statement)) is None
 
