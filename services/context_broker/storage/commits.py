@@ -95,6 +95,8 @@ class CommitQueue:
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
         self._era = 0
         self._refused_era = -1
+        self._refused_as: type[NotStored] = NotStored
+        """Why: what depends on a refused write is refused for the same reason."""
         self._later = Entries()
         self._later_due: asyncio.TimerHandle | None = None
 
@@ -157,7 +159,7 @@ class CommitQueue:
             if not self._journal.commit_at_once(entries):
                 return False
         except NotStored as error:
-            self._refused_era = writes[-1].era
+            self._refused_era, self._refused_as = writes[-1].era, type(error)
             REFUSED.inc()
             self._on_failure(writes, error)
             return True
@@ -216,7 +218,7 @@ class CommitQueue:
         dependent = [write for write in group if write.era <= self._refused_era]
         if dependent:
             self._report_failure(
-                dependent, NotStored("an earlier change that it may depend on was not stored")
+                dependent, self._refused_as("an earlier change that it may depend on was not stored")
             )
         writable = [write for write in group if write.era > self._refused_era]
         if not writable:
@@ -237,7 +239,7 @@ class CommitQueue:
             self._call(self._report_success, writable)
 
     def _refuse(self, writes: list[Write], error: NotStored) -> None:
-        self._refused_era = max(write.era for write in writes)
+        self._refused_era, self._refused_as = max(write.era for write in writes), type(error)
         REFUSED.inc()
         self._report_failure(writes, error)
 
