@@ -54,15 +54,25 @@ async def test_both_hands_complete_a_task_also_when_the_second_glove_comes_later
     bench.screen.put("/gloves/left-1/person", json={"person": "anna"}).raise_for_status()
     await asked(bench, task, "left-1")
     assert await bench.status(task) == "inProgress"
-    await show_both(left, right, (OPEN, OPEN), 0.3)
-    assert bench.view()["message"]["key"] == "showBoth"
-    await show_both(left, right, (UP, OPEN), 0.3)
-    assert bench.view()["message"] == {
-        "key": "showWithRight",
-        "values": {"gesture": "Thumbs up", "hand": "right"},
-        "text": "Show with your right hand: Thumbs up.",
-    }
-    assert [part["state"] for part in bench.view()["task"]["parts"]] == ["held", "now"]
+
+    async def asks_for_the_right_hand() -> bool:
+        """Hold briefly: what lasts longer, as on a slow machine, is answered with the fingers that differ."""
+        await show_both(left, right, (OPEN, OPEN), 0.3)
+        is_asked = bench.view()["message"]["key"] == "showBoth"
+        await show_both(left, right, (UP, OPEN), 0.3)
+        view = bench.view()
+        wanted = {
+            "key": "showWithRight",
+            "values": {"gesture": "Thumbs up", "hand": "right"},
+            "text": "Show with your right hand: Thumbs up.",
+        }
+        return (
+            is_asked
+            and view["message"] == wanted
+            and [part["state"] for part in view["task"]["parts"]] == ["held", "now"]
+        )
+
+    await until(asks_for_the_right_hand)
     await show_both(left, right, (OPEN, OPEN), 0.3)
     await show_both(left, right, (UP, UP), 1.8)
     await ends(bench, task, "completed")
