@@ -57,9 +57,10 @@ async def test_both_hands_complete_a_task_also_when_the_second_glove_comes_later
 
     async def asks_for_the_right_hand() -> bool:
         """Hold briefly: what lasts longer, as on a slow machine, is answered with the fingers that differ."""
-        await show_both(left, right, (OPEN, OPEN), 0.3)
+        right.show(POINT, 0.1)  # so that the open hand is a new one
+        await show_both(left, right, (OPEN, OPEN), 0.1)
         is_asked = bench.view()["message"]["key"] == "showBoth"
-        await show_both(left, right, (UP, OPEN), 0.3)
+        await show_both(left, right, (UP, OPEN), 0.1)
         view = bench.view()
         wanted = {
             "key": "showWithRight",
