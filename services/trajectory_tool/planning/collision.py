@@ -62,6 +62,12 @@ class _Checks:
         self.callback = pin.CollisionCallBackDefault(geometry, self.data, True)
 
 
+SHAPE_EXCESS_M = 1e-3
+"""How much nearer than their meshes the shapes of two links may be: twice the tolerance of polytopes.
+
+Between two links this is taken off a margin, to not less than half of it: what is free by the meshes with
+the smallest margin is not refused. Shapes enclose the meshes, so that links which are allowed never touch.
+"""
 MANY_SHARE = 0.2
 """From this fraction of the pairs on, it costs less to compute all distances in one call."""
 
@@ -87,6 +93,11 @@ class Collisions:
         self._shares = travels.max(axis=1, initial=0.0)
         """For each pair, how much of the travel of a motion the pair approaches at most."""
         self._lower_bounds = DistanceBounds(arm, self.geometry)
+        links = len(arm.geometry.geometryObjects)
+        self._is_own = np.array(
+            [pair.first < links and pair.second < links for pair in self.geometry.collisionPairs], bool
+        )
+        """Whether each pair is of two links."""
 
     @property
     def pairs(self) -> int:
@@ -94,7 +105,7 @@ class Collisions:
         return len(self.geometry.collisionPairs)
 
     def is_free(self, joints: Array, margin_m: float = 0.0) -> bool:
-        """Return whether everything is farther apart than `margin_m`."""
+        """Return whether everything is farther apart than `margin_m`, two links `SHAPE_EXCESS_M` less."""
         return self.is_free_within(joints, 0.0, margin_m)
 
     def is_free_within(self, joints: Array, travel_m: float, margin_m: float) -> bool:
@@ -105,7 +116,8 @@ class Collisions:
         """
         checks = self._checks.get((travel_m, margin_m))
         if checks is None:
-            margins = np.maximum(self._shares * travel_m, margin_m)
+            own_m = max(margin_m - SHAPE_EXCESS_M, margin_m / 2)
+            margins = np.maximum(self._shares * travel_m, np.where(self._is_own, own_m, margin_m))
             checks = _Checks(self.arm.pin_model, self.geometry, margins)
             self._checks[(travel_m, margin_m)] = checks
         self.checked += 1

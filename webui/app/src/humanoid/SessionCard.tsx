@@ -140,6 +140,7 @@ export function SessionsCard() {
   const people = [...new Set((all ?? []).flatMap((one) => (one.person === null ? [] : [shortName(one.person)])))].sort();
   const listed = (all ?? []).filter((one) => person === "" || (one.person !== null && shortName(one.person) === person));
   const isKnown = all?.some(({ id }) => id === shown) === true;
+  const isListed = people.includes(person);
   return (
     <Card title={t("sessions.title")}>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -153,7 +154,7 @@ export function SessionsCard() {
               <Button icon={<Trash2 aria-hidden size={18} />} onPress={() => setDeleting(true)}>{t("sessions.delete")}</Button>
             )}
           </div>
-          {person !== "" && <Weeks person={person} />}
+          {isListed && <Weeks person={person} />}
           <div className="humanoid__scroll">
             <table className="figures">
               <thead>
@@ -181,6 +182,7 @@ export function SessionsCard() {
           {isKnown && <Report key={shown} session={shown} />}
         </>
       )}
+      {all !== null && person !== "" && !isListed && <UnknownName thing="value" name={person} parameter="person" />}
       {all !== null && shown !== "" && !isKnown && <UnknownName thing="session" name={shown} parameter="session" />}
       <ConfirmDialog
         isOpen={isDeleting}
