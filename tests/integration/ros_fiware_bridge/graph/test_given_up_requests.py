@@ -190,7 +190,7 @@ async def test_a_call_without_an_answer_has_an_unknown_outcome(
     with server():
         async with joined() as graph:
             with pytest.raises(CallTimeout) as failed:
-                await graph.call("/slow_call", TRIGGER, {}, scaled(3.0))
+                await graph.call("/slow_call", TRIGGER, {}, scaled(10.0))  # of which finding it may take some
             assert isinstance(failed.value, OutcomeUnknown)
             assert "did not answer within" in str(failed.value)
         answer()
