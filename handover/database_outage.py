@@ -18,6 +18,7 @@ from sqlalchemy.exc import TimeoutError as NoConnectionFree
 
 from handover.errors import ChangeMade, Problem
 from handover.messages import message
+from handover.sqlite_files import is_outside
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
@@ -26,18 +27,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 RETRY_AFTER_S: Final = 2
-_PRIMARY: Final = 0xFF
-"""The extended error codes of SQLite have the primary one in their lowest byte."""
-_SQLITE_STATES: Final = frozenset(
-    {
-        sqlite3.SQLITE_BUSY,
-        sqlite3.SQLITE_LOCKED,
-        sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_IOERR,
-        sqlite3.SQLITE_FULL,
-        sqlite3.SQLITE_CANTOPEN,
-    }
-)
 
 
 def reason_of(error: BaseException) -> str:
@@ -55,7 +44,7 @@ def is_outage(error: BaseException) -> bool:
             return True
         error = error.orig or error
     if isinstance(error, sqlite3.Error):
-        return getattr(error, "sqlite_errorcode", 0) & _PRIMARY in _SQLITE_STATES
+        return is_outside(error)
     # psycopg's, by the names of PEP 249, since it is loaded only where PostgreSQL is used
     return any(kind.__name__ in {"OperationalError", "InterfaceError"} for kind in type(error).__mro__)
 
@@ -124,7 +113,8 @@ class Outages:
 
     def _failed(self, context: ExceptionContext) -> None:
         error = context.sqlalchemy_exception or context.original_exception
-        if not (context.is_disconnect or _is_refused(context)) or not is_outage(error):
+        is_refused = context.connection is None
+        if not (context.is_disconnect or is_refused) or not is_outage(error):
             return
         with self._lock:
             if self._since_s is not None:
@@ -139,8 +129,3 @@ class Outages:
         if since_s is not None:
             seconds = round(time.monotonic() - since_s, 1)
             log.warning("database available again", database=self._database, nth=self._count, after_s=seconds)
-
-
-def _is_refused(context: ExceptionContext) -> bool:
-    """Return whether there is no connection at all."""
-    return context.connection is None

@@ -6,14 +6,17 @@ that what native libraries print is in the new file too. Several processes may s
 renamed follows. Nothing is copied, so no line is lost in between.
 """
 
-import fcntl
 import logging
 import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from handover.settings import PREFIX
+
+if sys.platform != "win32":
+    import fcntl
 
 LOG_FILE: Final = f"{PREFIX}LOG_FILE"
 """Set by the launcher: the file to which it has sent the standard output and error of the process."""
@@ -42,7 +45,7 @@ def rotate(path: Path, max_bytes: int = MAX_LOG_BYTES) -> None:
 def own_log() -> Path | None:
     """Return the log file of this process; None if its standard error goes elsewhere."""
     named = os.environ.get(LOG_FILE)
-    if not named:
+    if not named or sys.platform == "win32":  # an open file has no other name there
         return None
     own = os.fstat(2)
     for path in (Path(named), older(Path(named))):  # another process may have renamed it just now

@@ -32,7 +32,7 @@ START_CHECK_S: Final = 1.0
 """Maximum time of the integrity check at a start; `handover check` completes it."""
 _STEPS: Final = 20_000
 """Steps of SQLite's virtual machine between two checks of the time: some milliseconds."""
-_NO_DAMAGE: Final = frozenset(
+_OUTSIDE: Final = frozenset(
     {
         sqlite3.SQLITE_BUSY,
         sqlite3.SQLITE_LOCKED,
@@ -95,7 +95,12 @@ def faults_of(path: Path, within_s: float | None = None) -> tuple[list[str], boo
 
 def is_damage(error: sqlite3.Error) -> bool:
     """Return whether an error is damage of the file, and not that of a full disk or a busy file."""
-    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _NO_DAMAGE
+    return not is_outside(error)
+
+
+def is_outside(error: sqlite3.Error) -> bool:
+    """Return whether an error has a cause outside of the file, such as a full disk, so that it may pass."""
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF in _OUTSIDE
 
 
 def integrity_faults(connection: sqlite3.Connection, within_s: float | None = None) -> tuple[list[str], bool]:
