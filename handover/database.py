@@ -17,7 +17,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from handover.database_outage import Outages
+from handover.database_outage import Outages, database_reason
 from handover.errors import HandoverError, UsageError
 from handover.folder_lock import lock_own
 from handover.sqlite_files import prepare_own, unreleased_format
@@ -151,7 +151,7 @@ def connect(
         _open(engine)
     except (DBAPIError, sqlite3.Error, OSError) as error:
         engine.dispose()
-        reason = str(error.orig if isinstance(error, DBAPIError) else error).strip().splitlines()[0]
+        reason = database_reason(error)
         shown = parsed.render_as_string(hide_password=True)
         raise UsageError(
             f"the database {shown} cannot be used: {reason}; correct that or {setting}"

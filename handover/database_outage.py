@@ -29,7 +29,7 @@ T = TypeVar("T")
 RETRY_AFTER_S: Final = 2
 
 
-def reason_of(error: BaseException) -> str:
+def database_reason(error: BaseException) -> str:
     """Return why the database refused, as one line."""
     lines = str(getattr(error, "orig", None) or error).strip().splitlines()
     return lines[0] if lines else type(error).__name__
@@ -60,13 +60,13 @@ def outage_problem(error: SQLAlchemyError) -> Problem | None:
         detail = message(
             "service.database_lost",
             "the connection to the database broke ({reason}); see whether the change was made, and try again",
-            reason=reason_of(error),
+            reason=database_reason(error),
         )
     else:
         detail = message(
             "service.database_unavailable",
             "nothing was changed: the database cannot be used now ({reason}); try again",
-            reason=reason_of(error),
+            reason=database_reason(error),
         )
     return Problem(503, "Database unavailable", detail, extra={"retryAfterS": RETRY_AFTER_S})
 
@@ -95,7 +95,7 @@ async def shown_after_change(view: Awaitable[T]) -> T:
             "service.change_made",
             "the change was made, and cannot be shown: the database cannot be used now ({reason}); look "
             "again later, and do not repeat it",
-            reason=reason_of(error),
+            reason=database_reason(error),
         )
         raise ChangeMade(504, "Changed, not shown", detail) from error
 
@@ -121,7 +121,9 @@ class Outages:
                 return
             self._since_s = time.monotonic()
             self._count += 1
-        log.error("database unavailable", database=self._database, nth=self._count, error=reason_of(error))
+        log.error(
+            "database unavailable", database=self._database, nth=self._count, error=database_reason(error)
+        )
 
     def _connected(self, _: Any, __: Any) -> None:
         with self._lock:

@@ -47,6 +47,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
 from handover.database import connect
+from handover.database_outage import database_reason
 from handover.errors import Problem, UsageError
 from handover.migrations import migrate
 from handover.retry import Backoff
@@ -425,7 +426,7 @@ class AuditTrail:
         try:
             numbers = await asyncio.to_thread(append)
         except (SQLAlchemyError, UsageError, OSError) as error:
-            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+            reason = database_reason(error)
         for position, (_, future) in enumerate(batch):
             if future.done():
                 continue  # the request was cancelled

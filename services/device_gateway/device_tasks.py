@@ -16,6 +16,7 @@ from typing import Any, Final
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.broker import BrokerClient
+from handover.database_outage import database_reason
 from handover.errors import Problem
 from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
@@ -130,7 +131,7 @@ class DeviceTasks(Performer):
                     raise TaskFailed(problem.detail) from None
                 reason = problem.detail
             except SQLAlchemyError as error:
-                reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+                reason = database_reason(error)
             log.warning("command not stored yet", device=order.device, command=order.name, reason=reason)
             with suppress(TimeoutError):
                 async with asyncio.timeout(backoff.next_delay_s()):

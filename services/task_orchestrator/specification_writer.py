@@ -18,6 +18,7 @@ from handover.alert_catalogue import SPECIFICATIONS_NOT_WRITTEN
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.database_outage import database_reason
 from handover.errors import HandoverError, UsageError
 from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
@@ -151,4 +152,4 @@ class SpecificationWriter:
 
 
 def _reason(error: Exception) -> str:
-    return str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+    return database_reason(error)

@@ -23,6 +23,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from sqlalchemy import Connection, Engine, Table, delete, select
 from sqlalchemy.exc import SQLAlchemyError
 
+from handover.database_outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
 from handover.retry import Backoff
@@ -328,7 +329,7 @@ def delete_history(connection: Connection, device: str) -> None:
 
 def unavailable(error: SQLAlchemyError) -> Problem:
     """Return the answer to a request that the database did not carry out."""
-    reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+    reason = database_reason(error)
     return Problem(
         503,
         "Database unavailable",

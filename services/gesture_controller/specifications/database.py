@@ -15,6 +15,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from handover.database import connect
+from handover.database_outage import database_reason
 from handover.errors import UsageError
 from handover.retry import Backoff
 from handover.specification_table import SETTING, find
@@ -89,7 +90,7 @@ class SpecificationDatabase:
             row = find(engine, ids)
             return Definition().filled_from(row) if row is not None else Definition()
         except SQLAlchemyError as error:
-            reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+            reason = database_reason(error)
             return DatabaseState(
                 "away",
                 f"the specification database {self.shown} cannot be queried: {reason}; correct that, or "

@@ -19,6 +19,7 @@ from typing import Any
 from sqlalchemy.exc import DBAPIError
 
 from handover.database import LockLost
+from handover.database_outage import database_reason
 from handover.device_lease import boot_time_s
 from handover.errors import Problem
 from handover.telemetry import get_logger
@@ -128,7 +129,7 @@ class DeviceLeases:
         try:
             return await self._on_disk(act, *arguments)
         except (DBAPIError, LockLost) as error:
-            reason = str(error.orig if isinstance(error, DBAPIError) else error).strip().splitlines()[0]
+            reason = database_reason(error)
             raise Problem(503, "Not leased", f"the leases cannot be stored: {reason}") from error
 
     def _read_all(self) -> dict[str, StoredLease]:

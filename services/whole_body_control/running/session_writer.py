@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from handover.database_outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
 from services.whole_body_control.running.session_store import SessionStore
@@ -37,7 +38,7 @@ class SessionWriter:
                 message(
                     "humanoid.session_not_stored",
                     "the session has ended again, since it cannot be stored: {reason}",
-                    reason=str(getattr(error, "orig", error)).strip().splitlines()[0],
+                    reason=database_reason(error),
                 ),
             ) from None
         return session
