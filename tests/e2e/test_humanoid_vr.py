@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Error, Page, expect
 
 from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.robots import humanoid
@@ -18,7 +18,7 @@ from tests.e2e.conftest import OpenPage
 from tests.integration.whole_body_control.people import THROW_S
 from tests.kit.cell import Cell, new_cell
 from tests.kit.paths import REPOSITORY
-from tests.kit.waiting import wait_for
+from tests.kit.waiting import scaled, wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -87,6 +87,27 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
                     os.kill(pid, signal.SIGKILL)
 
 
+@pytest.fixture(autouse=True)
+def standing(cell: Cell) -> Iterator[None]:
+    """Begin and end each test with a robot that stands and has no session, also after a test that failed."""
+    stand(cell)
+    yield
+    stand(cell)
+
+
+def stand(cell: Cell) -> None:
+    """End the session that runs, and let the robot stand."""
+    now = session(cell)
+    if now and now["state"] != "ended":
+        post(cell, f"sessions/{now['id']}/end")
+
+    def stands() -> bool:  # a choice is refused until the robot has finished what it did
+        answer = httpx.post(f"{cell.url(SERVICE)}/behaviour", json={"behaviour": "walking"}, timeout=120)
+        return answer.status_code == 200 and state(cell)["behaviour"] == "standing"
+
+    wait_for(stands, WITHIN_S, "the robot stands")
+
+
 def state(cell: Cell) -> dict[str, Any]:
     """Return the live document."""
     found: dict[str, Any] = httpx.get(f"{cell.url(SERVICE)}/state", timeout=120).raise_for_status().json()
@@ -117,6 +138,21 @@ def in_room(place: Place) -> list[float]:
     """Return a place of the robot (ahead, to its left, up) in the room of the person, who faces the robot."""
     ahead, left, up = place
     return [1 + left, up, 2 - (1.15 - ahead)]
+
+
+def in_stance(cell: Cell, place: Place) -> tuple[float, float]:
+    """Return where `place` of `in_room` is in the frame of the feet: the seat faces the robot as it stood."""
+    now = state(cell)
+    head = now["patient"]["headset"]
+    turn = 2 * np.arctan2(head["rotation"][2], head["rotation"][3]) + np.pi
+    x, y = np.array(head["position"][:2]) + turned(place[0] - 1.15, place[1], turn)
+    feet_x, feet_y, yaw = now["stance"]
+    ahead, left = turned(x - feet_x, y - feet_y, -yaw)
+    return float(ahead), float(left)
+
+
+def turned(x: float, y: float, yaw: float) -> np.ndarray:
+    return np.array([np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y])
 
 
 def robot_hands(cell: Cell) -> dict[str, Place]:
@@ -151,14 +187,24 @@ class Wearer:
             self.page.evaluate(FRAMES)
 
     def choose(self, label: str) -> None:
-        """Point at a button of the panel, and pull the trigger."""
-        button = self.panel.get_by_role("button", name=label, exact=True)
-        expect(button).to_be_visible()
-        labels = [each.inner_text() for each in self.panel.get_by_role("button").all()]
+        """Point at a button of the panel, and pull the trigger, until the button is gone."""
+        wait_for(lambda: self.try_to_choose(label), WITHIN_S, f"{label} is chosen")
+
+    def try_to_choose(self, label: str) -> bool:
+        """Do it once; return whether the button is gone."""
+        labels = self.panel.get_by_role("button").all_inner_texts()
+        if label not in labels:
+            return False
         width = (1280 - 80 - (len(labels) - 1) * 24) / len(labels)
         across = (40 + labels.index(label) * (width + 24) + width / 2) / 1280
         self.point_at([0.35 + 1.3 * across, 1.206, -0.05])
         self.press("trigger")
+        with suppress(AssertionError):  # the panel changed meanwhile, and the ray missed: point again
+            expect(self.panel.get_by_role("button", name=label, exact=True)).to_be_hidden(
+                timeout=1000 * scaled(3)
+            )
+            return True
+        return False
 
     def point_at(self, place: list[float]) -> None:
         """Point the right controller at a place of the room."""
@@ -209,19 +255,24 @@ def test_a_person_without_a_headset_catches_by_the_pointer_and_pauses_by_the_pan
     def is_paused() -> bool:
         now = session(cell)
         if now["state"] == "running":
-            panel.get_by_role("button", name="Pause").click()
+            with suppress(Error):  # it has just paused for silence, and the button has gone
+                panel.get_by_role("button", name="Pause").click(timeout=1000 * scaled(2))
         elif "person" not in now["pauseReason"]:  # for silence, on a slow machine
             httpx.post(f"{cell.url(SERVICE)}/sessions/{identity}/resume", timeout=120)
         return "person" in session(cell)["pauseReason"]
 
     wait_for(is_paused, WITHIN_S, "the panel pauses")
-    panel.get_by_role("button", name="Resume").click()
-    wait_for(lambda: session(cell)["state"] == "running", WITHIN_S, "it continues")
+
+    def runs() -> bool:
+        if session(cell)["state"] == "paused":
+            with suppress(Error):
+                panel.get_by_role("button", name="Resume").click(timeout=1000 * scaled(2))
+        return bool(session(cell)["state"] == "running")
+
+    wait_for(runs, WITHIN_S, "it continues")
     panel.get_by_role("button", name="Leave").click()
     wait_for(lambda: session(cell)["state"] == "paused", WITHIN_S, "leaving pauses")
     expect(panel).to_be_hidden()
-    post(cell, f"sessions/{identity}/end")
-    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "the robot stands")
 
 
 def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_session(
@@ -287,8 +338,6 @@ def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_s
     page.close()  # the headset drops out
     wait_for(lambda: session(cell)["state"] == "paused", WITHIN_S, "the silence pauses")
     assert session(cell)["pauseReason"] in {"silent", "trackingLost", "silent, trackingLost"}
-    post(cell, f"sessions/{begun['id']}/end")
-    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "the robot stands")
 
 
 def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked_hands(
@@ -310,6 +359,7 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
     expect(wearer.panel).to_contain_text("Choose where the ball lands")
     target = (0.8, 0.1, 0.6)
     wearer.point_at(in_room(target))
+    expected = in_stance(cell, target)
     number = None
 
     def is_thrown() -> bool:  # the hand keeps the ball when wishes are late on a slow machine: throw again
@@ -321,8 +371,8 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
         return THROWN_MS in page.evaluate("pulses")
 
     wait_for(is_thrown, WITHIN_S, "the throw is felt")
-    reached = state(cell)["ball"]["target"]
-    assert np.hypot(reached[0] - target[0], reached[1] - target[1]) < 0.1
+    reached = state(cell)["throw"]["target"]
+    assert np.hypot(reached[0] - expected[0], reached[1] - expected[1]) < 0.05
     assert reached[2] == pytest.approx(target[2])  # the ray met the plane of the chosen height
 
     wait_for(
@@ -372,7 +422,7 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
 
     def runs() -> bool:
         if session(cell)["state"] == "paused":
-            wearer.choose("Resume")
+            wearer.try_to_choose("Resume")
         return bool(session(cell)["state"] == "running")
 
     wait_for(runs, WITHIN_S, "the session runs")

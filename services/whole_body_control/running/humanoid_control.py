@@ -192,7 +192,7 @@ class HumanoidControl:
     def choose(self, behaviour: str) -> None:
         """Choose what the robot does; only while it stands on both feet. Raises `Problem` 409."""
         wanted = Behaviour(NAMES[behaviour])
-        if wanted is self.motion.behaviour:
+        if wanted is self.motion.behaviour and not self.motion.is_finishing:
             return
         if not self.links.is_live or not self.is_standing:
             raise Problem(
@@ -219,7 +219,7 @@ class HumanoidControl:
                 "Cannot juggle",
                 message("humanoid.no_grips", "no hand of this humanoid holds a ball; add grips to its model"),
             )
-        self.motion.behaviour = wanted
+        self.motion.begin(wanted)
         if wanted is Behaviour.JUGGLING:
             self.rehearsals.begin()
 

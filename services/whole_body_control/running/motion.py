@@ -60,10 +60,18 @@ class Motion:
         self.stopped: Stopped | None = None
         self.is_paused = False
         """Whether a session or a Task pauses the motion: the robot stands on both feet meanwhile."""
+        self.is_finishing = False
+        """Whether a session has ended, and the robot walks by wishes again as soon as it stands."""
         self.throw = Throw(0, (0.8, 0.0, 0.5), "right")
         self.limit = Allowed("body")
         self._velocity = (0.0, 0.0, 0.0)
         self._dead_man = DeadMan(HOLD_TIMEOUT_S)
+
+    def begin(self, behaviour: Behaviour) -> None:
+        """Take a behaviour; after a session that has ended it takes the place of walking by wishes."""
+        self.behaviour = behaviour
+        if self.is_finishing:
+            self.is_paused = self.is_finishing = False
 
     def walk(self, ahead_mps: float, left_mps: float, yaw_radps: float, *, is_held: bool) -> None:
         """Take a message of the dead-man control; velocities beyond the limits are lowered."""

@@ -21,6 +21,7 @@ from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.patterns.regions import Side
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.juggling import Juggling
+from services.whole_body_control.running.motion import NAMES
 from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.sessions.catching import CatchRules
@@ -159,7 +160,6 @@ class Training:
         self.current: Session | None = None
         self.on_change: Callable[[], None] = lambda: None
         self._control, self._store, self._signals = control, store, signals
-        self._is_finishing = False
 
     @property
     def store(self) -> SessionStore:
@@ -176,8 +176,11 @@ class Training:
                 message("humanoid.session_runs", "a session runs already; end it before another one starts"),
             )
         control.motion.require_free()
-        control.motion.is_paused = self._is_finishing = False
-        control.choose(BEHAVIOURS[plan.application])
+        wanted = BEHAVIOURS[plan.application]
+        if control.motion.behaviour is Behaviour(NAMES[wanted]):
+            control.motion.begin(control.motion.behaviour)  # it goes on from the session before
+        else:
+            control.choose(wanted)
         juggling = None
         if plan.application == "juggling":
             difficulty = Difficulty(plan.space, plan.rules, seed=time.monotonic_ns() % 2**32)
@@ -210,9 +213,9 @@ class Training:
                 self._exercise(session)
             control.motion.is_paused = session.exercise.state is not State.RUNNING
             if session.is_ended:
-                self._is_finishing = True
+                control.motion.is_finishing = True
                 log.info("session ends", session=session.id, by=session.exercise.ended_by)
-        if self._is_finishing:
+        if control.motion.is_finishing:
             self._finish()
         control.live.shown.session = None if session is None else session.view()
         juggling = None if session is None else session.juggling
@@ -233,7 +236,7 @@ class Training:
         """End the session; the robot finishes its step and stands."""
         if self.current is not None and not self.current.is_ended:
             self.current.exercise.end(reason, time.monotonic())
-            self._is_finishing = True
+            self._control.motion.is_finishing = True
 
     def _check_causes(self, session: Session) -> None:
         control, exercise, now_s = self._control, session.exercise, time.monotonic()
@@ -275,8 +278,7 @@ class Training:
         motion = self._control.motion
         motion.is_paused = True
         if self._control.is_standing and self._control.links.is_live:
-            motion.behaviour = Behaviour.WALKING
-            motion.is_paused = self._is_finishing = False
+            motion.begin(Behaviour.WALKING)
 
     def _on_catch(self, side: Side) -> None:
         self._signals.send({"kind": "haptic", "hand": side, "intensity": 0.8, "ms": 60})

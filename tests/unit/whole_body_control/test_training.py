@@ -8,13 +8,22 @@ import pytest
 
 from handover.control.limit_link import LimitLink
 from handover.database import connect
+from handover.errors import Problem
+from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.inputs import SILENT_S, PoseMessage, PullMessage
 from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.running.store import Store
 from services.whole_body_control.running.training import GRACE_S, Plan, Session, Training
-from services.whole_body_control.sessions.exercise import CAUSES, Goal, PauseReason, SessionError, State
+from services.whole_body_control.sessions.exercise import (
+    CAUSES,
+    EndReason,
+    Goal,
+    PauseReason,
+    SessionError,
+    State,
+)
 from services.whole_body_control.sessions.plausible import RELEASE_S
 from services.whole_body_control.settings import WholeBodySettings
 
@@ -57,6 +66,19 @@ class Exercises:
         """Return what the control cycle is sent."""
         names = ("stop", "cancel", "speed_share")
         return dict(zip(names, self.control.motion.values(names), strict=True))
+
+    def pause(self) -> None:
+        self._training.pause()
+        self._training.tick()
+
+    def end(self, *, is_standing: bool) -> None:
+        self.control.links.values = {**self.control.links.values, "phase": 0.0 if is_standing else 2.0}
+        self._training.end(EndReason.PERSON)
+        if not is_standing:
+            self._training.tick()
+
+    def stand(self) -> None:
+        self.control.links.values = {**self.control.links.values, "phase": 0.0}
 
     def resume(self) -> None:
         self._training.resume()
@@ -111,3 +133,28 @@ def test_the_robot_stands_and_the_session_names_the_cause_until_a_person_resumes
     assert exercises.wish()["stop"] == 1.0
     exercises.resume()
     assert (session.exercise.state, exercises.wish()["stop"]) == (State.RUNNING, 0.0)
+
+
+def test_a_choice_after_a_session_is_not_undone_when_its_robot_stands(exercises: Exercises) -> None:
+    exercises.begin()
+    exercises.end(is_standing=True)
+    exercises.control.choose("assistedWalking")  # as in the session, and before it is noticed that it stands
+    exercises.later(0.2)
+    assert exercises.control.motion.behaviour is Behaviour.ASSISTED_WALKING
+    assert exercises.wish()["stop"] == 0.0
+
+    exercises.begin()
+    exercises.end(is_standing=False)
+    with pytest.raises(Problem, match="let it stand first"):
+        exercises.control.choose("assistedWalking")
+    assert exercises.wish()["stop"] == 1.0
+    exercises.stand()
+    exercises.later(0.2)
+    assert exercises.control.motion.behaviour is Behaviour.WALKING
+
+
+def test_a_choice_does_not_resume_a_paused_session(exercises: Exercises) -> None:
+    exercises.begin()
+    exercises.pause()
+    exercises.control.choose("walking")
+    assert exercises.wish()["stop"] == 1.0
