@@ -40,9 +40,14 @@ def stored_panels(cell: Cell) -> str:
     return f"{cell.url('webui')}/api/user-settings/control.panels"
 
 
-def rests(cell: Cell) -> bool:
+def joints(cell: Cell) -> dict[str, list[float]]:
     robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/ur10-1", timeout=120, trust_env=False).json()
-    return not any(robot["joints"]["velocity"])
+    found: dict[str, list[float]] = robot["joints"]
+    return found
+
+
+def rests(cell: Cell) -> bool:
+    return not any(joints(cell)["velocity"])
 
 
 def taken(page: Page) -> Page:
@@ -59,12 +64,13 @@ def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[]
             return True
         release()
         page.wait_for_timeout(100)  # so that the release is sent
+        before = joints(cell)["position"]
         hold()
         for _ in range(50):  # often, since the robot rests again after any 100 ms without an input
             page.wait_for_timeout(100)
             if not rests(cell):
                 return True
-        return False
+        return joints(cell)["position"] != before  # it moved between two looks
 
     wait_for(is_moving)
 

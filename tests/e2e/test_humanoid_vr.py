@@ -134,6 +134,17 @@ def patient(cell: Cell) -> dict[str, Any]:
     return found
 
 
+def has_both_hands(cell: Cell) -> bool:
+    """Whether both hands of the person are tracked."""
+    hands = patient(cell).get("hands") or {}
+    return all(hands.get(side) for side in ("left", "right"))
+
+
+def headset(cell: Cell) -> dict[str, Any]:
+    """Return the pose of the head; while a slow page says nothing there is none."""
+    return wait_for(lambda: patient(cell).get("headset"), WITHIN_S, "the head reaches the service")
+
+
 def in_room(place: Place) -> list[float]:
     """Return a place of the robot (ahead, to its left, up) in the room of the person, who faces the robot."""
     ahead, left, up = place
@@ -142,11 +153,10 @@ def in_room(place: Place) -> list[float]:
 
 def in_stance(cell: Cell, place: Place) -> tuple[float, float]:
     """Return where `place` of `in_room` is in the frame of the feet: the seat faces the robot as it stood."""
-    now = state(cell)
-    head = now["patient"]["headset"]
+    head, feet = headset(cell), state(cell)["stance"]
     turn = 2 * np.arctan2(head["rotation"][2], head["rotation"][3]) + np.pi
     x, y = np.array(head["position"][:2]) + turned(place[0] - 1.15, place[1], turn)
-    feet_x, feet_y, yaw = now["stance"]
+    feet_x, feet_y, yaw = feet
     ahead, left = turned(x - feet_x, y - feet_y, -yaw)
     return float(ahead), float(left)
 
@@ -286,12 +296,13 @@ def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_s
     page.get_by_role("button", name="Enter virtual reality").click()
 
     wait_for(lambda: patient(cell).get("tracking") == "ok", WITHIN_S, "the poses reach the service")
-    head = patient(cell)["headset"]["position"]
+    head = headset(cell)["position"]
     base = state(cell)["base"]
     assert abs(head[0] - base[0] - 1.15) < 0.05  # at the seat, whatever place in the room that is
     assert abs(head[1] - base[1]) < 0.05
     assert abs(head[2] - 1.15) < 0.05
-    right, left = (patient(cell)["hands"][side]["position"] for side in ("right", "left"))
+    hands = wait_for(lambda: patient(cell).get("hands"), WITHIN_S, "the hands reach the service")
+    right, left = (hands[side]["position"] for side in ("right", "left"))
     assert right[1] > left[1]  # the right hand of the person is at the left of the robot, which they face
     frames = page.locator("[data-measured=period]")
     expect(frames).not_to_have_attribute("data-count", "0")
@@ -385,7 +396,7 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
     begun = post(cell, "sessions", application="walking", goal={"seconds": 600})
     expect(wearer.panel).to_contain_text("Hold the hands of the robot")
     page.evaluate("headset.primaryInputMode = 'hand'")
-    wait_for(lambda: all((patient(cell).get("hands") or {}).values()), WITHIN_S, "the hands are tracked")
+    wait_for(lambda: has_both_hands(cell), WITHIN_S, "the hands are tracked")
 
     def lead(ahead_m: float) -> bool:
         """Take the hands of the robot where they are, and draw them; return whether the robot walks so."""
@@ -412,13 +423,13 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
 
     wait_for(lambda: lead(0.2), WITHIN_S, "the robot walks where the hands lead it")
     assert session(cell)["distanceM"] > 0.03
-    hands = patient(cell)["hands"]
+    hands = wait_for(lambda: patient(cell).get("hands"), WITHIN_S, "the hands reach the service")
     assert 1.0 in {hand["grip"] for hand in hands.values()}  # the other one may have been torn off
     keep(page, "humanoid-vr-led")
     page.evaluate(PINCH, 0)
 
     page.evaluate("headset.primaryInputMode = 'controller'")
-    wait_for(lambda: all((patient(cell).get("hands") or {}).values()), WITHIN_S, "the controllers are back")
+    wait_for(lambda: has_both_hands(cell), WITHIN_S, "the controllers are back")
 
     def runs() -> bool:
         if session(cell)["state"] == "paused":

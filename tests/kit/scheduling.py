@@ -11,6 +11,7 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 
 TOGETHER: Final = {
     "tests/e2e/test_*_page.py": "screen",  # two cores bear one browser at a time
+    "tests/e2e/test_humanoid_vr.py": "screen",
     "tests/integration/context_broker/test_distributed_*.py": "registered brokers",
     "tests/integration/ros_fiware_bridge/test_both_ways.py": "shared shop with a robot",
     "tests/integration/ros_fiware_bridge/test_requests.py": "shared shop with a robot",
