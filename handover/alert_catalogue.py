@@ -188,6 +188,22 @@ SERVICE_RESTARTED: Final = AlertType(
     "A service did not answer although it worked, and was restarted by the watchdog.",
     "Look at the work of the service, and report its log to its maintainers.",
 )
+WRITE_FAILED: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "writeFailed",
+    Severity.HIGH,
+    "Device",
+    "The broker failed three times at a write of a service, which is not repeated.",
+    "Look at the log of the broker; the entity is written again with its next change.",
+)
+DELETION_REFUSED: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "deletionRefused",
+    Severity.HIGH,
+    "HumanState",
+    "The broker cannot delete data of a person who does not allow them there.",
+    "Delete what the Alert names in the broker, or in the service that keeps its history.",
+)
 ROS_PROBLEM: Final = AlertType(
     AlertCategory.ROS,
     None,
@@ -217,6 +233,8 @@ CATALOGUE: Final = (
     CERTIFICATE_NOT_LOADED,
     SUBSCRIPTION_CHANGED,
     SERVICE_RESTARTED,
+    WRITE_FAILED,
+    DELETION_REFUSED,
     ROS_PROBLEM,
 )
 

@@ -28,6 +28,9 @@ PAGE = 500
 """Entities per page; many brokers refuse more than 1000."""
 MAX_RESPONSE_BYTES = 256 * 1024 * 1024
 
+MAX_FAULTS: Final = 3
+"""A request at which the broker has failed so often (`BrokerFault`) is not repeated."""
+
 AnEntity = TypeVar("AnEntity", bound=Entity)
 NgsiLd = Mapping[str, Any]
 
@@ -52,6 +55,19 @@ class AlreadyExists(BrokerError):
 
 class BrokerUnavailable(BrokerError):
     """The broker is unreachable or cannot answer now; a retry may succeed."""
+
+
+class BrokerUnreachable(BrokerUnavailable):
+    """No answer came."""
+
+
+class BrokerFault(BrokerUnavailable):
+    """The broker failed at the request, as with 500; a retry may succeed, or never."""
+
+
+def fault_delay_s(faults: int) -> float:
+    """Return the pause before a request is repeated at which the broker has failed `faults` times."""
+    return 2.0**faults
 
 
 class Credentials(Protocol):
@@ -303,7 +319,7 @@ class BrokerClient:
             return await self._send_by(self._transport, method, url.target, headers, content)
         except (SendError, httpx.TransportError, asyncio.IncompleteReadError) as error:
             reason = str(error) or type(error).__name__
-            raise BrokerUnavailable(
+            raise BrokerUnreachable(
                 503, "Broker unavailable", f"{self.url} does not answer: {reason}"
             ) from error
 
@@ -329,9 +345,19 @@ class BrokerClient:
 
 
 _TRANSIENT: Final = frozenset(
-    {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
+    {
+        HTTPStatus.REQUEST_TIMEOUT,
+        HTTPStatus.TOO_EARLY,
+        HTTPStatus.TOO_MANY_REQUESTS,
+        HTTPStatus.BAD_GATEWAY,
+        HTTPStatus.SERVICE_UNAVAILABLE,
+        HTTPStatus.GATEWAY_TIMEOUT,
+        HTTPStatus.INSUFFICIENT_STORAGE,
+    }
 )
 """Refusals that concern the moment and not the request."""
+_FINAL: Final = frozenset({HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED})
+"""Those above 500 that concern the request: the broker will never perform it."""
 
 
 def _refusal(response: HttpResponse, act: str) -> BrokerError:
@@ -345,14 +371,18 @@ def _refusal(response: HttpResponse, act: str) -> BrokerError:
     title = str(problem.get("title") or _phrase(status))
     detail = str(problem.get("detail") or response.body.decode(errors="replace")[:500])
     kind = str(problem.get("type", "about:blank"))
-    error_class = BrokerError
+    return _error_class(status)(status, title, f"{detail} ({act})", kind)
+
+
+def _error_class(status: int) -> type[BrokerError]:
     if status == HTTPStatus.NOT_FOUND:
-        error_class = NotFound
-    elif status == HTTPStatus.CONFLICT:
-        error_class = AlreadyExists
-    elif _is_transient(status):
-        error_class = BrokerUnavailable
-    return error_class(status, title, f"{detail} ({act})", kind)
+        return NotFound
+    if status == HTTPStatus.CONFLICT:
+        return AlreadyExists
+    if status in _TRANSIENT:
+        return BrokerUnavailable
+    is_fault = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
+    return BrokerFault if is_fault else BrokerError
 
 
 def _phrase(status: int) -> str:
@@ -382,9 +412,10 @@ def _require_all_done(
 def _refused_in_part(failures: Sequence[NgsiLd], describe: Callable[[NgsiLd], str]) -> BrokerError:
     """Return `BrokerUnavailable` if one of the failures concerns the moment: all may be sent again."""
     text = "; ".join(map(describe, failures))
-    status = next(filter(_is_transient, map(_status_of, failures)), None)
-    if status is not None:
-        return BrokerUnavailable(status, "Unavailable in part", text)
+    found = {_error_class(status): status for status in map(_status_of, failures)}
+    for kind in (BrokerUnavailable, BrokerFault):
+        if kind in found:
+            return kind(found[kind], "Unavailable in part", text)
     return BrokerError(400, "Refused in part", text)
 
 
@@ -392,10 +423,6 @@ def _status_of(error: Mapping[str, Any]) -> int:
     problem = error.get("error")
     status = problem.get("status") if isinstance(problem, Mapping) else None
     return int(status) if isinstance(status, int | str) and str(status).isdecimal() else 0
-
-
-def _is_transient(status: int) -> bool:
-    return status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _TRANSIENT
 
 
 def _refused(answer: HttpResponse) -> frozenset[str]:

@@ -8,7 +8,7 @@ from datamodels.states import Severity
 from handover.alert_catalogue import AlertType
 from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from ros_fiware_bridge.rules.entity_extractor import AlertState
 
@@ -29,7 +29,7 @@ class AlertPublisher:
         self._broker = broker
         self._settings = settings
         self._known: OrderedDict[str, _State] = OrderedDict()
-        self._writer = LatestValueWriter()
+        self._writer = reporting_writer("ros-bridge", settings, broker)
 
     def publish(self, rule: str, alert_state: AlertState) -> None:
         """Queue a state of the rule `rule`, unless it is the last known one."""

@@ -13,7 +13,7 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.device_lease import DeviceLease, DeviceLeases
 from handover.finished_tasks import FinishedTasks
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
@@ -33,7 +33,7 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
     guard = Guard(settings, "assistive-devices")
     broker = BrokerClient(settings, credentials=guard.access)
     tasks = BackgroundTasks("assistive devices")
-    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    writer = reporting_writer("assistive-devices", settings, broker, REJECTED)
     runners: dict[str, MachineRunner] = {}
     for name in settings.assistive_machines:
         case: Case = CASES.load(name)

@@ -9,8 +9,8 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.control_leasing import OpenSessions
 from handover.database import connect
-from handover.latest_value_writer import LatestValueWriter
 from handover.leadership import Leadership
+from handover.reporting_writer import reporting_writer
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
@@ -141,7 +141,7 @@ class _Parts:
             async with (
                 BackgroundTasks("device gateway") as tasks,
                 self.inputs,
-                LatestValueWriter() as writer,
+                reporting_writer("device-gateway", self.settings, self.broker) as writer,
             ):
                 entities = RegistryEntities(self.settings, self.broker, writer)
                 certificates = CertificateAlerts(self.settings, self.broker, gateway.devices)

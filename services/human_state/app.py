@@ -14,12 +14,13 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import UsageError
 from handover.garbage_collection import freeze_loaded
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
 from handover.service import create_app
 from handover.storage import storage_check
+from services.human_state.exchange.deletions import Deletions
 from services.human_state.metrics import REJECTED
 from services.human_state.monitoring.activities import ActivityModel
 from services.human_state.monitoring.breaks import BreakProposals
@@ -50,16 +51,24 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     store = Store(engine)
     people = People(store)
     tasks = BackgroundTasks("human state")
-    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    writer = reporting_writer("human-state", settings, broker, REJECTED)
+    deletions = Deletions(settings, broker, writer)
     activities = ActivityModel(settings.health_activity_model, tasks)
     monitoring = Monitoring(
         settings, people, guard.access, tasks, pipeline_of=pipeline_of, classifier_of=activities.classifier
     )
-    entities = HumanStates(settings, monitoring, broker, writer)
+    entities = HumanStates(settings, monitoring, broker, writer, deletions)
     history = HistoryWriter(store, monitoring, settings.health_history_days)
     breaks = BreakProposals(settings, guard.access)
     recording = RecordingService(
-        settings, store=store, people=people, monitoring=monitoring, tasks=tasks, broker=broker, writer=writer
+        settings,
+        store=store,
+        people=people,
+        monitoring=monitoring,
+        tasks=tasks,
+        broker=broker,
+        writer=writer,
+        deletions=deletions,
     )
     removal = Removal(people, store, history, entities, recording.recordings.delete_of)
 

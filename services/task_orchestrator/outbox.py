@@ -28,7 +28,16 @@ from datamodels.states import Severity
 from handover.alert_catalogue import AlertType
 from handover.alerts import clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
-from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import (
+    MAX_FAULTS,
+    AlreadyExists,
+    BrokerClient,
+    BrokerError,
+    BrokerFault,
+    BrokerUnavailable,
+    NotFound,
+    fault_delay_s,
+)
 from handover.errors import HandoverError, Problem
 from handover.messages import message, message_in, text_of
 from handover.retry import MAX_DELAY_S, Backoff
@@ -237,12 +246,17 @@ class Outbox:
 
     async def _deliver(self, message: Message) -> None:
         backoff = Backoff(INITIAL_RETRY_S, MAX_DELAY_S)
+        faults = 0
         while True:
             try:
                 await self._write(message)
             except BrokerUnavailable as error:
+                is_fault = isinstance(error, BrokerFault)
+                faults += is_fault
+                if faults >= MAX_FAULTS and await self._report_rejected(message, error):
+                    return
                 log.warning("broker unavailable, message waits", subject=message.subject, error=str(error))
-                await self._wait(backoff.next_delay_s())
+                await self._wait(fault_delay_s(faults) if is_fault else backoff.next_delay_s())
             except SpecificationsUnavailable:
                 await self._wait(backoff.next_delay_s())
             except (BrokerError, SpecificationRefused, _DefinitionRefused) as error:

@@ -20,8 +20,8 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.database_outage import database_reason
 from handover.errors import HandoverError, UsageError
-from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
+from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from handover.specification import Specification
 from handover.specification_table import MAX_ID, SETTING, create_if_missing, remove, save
@@ -48,7 +48,7 @@ class SpecificationWriter:
     def __init__(self, settings: Settings, broker: BrokerClient) -> None:
         self._settings = settings
         self._broker = broker
-        self._alerts = LatestValueWriter()
+        self._alerts = reporting_writer("task-orchestrator", settings, broker)
         self._disk = ThreadPoolExecutor(1, "specifications")
         self._engine: Engine | None = None
         self._failed_s = float("-inf")

@@ -11,7 +11,7 @@ from datamodels.entities import DeviceState
 from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.content_digest import with_digest
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
 from services.trajectory_tool.poses import Pose
@@ -28,7 +28,7 @@ class RobotDevice:
         self.state = DeviceState.IDLE
         self._cell = cell
         self._broker = broker
-        self._writer = LatestValueWriter(on_rejected=lambda _: DEVICE_WRITES_REJECTED.inc())
+        self._writer = reporting_writer("trajectory-tool", settings, broker, DEVICE_WRITES_REJECTED)
 
     async def __aenter__(self) -> Self:
         await self._writer.__aenter__()

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from handover.broker import BrokerClient
 from handover.content_digest import with_digest
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from services.trajectory_tool.metrics import SCENE_WRITES_REJECTED
 from services.trajectory_tool.scene import Scene
@@ -24,7 +24,7 @@ class SceneEntities:
         self._settings = settings
         self._broker = broker
         self._written: set[str] = set()
-        self._writer = LatestValueWriter(on_rejected=lambda _: SCENE_WRITES_REJECTED.inc())
+        self._writer = reporting_writer("trajectory-tool", settings, broker, SCENE_WRITES_REJECTED)
 
     async def __aenter__(self) -> Self:
         await self._writer.__aenter__()

@@ -15,7 +15,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.control.limit_link import LimitLink
 from handover.database import connect
-from handover.latest_value_writer import LatestValueWriter
+from handover.reporting_writer import reporting_writer
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
@@ -45,7 +45,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
     guard = Guard(settings, "whole-body-control")
     broker = BrokerClient(settings, credentials=guard.access)
     tasks = BackgroundTasks("whole-body control")
-    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    writer = reporting_writer("whole-body-control", settings, broker, REJECTED)
     limits = LimitLink(
         settings.human_state,
         settings.humanoid_name,

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from services.device_gateway.device_client import DeviceClient
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, appearing
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
@@ -205,8 +205,8 @@ def test_the_position_of_a_hand_moves_the_tool(control: Cell, open_page: OpenPag
         page.get_by_role("button", name="Drive ur10-1 with mocap-1").click()
         expect(page.get_by_text("ur10-1 is at rest")).to_be_visible()
 
-        moves(control, page, held.set, held.clear)
-        expect(page.get_by_text("ur10-1 moves")).to_be_visible()
+        with appearing(page, "ur10-1 moves"):
+            moves(control, page, held.set, held.clear)
         held.clear()
         wait_for(lambda: rests(control))
         page.get_by_role("button", name="End the control with mocap-1").click()

@@ -13,7 +13,10 @@ _HOP_BY_HOP = frozenset({"connection", "transfer-encoding", "content-length", "c
 
 @dataclass
 class RefusingProxy:
-    """What the proxy does: it answers `status` to requests whose body has one of the texts in `refused`."""
+    """What the proxy does: it answers `status` to requests that have one of the texts in `refused`.
+
+    They are sought in "METHOD PATH", followed by the body.
+    """
 
     target: str
     url: str = ""
@@ -33,7 +36,8 @@ def refusing_proxy(target: str) -> Iterator[RefusingProxy]:
     class Handler(BaseHTTPRequestHandler):
         def forward(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-            if any(text in body for text in proxy.refused):
+            request = f"{self.command} {self.path}".encode() + body
+            if any(text in request for text in proxy.refused):
                 proxy.refusals += 1
                 self.answer(proxy.status, {}, b'{"title": "Refused", "detail": "as the test wants"}')
                 return

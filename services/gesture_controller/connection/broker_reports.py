@@ -5,8 +5,8 @@ from typing import Self
 from handover import alert_catalogue
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
+from handover.reporting_writer import reporting_writer
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.connection.device_entities import DeviceEntities
@@ -23,7 +23,7 @@ class BrokerReports:
     def __init__(self, settings: ControllerSettings, broker: BrokerClient) -> None:
         self._settings = settings
         self._broker = broker
-        self._writer = LatestValueWriter(on_rejected=lambda _: metrics.BROKER_WRITES_REFUSED.inc())
+        self._writer = reporting_writer("gesture-controller", settings, broker, metrics.BROKER_WRITES_REFUSED)
         self.devices = DeviceEntities(settings, broker, self._writer)
 
     async def __aenter__(self) -> Self:

@@ -2,16 +2,15 @@
 
 import asyncio
 import time
-from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 from datamodels import HumanState
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover.telemetry import get_logger
+from services.human_state.exchange.deletions import Deletions
 from services.human_state.exchange.ngsi_ld import OF_PERSON, EntityThrottle, human_state
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.monitoring.monitoring import Monitoring
@@ -35,12 +34,18 @@ class HumanStates:
     """Writes the entities, and deletes them when the consent ends."""
 
     def __init__(
-        self, settings: Settings, monitoring: Monitoring, broker: BrokerClient, writer: LatestValueWriter
+        self,
+        settings: Settings,
+        monitoring: Monitoring,
+        broker: BrokerClient,
+        writer: LatestValueWriter,
+        deletions: Deletions,
     ) -> None:
         self._settings = settings
         self._monitoring = monitoring
         self._broker = broker
         self._writer = writer
+        self._deletions = deletions
         self._throttles: dict[str, EntityThrottle] = {}
 
     async def run(self) -> None:
@@ -62,8 +67,7 @@ class HumanStates:
         for monitor in self._monitoring.monitors.values():
             purposes = monitor.person.purposes()
             if Purpose.BROKER in purposes and Purpose.BROKER_HISTORY not in purposes:
-                identifier = entity_id(self._settings, monitor)
-                self._writer.put(f"{identifier} history", partial(forget_history, self._broker, identifier))
+                self._deletions.forget_history(entity_id(self._settings, monitor))
 
     def _write(self, monitor: PersonMonitor) -> None:
         now_s = time.monotonic()
@@ -97,7 +101,7 @@ class HumanStates:
         """Delete the HumanState of a pseudonym with its history, as soon as the broker answers."""
         identifier = self._settings.entity_id("HumanState", pseudonym)
         self._throttles.pop(identifier, None)
-        self._writer.put(identifier, lambda: delete_everywhere(self._broker, identifier))
+        self._deletions.put(identifier)
 
     async def delete_orphans(self, people: People) -> None:
         """Delete entities of persons who were deleted, or whose consent ended, while this did not run."""
@@ -107,24 +111,6 @@ class HumanStates:
             pseudonym = str(entity["id"]).removeprefix(prefix)
             if pseudonym.startswith("P-") and pseudonym not in allowed:
                 self.delete(pseudonym)
-
-
-async def delete_everywhere(broker: BrokerClient, identifier: str) -> None:
-    """Delete an entity with its history. Raises `BrokerError`, unless the broker has no history."""
-    with suppress(NotFound):
-        await broker.delete(identifier)
-    await forget_history(broker, identifier)
-
-
-async def forget_history(broker: BrokerClient, identifier: str) -> None:
-    """Delete the history of an entity. Raises `BrokerUnavailable`."""
-    try:
-        await broker.delete_evolution(identifier)
-    except BrokerUnavailable:
-        raise
-    except BrokerError as error:
-        if not isinstance(error, NotFound):
-            log.warning("the broker keeps a history", entity=identifier, error=str(error))
 
 
 def _written(value: FusedValue, offset_s: float) -> FusedValue:

@@ -5,6 +5,7 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
+from services.human_state.exchange.deletions import Deletions
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.people.people import People
 from services.human_state.recording.archive import Archive
@@ -29,12 +30,15 @@ class RecordingService:
         tasks: BackgroundTasks,
         broker: BrokerClient,
         writer: LatestValueWriter,
+        deletions: Deletions,
     ) -> None:
         folder, key = settings.data_dir / "recordings", settings.recording_key
         self.recordings = Recordings(
             Archive(folder, key), store, people, monitoring, tasks, settings.health_recording_days
         )
-        self.entities = SessionEntities(settings, people, self.recordings, broker, writer)
+        self.entities = SessionEntities(
+            settings, people, self.recordings, broker, writer, deletions=deletions
+        )
         self.export = RecordingExport(folder, key)
         self._markers = TaskMarkers(settings, self.recordings, broker, writer)
         self._tasks = tasks

@@ -4,8 +4,8 @@ from typing import Final
 
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
+from services.human_state.exchange.deletions import Deletions
 from services.human_state.exchange.ngsi_ld import session
-from services.human_state.monitoring.entities import delete_everywhere
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import People, Person
 from services.human_state.recording.recordings import Recordings
@@ -25,12 +25,15 @@ class SessionEntities:
         recordings: Recordings,
         broker: BrokerClient,
         writer: LatestValueWriter,
+        *,
+        deletions: Deletions,
     ) -> None:
         self._settings = settings
         self._people = people
         self._recordings = recordings
         self._broker = broker
         self._writer = writer
+        self._deletions = deletions
         self._published: set[str] = set()
 
     def id_of(self, recording: str) -> str:
@@ -53,8 +56,7 @@ class SessionEntities:
     def deleted(self, recording: str) -> None:
         """Delete the entity of a recording with its history."""
         self._published.discard(recording)
-        identifier = self.id_of(recording)
-        self._writer.put(identifier, lambda: delete_everywhere(self._broker, identifier))
+        self._deletions.put(self.id_of(recording))
 
     async def synchronize(self) -> None:
         """Write all entities, and delete those of recordings that are gone."""

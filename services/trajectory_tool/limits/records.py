@@ -13,8 +13,8 @@ from datamodels.times import iso
 from handover.alert_catalogue import ROBOT_STOPPED_BY_LIMIT
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
+from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
@@ -33,7 +33,7 @@ class LimitRecords:
         self._limits = limits
         self._device = device
         self._broker = broker
-        self._writer = LatestValueWriter(on_rejected=lambda _: DEVICE_WRITES_REJECTED.inc())
+        self._writer = reporting_writer("trajectory-tool", settings, broker, DEVICE_WRITES_REJECTED)
         self._written: dict[str, tuple[float, float]] = {}
         self._has_alert: bool | None = None
         self._task: asyncio.Task[None] | None = None
