@@ -380,6 +380,13 @@ def test_the_two_brokers_are_never_chosen_together_by_a_default() -> None:
     assert CONTAINERS["orion"]["profiles"] == CONTAINERS["mongo"]["profiles"] == ["orion"]
 
 
+def test_orion_starts_with_a_present_mongodb_keeps_lists_and_does_not_fill_the_disk() -> None:
+    command = CONTAINERS["orion"]["command"]
+    assert {"-mongocOnly", "-noArrayReduction"} <= set(command)
+    assert command[command.index("-logLevel") + 1] == "ERROR"
+    assert CONTAINERS["orion"]["deploy"]["resources"]["limits"]["memory"]
+
+
 def test_every_variable_has_a_value_with_nothing_edited() -> None:
     for text in texts(CONTAINERS):
         for name, default in VARIABLE.findall(text):
