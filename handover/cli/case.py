@@ -12,7 +12,7 @@ import httpx
 from handover.cli.access import AccessAuth, cli_access
 from handover.cli.launcher import Launcher
 from handover.cli.progress import Say
-from handover.cli.services import ASSISTIVE_DEVICES, HUMAN_STATE, service_named
+from handover.cli.services import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE, has_own_broker, service_named
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint, Service
 from handover.settings import Settings
@@ -74,7 +74,8 @@ def known_cases() -> list[Case]:
 
 def services_of(case: Case) -> tuple[Service, ...]:
     """Return the services that a case needs."""
-    names = dict.fromkeys(("context-broker", *case.services, "webui"))
+    broker = (BROKER,) if has_own_broker() else ()
+    names = dict.fromkeys((*broker, *case.services, "webui"))
     return (*map(service_named, names), HUMAN_STATE, ASSISTIVE_DEVICES)
 
 

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import httpx
 
 from handover.cli.processes import Process, ProcessStarter
+from handover.cli.services import BROKER
 from handover.errors import UsageError
 from handover.extensions import Service
 from handover.log_files import LOG_FILE, open_log, rotate
@@ -33,7 +34,6 @@ from services.context_broker.settings import BrokerSettings
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
-BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
 NO_USE = 2
 """The exit code of a process for which a restart does not help."""

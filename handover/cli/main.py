@@ -29,7 +29,14 @@ from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_arguments, change_token
 from handover.cli.launcher import Launcher
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
+from handover.cli.services import (
+    OPTIONAL_SERVICES,
+    SERVICES,
+    all_services,
+    let_broker_fetch_context,
+    service_named,
+    wanted,
+)
 from handover.cli.supervisor import run_watched
 from handover.errors import HandoverError, Problem, UsageError
 from handover.private_files import faults_of as open_files
@@ -73,6 +80,7 @@ def demo(
 ) -> None:
     """Run a complete simulated cell with the bin-picking process."""
     say("A person and a robot empty a bin together: simulated operator with glove-1, simulated robot.")
+    let_broker_fetch_context()
     _until_stopped(run_demo(_settings(data_dir), once=once, timeout_s=timeout_s, say=say))
 
 
@@ -121,6 +129,7 @@ def case(  # noqa: PLR0917 - options of a command
         print_study(name, study(duration_s, say, consents_to_model=consents_to_model), say)
         return
     wish = TrialWish(duration_s, consents_to_model)
+    let_broker_fetch_context()
     _until_stopped(run_case(chosen, _settings(data_dir), wish, once=once, timeout_s=timeout_s, say=say))
 
 
@@ -137,6 +146,7 @@ def up(
     """Run all services with the simulated robot, without a glove and without a process."""
     if ros is not None:
         os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
+    let_broker_fetch_context()
     _until_stopped(_up(_settings(data_dir)))
 
 

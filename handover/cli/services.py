@@ -1,11 +1,16 @@
 """The services of a cell: name, module and port."""
 
 import importlib
+import os
+import socket
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from handover.errors import UsageError
 from handover.extensions import EXTRA_SERVICES, Service
+from handover.outbound_policy import is_loopback
 from handover.settings import Settings
 from ros_fiware_bridge.settings import BridgeSettings
 from services.accounts.settings import AccountsSettings
@@ -24,8 +29,9 @@ from webui.settings import WebuiSettings
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+BROKER = "context-broker"
 SERVICES = (
-    Service("context-broker", "services.context_broker", BrokerSettings, "broker_port"),
+    Service(BROKER, "services.context_broker", BrokerSettings, "broker_port"),
     Service("task-orchestrator", "services.task_orchestrator", OrchestratorSettings, "orchestrator_port"),
     Service(
         "gesture-controller",
@@ -61,17 +67,48 @@ OPTIONAL_SERVICES = (HUMAN_STATE, ASSISTIVE_DEVICES, WHOLE_BODY_CONTROL, ROS_BRI
 """Services that start only with an extra or a setting."""
 
 
+def has_own_broker() -> bool:
+    """Return whether the broker of the settings is the embedded one: at its port of this machine."""
+    url, port = urlsplit(Settings.load().broker_url), BrokerSettings.load().broker_port
+    return (url.port or (443 if url.scheme == "https" else 80)) == port and _is_here(url.hostname or "")
+
+
+def let_broker_fetch_context() -> None:
+    """Name the @context of our orchestrator to another broker, unless a setting says which one.
+
+    Our own broker has the @context of the default address.
+    """
+    if not has_own_broker() and "context_url" not in Settings.load().model_fields_set:
+        os.environ["HANDOVER_CONTEXT_URL"] = f"{OrchestratorSettings.load().own_url}/context.jsonld"
+
+
+def _is_here(host: str) -> bool:
+    """Return whether a host is this machine: an address is its own if a socket can be bound to it."""
+    if is_loopback(host):
+        return True
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)
+    except OSError:
+        return False
+    for family, kind, _, _, address in found:
+        with socket.socket(family, kind) as one, suppress(OSError):
+            one.bind(address)
+            return True
+    return False
+
+
 def wanted() -> tuple[Service, ...]:
     """Return the services of the cell.
 
-    Human state runs with its extra, assistive devices with a machine, whole-body control with a
-    humanoid, the bridge with a mapping.
+    The embedded broker runs unless the settings name another one, human state with its extra, assistive
+    devices with a machine, whole-body control with a humanoid, the bridge with a mapping.
     """
     body = (HUMAN_STATE,) if all(map(find_spec, HUMAN_STATE_NEEDS)) else ()
     bridge = (ROS_BRIDGE,) if BridgeSettings.load().ros_mapping is not None else ()
     devices = (ASSISTIVE_DEVICES,) if AssistiveSettings.load().assistive_machines else ()
     humanoid = (WHOLE_BODY_CONTROL,) if WholeBodySettings.load().humanoid_model else ()
-    return (*SERVICES, *body, *devices, *humanoid, *bridge, *map(_extra, Settings.load().extra_services))
+    cell = [one for one in SERVICES if one.name != BROKER or has_own_broker()]
+    return (*cell, *body, *devices, *humanoid, *bridge, *map(_extra, Settings.load().extra_services))
 
 
 def all_services() -> tuple[Service, ...]:

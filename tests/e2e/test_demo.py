@@ -13,6 +13,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.kit.ports import next_free_port
 from tests.kit.sockets import listening_sockets
 from tests.kit.waiting import scaled
 
@@ -152,6 +153,16 @@ def test_the_demo_ends_at_once_if_an_incident_of_an_earlier_process_holds_the_ro
     assert process.returncode == 2, output
     assert "there is no bin" in output
     assert re.search(r"process retry bin-picking-\w+ \d+ --by YOU", output), output
+
+
+def test_with_a_broker_of_somewhere_else_none_is_started(handover: Start, cell: Any) -> None:
+    cell.start("context_broker")
+    cell.extra = {"HANDOVER_BROKER_PORT": str(next_free_port())}
+    process = handover("demo", "--once", "--timeout", "150")
+    output, _ = process.communicate(timeout=scaled(200))
+    assert process.returncode == 0, output
+    assert "context-broker" not in output
+    assert "context-broker" not in {one.stem for one in (cell.data_dir / "logs").iterdir()}
 
 
 def test_services_that_are_killed_twice_in_a_task_are_restarted(handover: Start) -> None:

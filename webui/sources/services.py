@@ -20,6 +20,11 @@ POLL_INTERVAL_S = 2.0
 REQUEST_TIMEOUT_S = 1.5
 RATE_WINDOW_S = 6.0
 
+NO_ROUTE: Final = frozenset(
+    {httpx.codes.NOT_FOUND, httpx.codes.METHOD_NOT_ALLOWED, httpx.codes.NOT_IMPLEMENTED}
+)
+"""How brokers answer a path that they do not have."""
+
 State = Literal["up", "degraded", "down"]
 
 COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
@@ -163,7 +168,7 @@ class ServiceMonitor(Source):
         try:
             response = await self._http.get(f"{url}/readyz", timeout=REQUEST_TIMEOUT_S)
             state, detail = _state_of(response)
-            if response.status_code == httpx.codes.NOT_FOUND and row.name == BROKER:
+            if response.status_code in NO_ROUTE and row.name == BROKER:
                 await self._broker.probe()  # another broker has no such route, but answers NGSI-LD
                 state, detail = "up", None
             counts = await self._read_counts(url, row.name)
