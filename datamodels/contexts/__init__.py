@@ -4,10 +4,13 @@ The relevant contexts are shipped, never fetched: our own, the two published one
 """
 
 from datamodels.contexts.shipped import (
+    CORE_EXCEPTIONS,
+    CORE_MINORS,
     CORE_URL,
     HANDOVER_URL,
     SHOP4CF_URL,
     SMART_DATA_MODELS_URL,
+    core_terms,
     handover_context,
     is_core,
     resolve,
@@ -15,6 +18,8 @@ from datamodels.contexts.shipped import (
 from datamodels.contexts.term_map import Context, ContextNotAvailable, TermMap, term_map
 
 __all__ = [
+    "CORE_EXCEPTIONS",
+    "CORE_MINORS",
     "CORE_URL",
     "HANDOVER_URL",
     "SHOP4CF_URL",
@@ -22,6 +27,7 @@ __all__ = [
     "Context",
     "ContextNotAvailable",
     "TermMap",
+    "core_terms",
     "handover_context",
     "is_core",
     "resolve",
