@@ -446,12 +446,12 @@ class PressureMat(Entity):
 class PhysiologicalSession(Entity):
     """A recording of body signals of a person: its URI, and the SHA-256 of the file in hexadecimal digits.
 
-    Until it ends it has neither `sha256` nor `end`.
+    Until it ends it has neither `sha256` nor `ended_at`.
     """
 
     ref_person: Relationship
-    start: Property[DateTime]
-    end: Property[DateTime] | None = None
+    started_at: Property[DateTime]
+    ended_at: Property[DateTime] | None = None
     recording: Property[Uri] | None = None
     sha256: Property[Sha256] | None = None
 

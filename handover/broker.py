@@ -189,6 +189,10 @@ class BrokerClient:
         """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity does not exist."""
         await self._call("POST", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
 
+    async def delete_attribute(self, entity_id: str, name: str) -> None:
+        """Delete an attribute, of a name or an IRI; raise `NotFound` if there is none."""
+        await self._call("DELETE", f"/entities/{_in_path(entity_id)}/attrs/{quote(name, safe='')}")
+
     async def upsert(self, entities: Sequence[Entity | NgsiLd]) -> None:
         """Create the entities, or update the given attributes of existing ones, in one batch."""
         _require_all_done(await self._send_upsert(entities), "errors", _batch_error)

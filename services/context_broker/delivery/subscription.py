@@ -22,6 +22,7 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.projection import Projection, read_projection
 from services.context_broker.model.rendering import Form, View
 from services.context_broker.model.validation import moment, require_time, require_uri, shown
+from services.context_broker.query.earlier_names import renamed, with_earlier_names
 from services.context_broker.query.entity_selector import EntitySelector, entity_selector
 from services.context_broker.query.geo_query import GeoQuery, geo_query_document
 from services.context_broker.query.linked import Join, check_depth, join_of
@@ -166,6 +167,8 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
     `names` is the context of the names in the document, if it differs from that of notifications.
     """
     names = names or context
+    kind = _only_type(document.get("entities"))
+    read_in = with_earlier_names(names, kind)
     entities, watched = document.get("entities"), document.get("watchedAttributes")
     if entities is None and watched is None and document.get("localOnly") is not True:
         raise bad_request_data(
@@ -180,14 +183,14 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
     if not isinstance(notification, dict):
         raise bad_request_data('a subscription has a "notification" with an "endpoint"; add it')
     _check_plain_members(document)
-    view = _view(document, notification, names)
+    view = _view(document, notification, read_in, kind)
     shows_changes = _flag(notification, "showChanges", default=False, what="notification.showChanges")
     if shows_changes and view.form is Form.KEY_VALUES:
         raise bad_request_data(
             "notification.showChanges does not go with the format keyValues; choose normalized or concise"
         )
     expanded, _ = _short_names(document, "expandValues"), _short_names(document, "jsonKeys")
-    query = None if "q" not in document else _compiled(document["q"], names, expanded)
+    query = None if "q" not in document else _compiled(document["q"], read_in, expanded)
     if "csf" in document:
         compiled(document["csf"], names, what="csf")
     join = join_of({name: notification.get(name) for name in ("join", "joinLevel")})
@@ -199,7 +202,8 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         names=names,
         selectors=tuple(entity_selector(one) for one in entities or ()),
         triggers=Triggers(
-            read_kinds(document.get("notificationTrigger")), None if watched is None else frozenset(watched)
+            read_kinds(document.get("notificationTrigger")),
+            None if watched is None else renamed(kind, watched),
         ),
         query=query,
         places=None if "geoQ" not in document else geo_query_document(document["geoQ"], _expanding(names)),
@@ -252,7 +256,17 @@ def _expanding(context: Context) -> Callable[[str], str]:
     return lambda name: expand(name, context.terms)
 
 
-def _view(document: Mapping[str, Any], notification: Mapping[str, Any], context: Context) -> View:
+def _only_type(entities: Any) -> str | None:
+    """Return the type of all entity selectors, None if there are several types or none."""
+    if not isinstance(entities, list) or not entities:
+        return None
+    kinds = [one.get("type") if isinstance(one, dict) else None for one in entities]
+    return kinds[0] if isinstance(kinds[0], str) and all(kind == kinds[0] for kind in kinds) else None
+
+
+def _view(
+    document: Mapping[str, Any], notification: Mapping[str, Any], context: Context, kind: str | None
+) -> View:
     form = notification.get("format", "normalized")
     if not isinstance(form, str) or form not in _FORMS:
         raise bad_request_data(f"notification.format is one of {', '.join(_FORMS)}, not {shown(form)}")
@@ -268,7 +282,7 @@ def _view(document: Mapping[str, Any], notification: Mapping[str, Any], context:
     return View(
         _FORMS[form],
         _flag(notification, "sysAttrs", default=False, what="notification.sysAttrs"),
-        None if attributes is None else frozenset(attributes),
+        None if attributes is None else renamed(kind, attributes),
         projection,
         None if lang is None else preferences(lang),
         _datasets(document.get("datasetId")),

@@ -38,6 +38,7 @@ from services.context_broker.model.validation import (
     timestamp_now,
 )
 from services.context_broker.operations.purge import PURGE_PARAMETERS, purge
+from services.context_broker.query.earlier_names import with_earlier_names
 from services.context_broker.query.type_selection import type_selection
 from services.context_broker.request.entity_query import answered, entity_query_of, join_of
 from services.context_broker.request.entity_responses import Showing, entity_answer
@@ -116,10 +117,12 @@ class EntityOperations:
         """GET entities/{id}."""
         request.accept(WITH_GEO_JSON)
         context = await request.reader_context()
-        view = view_of(request, context)
-        join = join_of(request.parameters, view)
         entity_id = request.names[0]
         entity = request.tenant.store.get(entity_id)
+        if entity is not None and len(entity.types) == 1:
+            context = with_earlier_names(context, entity.types[0])
+        view = view_of(request, context)
+        join = join_of(request.parameters, view)
         if entity is None:
             raise absent(require_uri(entity_id, "the entity id in the path"))
         _require_type(request, entity, context)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from services.context_broker.model.context import Context
 from services.context_broker.model.rendering import View
 from services.context_broker.query import linked, ordering
+from services.context_broker.query.earlier_names import with_earlier_names
 from services.context_broker.query.linked import Join
 from services.context_broker.query.ordering import Ordering
 from services.context_broker.query.pages import Window, mark_of
@@ -42,6 +43,7 @@ def entity_query_of(
 
     Raises a problem (400) that names what is invalid or not allowed.
     """
+    context = with_earlier_names(context, given.get("type"))
     view = view_of(request, context)
     selection = selection_of(given, context, any_of)
     order = ordering.ordering(given, context.terms.expand)

@@ -14,6 +14,7 @@ from services.context_broker.model.problems import bad_request_data, not_read
 from services.context_broker.model.rendering import with_context
 from services.context_broker.model.validation import require_uri, shown
 from services.context_broker.operations.entity_operations import absent, nothing_left
+from services.context_broker.query.earlier_names import with_earlier_names
 from services.context_broker.query.ordering import Ordering, ordering
 from services.context_broker.query.pages import PLACE
 from services.context_broker.query.query_document import query_parameters, selectors_of
@@ -150,6 +151,7 @@ class TemporalOperations:
     async def _queried(
         self, request: RequestContext, context: Context, any_of: tuple[Selection, ...] = ()
     ) -> Response:
+        context = with_earlier_names(context, request.parameter("type"))
         options = await self._read_options(request, context)
         if options.query.relation is None:
             raise bad_request_data(

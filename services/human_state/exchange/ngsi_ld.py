@@ -115,8 +115,8 @@ def session(
     return PhysiologicalSession(
         id=entity_id,
         ref_person=person,
-        start=datetime.fromtimestamp(start_s, UTC),
-        end=None if end_s is None else datetime.fromtimestamp(end_s, UTC),
+        started_at=datetime.fromtimestamp(start_s, UTC),
+        ended_at=None if end_s is None else datetime.fromtimestamp(end_s, UTC),
         recording=recording,
         sha256=sha256,
     )

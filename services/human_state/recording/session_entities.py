@@ -1,9 +1,12 @@
 """The PhysiologicalSession of each recording in the broker, while the person allows entities there."""
 
+from contextlib import suppress
 from typing import Final
 
-from handover.broker import BrokerClient
+from datamodels.renamed import renamed_attributes
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.latest_value_writer import LatestValueWriter
+from handover.telemetry import get_logger
 from services.human_state.exchange.deletions import Deletions
 from services.human_state.exchange.ngsi_ld import session
 from services.human_state.people.consent import Purpose
@@ -11,6 +14,8 @@ from services.human_state.people.people import People, Person
 from services.human_state.recording.recordings import Recordings
 from services.human_state.settings import HumanStateSettings
 from services.human_state.storage.store import RecordingRow
+
+log = get_logger(__name__)
 
 TYPE: Final = "PhysiologicalSession"
 
@@ -68,6 +73,7 @@ class SessionEntities:
             recording = identifier.removeprefix(prefix.removesuffix("R-"))
             if identifier.startswith(prefix) and recording not in self._published:
                 self.deleted(recording)
+        await rename_attributes(self._broker)  # last: what a broker does not rename delays no deletion
 
     def _apply(self, row: RecordingRow, person: Person | None) -> None:
         if person is None or Purpose.BROKER not in person.purposes():
@@ -84,3 +90,39 @@ class SessionEntities:
             sha256=row.sha256,
         ).to_normalized()
         self._writer.put(self.id_of(row.id), lambda: self._broker.upsert([entity]))
+
+
+async def rename_attributes(broker: BrokerClient) -> None:
+    """Give attributes that have an old name their present one, in all entities of the type in the tenant.
+
+    The old ones are named by their IRIs, since their short names may mean terms of the core context of a
+    broker. An entity that a crash leaves with both names is completed at the next start. What a broker
+    refuses to rename is logged and stays. Raises `BrokerUnavailable`.
+    """
+    present = renamed_attributes(TYPE)
+    renamed = 0
+    for entity in await broker.query(type=TYPE, attrs=[*present, *present.values()]):
+        held = {_short(name): attribute for name, attribute in entity.items()}
+        old_names = {old: new for old, new in present.items() if _short(old) in held}
+        added = {_short(new): held[_short(old)] for old, new in old_names.items() if _short(new) not in held}
+        try:
+            with suppress(NotFound):
+                if added:
+                    await broker.append(entity["id"], added)
+                for old in old_names:
+                    await broker.delete_attribute(entity["id"], old)
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            names = ", ".join(map(_short, old_names))
+            log.warning("attributes not renamed", entity=entity["id"], names=names, error=str(error))
+        else:
+            renamed += bool(old_names)
+    if renamed:
+        names = ", ".join(f"{_short(old)} to {_short(new)}" for old, new in present.items())
+        log.info("attributes renamed", type=TYPE, entities=renamed, names=names)
+
+
+def _short(name: str) -> str:
+    """Return an attribute of the default vocabulary without it; brokers answer with and without."""
+    return name.rpartition("/")[2]

@@ -129,7 +129,7 @@ def test_a_mat_and_a_session_become_entities() -> None:
     assert (mat.active_cells.value, "heartRate" in mat.to_normalized()) == (9, False)
     assert {each.name for each in features_of(mat)} == set(names[:2])
     made = session("urn:ngsi-ld:PhysiologicalSession:demo:s", PERSON, 1000.0, end_s=1060.0, sha256="a" * 64)
-    assert made.to_normalized()["end"]["value"]["@value"] == "1970-01-01T00:17:40.000000Z"
+    assert made.to_normalized()["endedAt"]["value"]["@value"] == "1970-01-01T00:17:40.000000Z"
 
 
 @given(
