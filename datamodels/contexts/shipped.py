@@ -7,8 +7,8 @@ nested contexts: some brokers refuse anything else.
 The versions of the core context differ: 1.3 renamed terms (`start` to `startAt`) and gave others the IRI of
 another vocabulary (`description`), and later versions removed some again. Brokers that cannot fetch the
 version that they are set to may use the terms of 1.0. So a term of ours has the same IRI and type in every
-version, except `CORE_EXCEPTIONS`. `ngsi-ld-core-versions.json` has the definitions of each term by the versions
-that have it; `ngsi-ld-core.jsonld` is what our own broker uses.
+version, except `CORE_EXCEPTIONS`. `ngsi-ld-core-versions.json` has the definitions of each term by the
+versions that have it; `ngsi-ld-core.jsonld` is what our own broker uses.
 """
 
 import json
@@ -40,8 +40,8 @@ CORE_MINORS: Final = range(10)
 CORE_EXCEPTIONS: Final = frozenset({"description", "name"})
 """Terms of ours to which the core contexts 1.0 to 1.2 give another IRI, without a type.
 
-`description` has two IRIs in the core contexts themselves; the published SHOP4CF and Smart Data Models have
-`name` as we have it. A broker with such a core context reads and writes both under its own IRI.
+`description` has two IRIs in the core contexts themselves; `name` is in every data model that we share. A
+broker with such a core context reads and writes both under its own IRIs.
 """
 _FIRST_WITH_GEOJSON: Final = 3
 _FIRST_PROTECTED: Final = 8
