@@ -1,4 +1,4 @@
-"""Converts ROS values to JSON: no NumPy types, no NaN, no large arrays by accident."""
+"""Converts ROS values to JSON: no NumPy types, no NaN, no integer that a broker changes, no large arrays."""
 
 import math
 from collections.abc import Callable
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from datamodels.numbers import portable
 from handover.errors import HandoverError
 from ros_fiware_bridge.rules.message_schema import Definitions, InvalidRule, PathTarget
 from ros_fiware_bridge.types.definition import FLOATS, FieldType, Many
@@ -14,6 +15,8 @@ ToJson = Callable[[Any], Any]
 
 MAX_TEXT_LENGTH = 65_536
 _ABSENT = object()
+_WIDE = (np.uint32, np.int64, np.uint64)
+"""Types with integers that not every broker keeps."""
 
 
 class NotANumber(HandoverError):
@@ -47,7 +50,7 @@ class JsonValues:
                 return lambda value: _finite(value, what, nan)
             if found.base == "string":
                 return lambda value: _short(value, what)
-            return lambda value: value.item() if isinstance(value, np.generic) else value
+            return _plain
         return lambda value: self._any(value, what, nan)
 
     def _refuse_large(self, found: FieldType, what: str, inside: str = "") -> None:
@@ -76,7 +79,7 @@ class JsonValues:
             return _short(value, what)
         if isinstance(value, np.ndarray | dict | list | tuple | bytes):
             return self._many(value, what, nan)
-        return value.item() if isinstance(value, np.generic) else value
+        return _plain(value)
 
     def _many(self, value: Any, what: str, nan: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -90,7 +93,7 @@ class JsonValues:
         self._bound(array.size, what)
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             return [_finite(number, what, nan) for number in array.tolist()]
-        return array.tolist()
+        return portable(array.tolist()) if array.dtype in _WIDE else array.tolist()
 
     def _bound(self, size: int, what: str) -> None:
         if size > self._max_elements:
@@ -98,6 +101,10 @@ class JsonValues:
                 f"{what} holds {size} elements, more than {self._max_elements} (max_elements); choose some, "
                 "or set large_arrays: true"
             )
+
+
+def _plain(value: Any) -> Any:
+    return portable(value.item() if isinstance(value, np.generic) else value)
 
 
 def _finite(value: Any, what: str, nan: Any) -> Any:

@@ -3,6 +3,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
+from datamodels.numbers import portable
 from datamodels.times import iso
 from handover.content_digest import with_digest
 from handover.settings import Settings
@@ -59,7 +60,7 @@ def device_entity(settings: Settings, device: Device) -> dict[str, Any]:
         entity["batteryLevel"] = _property(device.battery_level, device.state_at)
     if device.event is not None:
         name, data, at = device.event
-        entity["lastEvent"] = _property({"name": name, "data": data}, at)
+        entity["lastEvent"] = _property({"name": name, "data": portable(data)}, at)
     return entity
 
 

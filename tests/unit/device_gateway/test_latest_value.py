@@ -1,8 +1,12 @@
-"""The age of a value: it is stale when newer ones are missing, measured by its own period."""
+"""The latest values and events of a device: when a value is stale, and what is written to the broker."""
 
 import pytest
 
-from services.device_gateway.registry.device import LatestValue
+from services.device_gateway.model.description import DeviceDescription, DeviceKind
+from services.device_gateway.registry.device import Device, LatestValue
+from services.device_gateway.registry.entities import device_entity
+from services.device_gateway.settings import GatewaySettings
+from services.device_gateway.storage.device_store import StoredDevice
 
 
 def sent_every(period_s: float, times: int = 20) -> LatestValue:
@@ -33,3 +37,11 @@ def test_a_long_pause_counts_little_in_the_period() -> None:
     replayed = LatestValue(0.0, 1.0)
     replayed.replace(86_400.0, 2.0)
     assert replayed.is_stale(replayed.t + 901.0)
+
+
+def test_a_large_integer_in_an_event_reaches_every_broker_as_the_same_number() -> None:
+    device = Device(StoredDevice("meter", DeviceDescription(kind=DeviceKind.SENSOR), None, 0, 0))
+    device.event = ("reading", {"uptimeMs": 1_764_408_000_000, "pulses": 3}, 1_770_000_000.0)
+    data = device_entity(GatewaySettings(_env_file=None), device)["lastEvent"]["value"]["data"]
+    assert data == {"uptimeMs": 1_764_408_000_000, "pulses": 3}
+    assert [type(each) for each in data.values()] == [float, int]

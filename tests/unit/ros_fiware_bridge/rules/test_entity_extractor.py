@@ -127,6 +127,28 @@ def test_nan_is_left_out_and_reported_or_replaced(bad: float) -> None:
     assert attribute(filled)["value"] == [1.0, -1]
 
 
+@pytest.mark.parametrize(
+    "number", [2**31 - 1, -(2**31), 2**31, -(2**31) - 1, 2**53, 1_764_408_000_000_000_000]
+)
+def test_an_integer_that_brokers_keep_in_32_bits_is_written_as_a_float_if_it_is_larger(number: int) -> None:
+    one = ready("std_msgs/Int64", "{a: data}").extract(message("std_msgs/Int64", data=number), RECEIVED_S)
+    data = np.array([number, 1], np.int64)
+    many = ready("std_msgs/Int64MultiArray", "{a: data}").extract(
+        message("std_msgs/Int64MultiArray", data=data), RECEIVED_S
+    )
+    whole = ready("std_msgs/Int64MultiArray", "{a: {field: ., kind: JsonProperty}}").extract(
+        message("std_msgs/Int64MultiArray", data=data), RECEIVED_S
+    )
+    is_small = -(2**31) <= number < 2**31
+    for written in (
+        attribute(one)["value"],
+        attribute(many)["value"][0],
+        attribute(whole)["json"]["data"][0],
+    ):
+        assert written == number
+        assert isinstance(written, int if is_small else float)
+
+
 def test_a_large_array_is_refused_unless_the_rule_allows_it() -> None:
     scan = message("sensor_msgs/LaserScan", ranges=np.zeros(257, np.float32))
     extraction = ready("sensor_msgs/LaserScan", "{a: ranges, b: angle_min}").extract(scan, RECEIVED_S)
