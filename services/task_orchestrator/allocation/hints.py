@@ -8,6 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
+from datamodels.numbers import MAX_INTEGER, MIN_INTEGER
 from services.task_orchestrator.allocation.choice import DEFAULT_PRIORITY
 from services.task_orchestrator.allocation.mapping import NameKind
 from services.task_orchestrator.languages.base import ExpressionError, Variables
@@ -49,11 +50,11 @@ def hint_values(activity: Activity, name: str, variables: Variables | None) -> l
 
 
 def given_priority(activity: Activity, variables: Variables) -> int | None:
-    """Return the priority that the activity gives; None if it gives none."""
+    """Return the priority that the activity gives, limited to 32 bits; None if it gives none."""
     for name in ("priority", "taskPriority"):
         for text in hint_values(activity, name, variables):
             with suppress(ValueError):
-                return int(text)
+                return min(max(int(text), MIN_INTEGER), MAX_INTEGER)
     return None
 
 

@@ -39,3 +39,10 @@ def test_a_due_date_is_a_moment_or_a_duration_from_now(given: str, moment: str) 
         value = entity[name]["value"]["@value"] if name in entity else ""
         assert value.startswith(moment)
         assert bool(value) is bool(moment)
+
+
+@pytest.mark.parametrize(
+    ("given", "written"), [("2147483647", 2**31 - 1), ("3000000000", 2**31 - 1), ("-3000000000", -(2**31))]
+)
+def test_a_priority_keeps_its_rank_in_a_broker_with_integers_of_32_bits(given: str, written: int) -> None:
+    assert posted(f'priority="{given}"')["priority"]["value"] == written
