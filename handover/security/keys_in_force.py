@@ -47,6 +47,11 @@ class KeysInForce:
         self._next_look_s = now_s + RELOAD_INTERVAL_S
         return self._keys
 
+    def keys_now(self) -> "PublicKeys | None":
+        """Return the keys after a look at their file, as when others know of accounts already."""
+        self._next_look_s = 0.0
+        return self.keys()
+
     def _look(self) -> None:
         try:
             status = self._file.stat()

@@ -150,11 +150,14 @@ class ServiceAccess:
     def renew(self, refused: Mapping[str, str]) -> bool:
         """Forget the credentials that were `refused` with 401; return whether the next `headers` differ.
 
-        A token that has just been issued is not renewed: then another one is refused, too.
+        A token that has just been issued is not renewed: then another one is refused, too. A request without
+        credentials is refused by a service that noticed the first account before this one.
         """
+        if not refused:
+            return self._keys.keys_now() is not None
         issued = self._issued
         if issued is None or refused.get("Authorization") != f"Bearer {issued.token}":
-            return bool(refused)
+            return True
         if not math.isfinite(issued.life.life_s) or issued.life.age_s() < MIN_TOKEN_AGE_S:
             return False
         self._issued = None

@@ -90,7 +90,7 @@ class Shop:
         """Send a POST request to the bridge."""
         return httpx.post(f"{self.cell.url('ros_fiware_bridge')}{path}", timeout=120)
 
-    async def until(self, condition: Callable[[], Any], within_s: float = 15.0, why: str = "") -> Any:
+    async def until(self, condition: Callable[[], Any], within_s: float = 30.0, why: str = "") -> Any:
         """Wait until the result of `condition` is true; return it."""
         return await until(condition, within_s, lambda: f"{why or 'timeout'}: {self._log()}")
 

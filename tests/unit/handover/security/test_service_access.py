@@ -6,6 +6,7 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI, Request
+from fastapi.responses import JSONResponse, Response
 from pydantic import SecretStr
 
 from glove_sdk_bridge.controller_client import ACCESS_TOKEN, ControllerClient
@@ -53,6 +54,27 @@ async def test_with_accounts_a_script_sends_its_token_to_the_broker(tmp_path: Pa
     async with ServiceAccess(settings, "lamp") as access:
         await BrokerClient(settings, credentials=access, transport=a_broker(received)).types()
     assert received == [f"Bearer {token}"]
+
+
+async def test_a_service_that_has_not_noticed_the_first_account_repeats_what_others_refuse(
+    tmp_path: Path,
+) -> None:
+    token = new_token("script")
+    settings = settings_in(tmp_path, service_token=SecretStr(token))
+    received: list[str | None] = []
+    app = FastAPI()
+
+    @app.get("/ngsi-ld/v1/types")
+    async def types(request: Request) -> Response:
+        received.append(request.headers.get("authorization"))
+        return JSONResponse({"typeList": []}, 200 if received[-1] or len(received) == 1 else 401)
+
+    async with ServiceAccess(settings, "lamp") as access:
+        broker = BrokerClient(settings, credentials=access, transport=httpx.ASGITransport(app))
+        await broker.types()
+        set_up_accounts(tmp_path)  # within the second in which the service does not look
+        await broker.types()
+    assert received == [None, None, f"Bearer {token}"]
 
 
 async def test_with_accounts_a_request_that_has_no_credentials_is_not_sent(tmp_path: Path) -> None:
