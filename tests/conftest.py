@@ -14,6 +14,7 @@ import pytest
 from httpx._transports import default as transports
 
 from tests.kit.cell import Cell, new_cell
+from tests.kit.other_broker import running
 from tests.kit.paths import RECORDINGS
 from tests.kit.ports import next_free_port
 from tests.kit.skipping import is_allowed_to_skip
@@ -36,6 +37,8 @@ hypothesis.settings.load_profile("handover")
 
 # Each client would load all certificate authorities (15 ms), and the tests make thousands of clients.
 transports.create_ssl_context = functools.cache(httpx.create_ssl_context)
+
+os.environ.update(running.settings())  # for services in the process of a test
 
 if (
     signal.getsignal(signal.SIGINT) is signal.SIG_IGN

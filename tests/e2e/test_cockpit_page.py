@@ -13,8 +13,8 @@ from playwright.sync_api import Page, expect
 
 from datamodels.times import iso
 from tests.e2e.conftest import OpenPage
-from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.kit.cell import Cell
+from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -79,7 +79,7 @@ def put_agents(cell: Cell) -> None:
         },
     ]
     url = f"{cell.url('context_broker')}/ngsi-ld/v1/entityOperations/upsert"
-    httpx.post(url, json=agents, headers={"Link": CONTEXT}, timeout=120).raise_for_status()
+    httpx.post(url, json=agents, headers={"Link": context_link()}, timeout=120).raise_for_status()
 
 
 def perform(cell: Cell, process: str) -> None:

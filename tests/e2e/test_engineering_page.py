@@ -10,10 +10,10 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpenPage
-from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.integration.task_orchestrator.test_offers import definition, process_file, prop
 from tests.integration.task_orchestrator.test_tasklist import FORM, bpmn
 from tests.kit.cell import Cell
+from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -69,7 +69,7 @@ def begun(url: str) -> Iterator[Callable[[str, str], str]]:
 def offer_entities(cell: Cell, *entities: dict[str, Any]) -> None:
     """Write entities as another system does."""
     upsert = f"{cell.url('context_broker')}/ngsi-ld/v1/entityOperations/upsert"
-    httpx.post(upsert, json=entities, headers={"Link": CONTEXT}, timeout=120).raise_for_status()
+    httpx.post(upsert, json=entities, headers={"Link": context_link()}, timeout=120).raise_for_status()
 
 
 def decide(page: Page, act: str, why: str) -> None:

@@ -16,19 +16,16 @@ import httpx
 import orjson
 import pytest
 
-from handover.settings import Settings
 from tests.kit import processes
 from tests.kit.cell import Cell
+from tests.kit.other_broker.running import context_link
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 GUIDE = REPOSITORY / "docs" / "how-to" / "mes.md"
-LINK = (
-    f"<{Settings.model_fields['context_url'].default}>; "
-    'rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
-)
+LINK = context_link()
 GLOVE, ROBOT = "urn:ngsi-ld:Device:demo:glove-1", "urn:ngsi-ld:Device:demo:ur10-1"
 MATERIAL = "urn:ngsi-ld:Material:demo:"
 

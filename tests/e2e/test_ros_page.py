@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell, new_cell
+from tests.kit.other_broker.running import context_link
 from tests.kit.ros_domains import ros_domain
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -31,7 +32,7 @@ ngsild_to_ros:
 """
 
 BELT = {"id": "urn:ngsi-ld:Device:demo:belt-1", "type": "Device"}
-OURS = {"Link": '<https://w3id.org/handover/context.jsonld>; rel="http://www.w3.org/ns/json-ld#context"'}
+OURS = {"Link": context_link()}
 
 
 @pytest.fixture

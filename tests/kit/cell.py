@@ -8,6 +8,7 @@ from pathlib import Path
 
 from handover.settings import Settings
 from tests.kit import databases, processes
+from tests.kit.other_broker import running
 from tests.kit.ports import next_free_port
 from tests.kit.processes import Process
 from tests.kit.waiting import scaled
@@ -47,11 +48,17 @@ class Cell:
     host: "Cell | None" = None
     """The cell whose broker this cell uses, as a tenant of its own."""
     tenant: str = ""
+    other_broker: running.OtherBroker | None = None
+    """The broker in place of our own, once it has been started."""
 
     @property
     def settings(self) -> Settings:
         """The settings of a client of this cell's broker."""
-        return Settings.load(broker_url=self.url("context_broker"), broker_tenant=self.tenant or None)
+        return Settings.load(
+            broker_url=self.url("context_broker"),
+            broker_tenant=self.tenant or None,
+            context_url=running.context_url(),
+        )
 
     @property
     def environment(self) -> dict[str, str]:
@@ -79,6 +86,7 @@ class Cell:
             **databases.service_settings(self.data_dir),
             **databases.broker_settings(self.data_dir),
             **({"HANDOVER_BROKER_TENANT": self.tenant} if self.tenant else {}),
+            **running.settings(),
             "COLUMNS": "200",
             "NO_COLOR": "1",
             **self.extra,
@@ -107,6 +115,10 @@ class Cell:
 
     def spawn(self, service: str) -> None:
         """Start a service without waiting."""
+        if service == "context_broker" and running.IS_OTHER:
+            self.other_broker = self.other_broker or running.OtherBroker(self.ports[service], self.data_dir)
+            self.processes[service] = self.other_broker.spawn(self.environment, self._log_file(service))
+            return
         module = service if service in TOP_LEVEL else f"services.{service}"
         self.processes[service] = processes.spawn_module(
             module, self.environment, self._log_file(service), self.data_dir
@@ -126,7 +138,8 @@ class Cell:
     def wait_ready(self, service: str, within_s: float = 30.0) -> None:
         """Wait until a service is ready."""
         process = self.processes.get(service)
-        processes.wait_ready(process, f"{self.url(service)}/readyz", lambda: self.log(service), within_s)
+        ready = f"{self.url(service)}{running.ready_path(service)}"
+        processes.wait_ready(process, ready, lambda: self.log(service), within_s)
 
     def kill(self, service: str) -> None:
         """End a service as a power cut would."""
@@ -134,6 +147,8 @@ class Cell:
             self.host.kill(service)
             return
         processes.kill(self.processes.pop(service))
+        if service == "context_broker" and self.other_broker is not None:
+            self.other_broker.kill()
 
     def restart(self, service: str) -> None:
         """End a service as a power cut would, and start it again."""
@@ -150,6 +165,8 @@ class Cell:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        if self.other_broker is not None:
+            self.other_broker.stop()
 
 
 @contextmanager

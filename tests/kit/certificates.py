@@ -11,6 +11,7 @@ import pytest
 from handover.tls_trust import client_context
 from handover.transport_security import local_authority
 from handover.transport_security.local_authority import CLOCK_TOLERANCE, LocalAuthority, ServerFiles
+from tests.kit.processes import has_succeeded
 from tests.kit.waiting import wait_for
 
 
@@ -35,13 +36,15 @@ class Certificates:
             return self.authority.secure(self.folder / server, names, renew=True)
 
 
-def wait_ready_over_tls(url: str, files: ServerFiles, log: Callable[[], str], within_s: float = 60) -> None:
+def wait_ready_over_tls(
+    url: str, files: ServerFiles, log: Callable[[], str], within_s: float = 60, path: str = "/readyz"
+) -> None:
     """Wait until the service at `url` is ready, with the authority of `files`."""
     context = client_context(files.authority)
 
     def is_ready() -> bool:
         try:
-            return httpx.get(f"{url}/readyz", verify=context, trust_env=False).is_success
+            return has_succeeded(httpx.get(f"{url}{path}", verify=context, trust_env=False))
         except httpx.TransportError:
             return False
 

@@ -27,6 +27,7 @@ from tests.integration.webui.test_signing_in import set_up
 from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
+from tests.kit.other_broker.running import ready_path
 from tests.kit.private_network import PATH, enter, ip, private_network, require_ip
 from tests.kit.waiting import scaled, wait_for
 
@@ -47,7 +48,8 @@ class SecuredCell(Cell):
         return super().url(service).replace("http:", "https:")
 
     def wait_ready(self, service: str, within_s: float = 90.0) -> None:
-        wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s)
+        path = ready_path(service)
+        wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s, path)
 
     def token(self, name: str, *grants: Grant) -> str:
         """Return an access token as accounts issues it."""

@@ -12,10 +12,10 @@ import httpx
 import pytest
 
 from handover.outcomes import is_outcome_unknown
-from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.kit import processes
 from tests.kit.cell import Cell
 from tests.kit.databases import DATABASE
+from tests.kit.other_broker.running import context_link
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, wait_for
 from tests.unit.task_orchestrator.drawing import activity, drawing, end, path, start
@@ -278,7 +278,7 @@ def alerts_of(cell: Cell, kind: str) -> list[dict[str, Any]]:
     """Return the Alerts of a subcategory that are not cleared."""
     url = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
     parameters = {"type": "Alert", "options": "keyValues"}
-    found = httpx.get(url, params=parameters, headers={"Link": CONTEXT}, trust_env=False).json()
+    found = httpx.get(url, params=parameters, headers={"Link": context_link()}, trust_env=False).json()
     return [
         one for one in found if one.get("subCategory") == kind and one.get("alertState") != "returnedToNormal"
     ]

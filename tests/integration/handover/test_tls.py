@@ -25,6 +25,7 @@ from handover.transport_security.local_authority import ServerFiles
 from handover.transport_security.server_certificate import ServerCertificate
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
+from tests.kit.other_broker.running import ready_path
 from tests.kit.waiting import until, wait_for
 
 pytestmark = pytest.mark.slow
@@ -43,7 +44,8 @@ class TlsCell(Cell):
 
     def wait_ready(self, service: str, within_s: float = 30.0) -> None:
         assert self.files is not None
-        wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s)
+        path = ready_path(service)
+        wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s, path)
 
 
 @pytest.fixture(scope="module")

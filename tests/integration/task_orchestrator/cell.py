@@ -8,15 +8,11 @@ from typing import Any, TypeVar
 
 import httpx
 
-from handover.settings import Settings
 from tests.kit import processes
 from tests.kit.databases import broker_settings, default_url, service_settings
+from tests.kit.other_broker import running
 from tests.kit.waiting import wait_for
 
-CONTEXT = (
-    f"<{Settings.model_fields['context_url'].default}>; "
-    'rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
-)
 FreePort = Callable[[], int]
 T = TypeVar("T")
 
@@ -81,6 +77,26 @@ class Member:
         return self._log.read_text(errors="replace")
 
 
+class BrokerMember(Member):
+    """A broker that takes the place of our own."""
+
+    def __init__(self, port: int, environment: Mapping[str, str], folder: Path) -> None:
+        url = f"http://127.0.0.1:{port}{running.ready_path('context_broker')}"
+        super().__init__("broker", running.MODULE, environment, folder / "broker.log", url)
+        self._broker = running.OtherBroker(port, folder)
+
+    def launch(self) -> None:
+        self._process = self._broker.spawn(self.environment, self._log)
+
+    def kill(self) -> None:
+        super().kill()
+        self._broker.kill()
+
+    def stop(self) -> None:
+        super().stop()
+        self._broker.stop()
+
+
 class Cell:
     """The broker, the orchestrator and a performer that writes down each time it does something."""
 
@@ -107,6 +123,7 @@ class Cell:
             "HANDOVER_ORCHESTRATOR_PORT": str(orchestrator),
             "HANDOVER_RECONCILE_S": "0.5",
             **broker_settings(folder),
+            **running.settings(),
             **(extra or {}),
         }
         environment = {name: value for name, value in environment.items() if value}  # "" removes a setting
@@ -119,12 +136,16 @@ class Cell:
             "PERFORMER_DONE": str(self.done_file),
             "PERFORMER_SCRIPT": str(self.script_file),
         }
-        self.broker = Member(
-            "broker",
-            "services.context_broker",
-            environment,
-            folder / "broker.log",
-            f"http://127.0.0.1:{broker}/readyz",
+        self.broker = (
+            BrokerMember(broker, environment, folder)
+            if running.IS_OTHER
+            else Member(
+                "broker",
+                "services.context_broker",
+                environment,
+                folder / "broker.log",
+                f"http://127.0.0.1:{broker}/readyz",
+            )
         )
         self.orchestrator = Member(
             "orchestrator",
@@ -144,7 +165,7 @@ class Cell:
         self.api = httpx.Client(base_url=f"http://127.0.0.1:{orchestrator}", trust_env=False, timeout=120)
         self.entities = httpx.Client(
             base_url=f"http://127.0.0.1:{broker}/ngsi-ld/v1/entities",
-            headers={"Link": CONTEXT},
+            headers={"Link": running.context_link()},
             trust_env=False,
             timeout=120,
         )

@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
 from services.task_orchestrator import responses
+from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import scaled
 from tests.unit.task_orchestrator.drawing import drawing
 from webui.live.live_socket import LiveSocket
@@ -66,8 +67,7 @@ class Broker:
 @pytest.fixture
 def broker(cell: Any) -> Iterator[Broker]:
     url = f"{cell.url('context_broker')}/ngsi-ld/v1"
-    context = '<https://w3id.org/handover/context.jsonld>; rel="http://www.w3.org/ns/json-ld#context"'
-    with httpx.Client(base_url=url, headers={"Link": context}, timeout=120, trust_env=False) as http:
+    with httpx.Client(base_url=url, headers={"Link": context_link()}, timeout=120, trust_env=False) as http:
         yield Broker(http)
 
 

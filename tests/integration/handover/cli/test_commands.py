@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.integration.task_orchestrator.cell import CONTEXT
+from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import wait_for
 
 BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
@@ -112,7 +112,7 @@ def test_a_failed_task_is_retried(
         "status": {"type": "Property", "value": "failed", "observedAt": datetime.now(UTC).isoformat()},
         "outputParameters": {"type": "Property", "value": {"reason": "nobody is there"}},
     }
-    link = {"Link": CONTEXT}
+    link = {"Link": context_link()}
     eventually(lambda: httpx.get(entity, headers=link, trust_env=False, timeout=120).status_code == 200)
     assert httpx.post(f"{entity}/attrs", json=failed, headers=link, trust_env=False, timeout=120).is_success
     asked = f"{cell.url('task_orchestrator')}/processes/{process}"  # a command a look would take seconds
@@ -140,7 +140,7 @@ def test_an_offer_of_another_system_is_listed_shown_and_accepted_or_rejected(
         }
         for name in ("allow-scan", "allow-pick")
     ]
-    httpx.post(url, json=definitions, headers={"Link": CONTEXT}, timeout=120).raise_for_status()
+    httpx.post(url, json=definitions, headers={"Link": context_link()}, timeout=120).raise_for_status()
     offers = f"{cell.url('task_orchestrator')}/offers"  # a command a look would take seconds
     wait_for(lambda: len(httpx.get(offers, timeout=120).json()) == 2)
     listed = handover("process", "offers", "list").stdout
