@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -113,9 +113,17 @@ kill-test: setup  ## kill broker, orchestrator and performer at random moments f
 thorough: crashes  ## the crashes, the tests of all databases on PostgreSQL, and many more examples
 	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit $(addprefix tests/integration/,context_broker task_orchestrator gesture_controller device_gateway study) $(ARGS)
 
+# tests/kit/other_broker/needs.toml lists the tests that need what a broker may lack.
+ORION_TESTS ?= $(addprefix tests/integration/,alert_router device_gateway gesture_controller handover human_state \
+	ros_fiware_bridge study task_orchestrator trajectory_tool webui whole_body_control)
+
+orion-test: setup  ## the tests of cells with another broker, and what it can do (BROKER=URL; without it one that speaks as Orion-LD)
+	@HANDOVER_TEST_BROKER=$(or $(BROKER),strict) $(PYTEST) $(ORION_TESTS) $(ARGS)
+
 # Each part fails by itself, after the others have run.
-nightly: setup  ## what takes an hour: the memory of the humanoid's control process, and the containers (Docker, or root and podman)
+nightly: setup  ## what takes an hour: cells on another broker, the memory of the humanoid's control process, the containers (Docker, or root and podman)
 	@failed=; \
+	$(MAKE) --no-print-directory orion-test ARGS= || failed="$$failed orion-test"; \
 	$(BIN)/python -m benchmarks.whole_body_memory $(ARGS) || failed="$$failed whole_body_memory"; \
 	if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
 		deploy/try-containers || failed="$$failed try-containers"; \

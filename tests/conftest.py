@@ -48,6 +48,14 @@ if (
 _tenants = itertools.count(1)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Report what another broker can do, if the tests run with one."""
+    if running.IS_OTHER:
+        from tests.kit.other_broker.report import BrokerReport
+
+        config.pluginmanager.register(BrokerReport())
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Distribute the tests by what they share, if there are several workers."""

@@ -252,6 +252,8 @@ class Profile:
 
     def without(self, *names: str) -> "Profile":
         """Return the profile without some rules."""
+        if unknown := ", ".join(sorted(set(names) - RULES.keys())):
+            raise ValueError(f"there is no rule {unknown}; the rules are {', '.join(RULES)}")
         return replace(self, rules=self.rules - set(names))
 
     def checks(self) -> Iterator[Rule]:
