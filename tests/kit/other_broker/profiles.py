@@ -24,6 +24,13 @@ class Answer:
     headers: Mapping[str, str] | None = None
 
 
+class Refused(Exception):
+    """The request is answered by the strict broker."""
+
+    def __init__(self, answer: Answer) -> None:
+        self.answer = answer
+
+
 def problem(status: int, title: str, detail: str = "") -> Answer:
     kind = {400: "BadRequestData", 404: "ResourceNotFound", 501: "OperationNotSupported"}
     name = kind.get(status, "InternalError")
@@ -255,10 +262,6 @@ class Profile:
         if unknown := ", ".join(sorted(set(names) - RULES.keys())):
             raise ValueError(f"there is no rule {unknown}; the rules are {', '.join(RULES)}")
         return replace(self, rules=self.rules - set(names))
-
-    def checks(self) -> Iterator[Rule]:
-        """Yield the rules in their order."""
-        return (one for name, one in RULES.items() if name in self.rules)
 
 
 _VERSION: Final = {"orionld version": "1.6.0", "orion version": "1.15.0-next", "branch": "release/1.6.0"}

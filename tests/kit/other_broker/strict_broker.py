@@ -4,11 +4,8 @@
 and refuses or changes what its profile (`STRICT_BROKER_PROFILE`) says. That broker notifies the subscribers.
 With `STRICT_BROKER_TENANT` everything is in this tenant of it. In `STRICT_BROKER_FOLDER` the file
 `database-away` is a switch, and `strict-broker.json` has what lasts beyond a restart.
-
-User @contexts are loaded once and for ever: the broker behind gets the address of the stored copy.
 """
 
-import hashlib
 import json
 import os
 import re
@@ -26,26 +23,18 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from datamodels.contexts import HANDOVER_URL, is_core, resolve
 from handover.http_client import BodyReadingHttpClient, SendError, StreamedResponse, StreamingHttpClient
-from tests.kit.other_broker.profiles import BATCHES, Answer, Profile, problem, profile_of
+from tests.kit.other_broker.profiles import BATCHES, RULES, Answer, Profile, Refused, problem, profile_of
+from tests.kit.other_broker.stored_contexts import PATH as CONTEXTS
+from tests.kit.other_broker.stored_contexts import TIMEOUT_S, StoredContexts
 
 API: Final = "/ngsi-ld/v1/"
 DATABASE_AWAY: Final = "database-away"
-TIMEOUT_S: Final = 600.0
-CONTEXT_LINK: Final = re.compile(r"<([^>]*)>(?=[^,]*json-ld#context)")
 OWN_HEADERS: Final = frozenset(
     {"host", "content-length", "connection", "transfer-encoding", "accept-encoding", "keep-alive"}
 )
 Change = Callable[[int, bytes], tuple[int, bytes]]
 """Returns the status and body to answer in place of those of the broker behind."""
-
-
-class Refused(Exception):
-    """The request is answered by the strict broker."""
-
-    def __init__(self, answer: Answer) -> None:
-        self.answer = answer
 
 
 @dataclass
@@ -136,11 +125,12 @@ class ProxiedCall:
     def is_spoiled(self) -> bool:
         if self.method != "GET":
             return False
-        kinds = re.split(r"[,|;()]", self.params.get("type", ""))
+        kinds = set(filter(None, re.split(r"[,|;()]", self.params.get("type", ""))))
         return any(
-            tenant == self.tenant and (self.path == f"entities/{name}" or (self.path == "entities" and of_it))
-            for tenant, name, spoiled in self.broker.state["spoiled"]
-            for of_it in [not kinds[0] or any(kind in kinds for kind in spoiled)]
+            self.path == f"entities/{name}"
+            or (self.path == "entities" and not (kinds and kinds.isdisjoint(of_it)))
+            for tenant, name, of_it in self.broker.state["spoiled"]
+            if tenant == self.tenant
         )
 
 
@@ -153,14 +143,16 @@ class StrictBroker:
         self.profile = profile
         self.folder = folder
         self.creating: set[str] = set()
-        self._target, self._url, self._tenant = target.rstrip("/"), url, tenant
+        self._target, self._tenant = target.rstrip("/"), tenant
         self._file = folder / "strict-broker.json"
-        self.state: dict[str, Any] = {"contexts": {}, "copies": {}, "spoiled": []}
+        self.state: dict[str, Any] = {"spoiled": []}
         if self._file.exists():
             self.state = json.loads(self._file.read_text())
         files = (Path(authority),) if authority else ()
         self._streams = StreamingHttpClient(ca_files=files)
         self._http = BodyReadingHttpClient(ca_files=files)
+        is_checked = "context-version" in profile.rules
+        self._contexts = StoredContexts(self.state, self.save, self._http, url, is_checked=is_checked)
 
     def save(self) -> None:
         new = self._file.with_suffix(".new")
@@ -196,8 +188,8 @@ class StrictBroker:
 
     async def _answered(self, request: Request) -> Response:
         path = unquote(request.scope["raw_path"].decode().partition("?")[0])
-        if path.startswith("/contexts/"):
-            return JSONResponse(self.state["copies"][path.removeprefix("/contexts/")][1])
+        if path.startswith(CONTEXTS):
+            return JSONResponse(self._contexts.copy(path))
         if path == "/ngsi-ld/ex/v1/version" and self.profile.version is not None:
             return JSONResponse(dict(self.profile.version))
         given = request.headers.get("ngsild-tenant", "")
@@ -213,8 +205,11 @@ class StrictBroker:
         params = dict(call.params)
         before = json.dumps(call.body)
         if "context-cache" in self.profile.rules:
-            await self._use_stored_contexts(call)
-        for rule in self.profile.checks():
+            if call.method == "DELETE" and call.params.get("reload") == "true":
+                await self._contexts.reload(call.path.removeprefix("jsonldContexts/"))
+                raise Refused(Answer(204))
+            await self._contexts.replace(call.headers, call.body)
+        for rule in (rule for name, rule in RULES.items() if name in self.profile.rules):
             if (answer := await rule.check(call)) is not None:
                 raise Refused(answer)
         place = call.path.split("/")
@@ -241,12 +236,12 @@ class StrictBroker:
         if "ngsild-tenant" in headers:
             headers["ngsild-tenant"] = tenant
         if "link" in headers:
-            headers["link"] = self._with_given_addresses(headers["link"])
+            headers["link"] = self._contexts.restore(headers["link"])
         names_contexts = "ld+json" in headers.get("content-type", "") or call.path.startswith("subscriptions")
-        if not call.changes and not (names_contexts and self.state["contexts"]):
+        if not call.changes and not names_contexts:
             return StreamingResponse(_chunks(reply), reply.status, headers)
         text = b"".join([chunk async for chunk in _chunks(reply)])
-        return self._changed(call, reply.status, self._with_given_addresses(text.decode()).encode(), headers)
+        return self._changed(call, reply.status, self._contexts.restore(text.decode()).encode(), headers)
 
     @staticmethod
     def _changed(call: ProxiedCall, status: int, body: bytes, headers: dict[str, str]) -> Response:
@@ -255,62 +250,6 @@ class StrictBroker:
         if body:
             headers = {"content-type": "application/json", **headers}
         return Response(body, status, headers)
-
-    # Contexts
-
-    async def _use_stored_contexts(self, call: ProxiedCall) -> None:
-        if call.path.startswith("jsonldContexts/") and call.method == "DELETE" and "reload" in call.params:
-            await self._reload(call.path.removeprefix("jsonldContexts/"))
-        if match := CONTEXT_LINK.search(call.headers.get("link", "")):
-            address = await self._stored_context(match[1])
-            call.headers["link"] = call.headers["link"].replace(match[1], address)
-        for document in call.body if isinstance(call.body, list) else [call.body]:
-            if isinstance(document, dict) and "@context" in document:
-                document["@context"] = await self._stored_context(document["@context"])
-
-    async def _stored_context(self, context: Any) -> Any:
-        """Return a context with the addresses of the stored copies, after the check of its content."""
-        if isinstance(context, list):
-            return [await self._stored_context(one) for one in context]
-        if isinstance(context, dict):
-            self._check_context(context)
-        if not isinstance(context, str) or is_core(context):
-            return context
-        if context not in self.state["contexts"]:
-            await self._load(context)
-        return f"{self._url}/contexts/{self.state['contexts'][context]}"
-
-    async def _load(self, url: str) -> None:
-        document = resolve(url) if url != HANDOVER_URL else None  # what is published, without the network
-        if document is None:
-            try:
-                reply = await self._http.request("GET", url, [], b"", TIMEOUT_S)
-                document = json.loads(reply.body)
-            except (SendError, ValueError) as error:
-                raise Refused(problem(503, "Unable to load the @context", f"{url}: {error}")) from None
-        document["@context"] = await self._stored_context(document["@context"])
-        copy = hashlib.sha256(json.dumps([url, document], sort_keys=True).encode()).hexdigest()
-        self.state["contexts"][url] = copy
-        self.state["copies"][copy] = [url, document]
-        self.save()
-
-    def _check_context(self, context: dict[str, Any]) -> None:
-        wrong = [name for name, value in context.items() if not isinstance(value, str | dict)]
-        if wrong and "context-version" in self.profile.rules:
-            raise Refused(problem(400, "Invalid key-value in @context", wrong[0]))
-
-    async def _reload(self, url: str) -> None:
-        if self.state["contexts"].pop(url, None) is None:
-            raise Refused(problem(404, "Context Not Found", url))
-        await self._load(url)
-        raise Refused(Answer(204))
-
-    def _with_given_addresses(self, text: str) -> str:
-        return re.sub(
-            re.escape(f"{self._url}/contexts/") + "([0-9a-f]{64})",
-            lambda match: str(self.state["copies"][match[1]][0]),
-            text,
-        )
 
 
 async def _chunks(reply: StreamedResponse) -> AsyncIterator[bytes]:
