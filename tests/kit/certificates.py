@@ -11,7 +11,7 @@ import pytest
 from handover.tls_trust import client_context
 from handover.transport_security import local_authority
 from handover.transport_security.local_authority import CLOCK_TOLERANCE, LocalAuthority, ServerFiles
-from tests.kit.processes import has_succeeded
+from tests.kit.processes import is_up
 from tests.kit.waiting import wait_for
 
 
@@ -44,7 +44,7 @@ def wait_ready_over_tls(
 
     def is_ready() -> bool:
         try:
-            return has_succeeded(httpx.get(f"{url}{path}", verify=context, trust_env=False))
+            return is_up(httpx.get(f"{url}{path}", verify=context, trust_env=False))
         except httpx.TransportError:
             return False
 

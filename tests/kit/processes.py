@@ -152,17 +152,17 @@ def answer(process: Process | None, url: str, log: Callable[[], str]) -> httpx.R
         return None
 
 
-def has_succeeded(answered: httpx.Response) -> bool:
-    """Return whether a service answers with success, or asks for credentials: a broker without /readyz."""
-    return answered.is_success or answered.status_code in {401, 403}
+def is_up(answered: httpx.Response) -> bool:
+    """Return whether a service is ready, or a broker answers a query, if only that the tenant is new."""
+    return answered.status_code < 500
 
 
 def wait_ready(process: Process | None, url: str, log: Callable[[], str], within_s: float = 30.0) -> None:
-    """Wait until `url` answers with success, or asks for credentials."""
+    """Wait until `url` answers as a service that is ready does."""
 
     def is_ready() -> bool:
         answered = answer(process, url, log)
-        return answered is not None and has_succeeded(answered)
+        return answered is not None and is_up(answered)
 
     wait_for(is_ready, within_s, lambda: f"{url} is not ready: {log()[-MAX_LOG_EXCERPT:]}")
 
