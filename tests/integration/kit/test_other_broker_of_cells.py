@@ -50,10 +50,12 @@ class Running:
         self._broker.stop()
 
     def create(self) -> int:
-        return httpx.post(f"{self.url}/ngsi-ld/v1/entities", json=ENTITY, trust_env=False).status_code
+        return httpx.post(
+            f"{self.url}/ngsi-ld/v1/entities", json=ENTITY, trust_env=False, timeout=120
+        ).status_code
 
     def read(self) -> object:
-        answer = httpx.get(f"{self.url}/ngsi-ld/v1/entities/{ENTITY['id']}", trust_env=False)
+        answer = httpx.get(f"{self.url}/ngsi-ld/v1/entities/{ENTITY['id']}", trust_env=False, timeout=120)
         return answer.json()["n"]["value"] if answer.is_success else answer.status_code
 
 
