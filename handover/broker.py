@@ -104,6 +104,7 @@ class BrokerClient:
             headers.append(("NGSILD-Tenant", settings.broker_tenant))
         self.url = settings.broker_url
         self._base = address(f"{settings.broker_url.rstrip('/')}/ngsi-ld/v1")
+        self._root = self._base.target.removesuffix("/ngsi-ld/v1")
         self._timeout_s = timeout_s
         self.credentials = credentials
         self._transport = transport
@@ -123,6 +124,18 @@ class BrokerClient:
     async def probe(self) -> None:
         """Send a small query; raise `BrokerUnavailable` if the broker does not answer."""
         await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
+
+    async def look_up(self, path: str) -> Any:
+        """Return the JSON document at a path of the server; None where it has none.
+
+        Raises `BrokerUnavailable`.
+        """
+        try:
+            return orjson.loads((await self._call("GET", path, base=self._root)).body)
+        except BrokerUnavailable:
+            raise
+        except (BrokerError, orjson.JSONDecodeError):
+            return None
 
     async def create(self, entity: Entity | NgsiLd) -> None:
         """Create an entity; raise `AlreadyExists` if its id is taken."""
@@ -286,10 +299,16 @@ class BrokerClient:
             offset += PAGE
 
     async def _call(
-        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
+        self,
+        method: str,
+        path: str,
+        *,
+        params: Mapping[str, Any] | None = None,
+        body: Any = None,
+        base: str | None = None,
     ) -> HttpResponse:
         query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
-        url = replace(self._base, target=f"{self._base.target}{path}{query}")
+        url = replace(self._base, target=f"{self._base.target if base is None else base}{path}{query}")
         headers = self._headers if body is None else self._with_body
         content = b"" if body is None else orjson.dumps(body)
         own = await self._own_headers()

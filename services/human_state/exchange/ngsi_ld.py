@@ -166,6 +166,16 @@ def _attributes(values: Iterable[FusedValue], devices: Mapping[str, str]) -> dic
     return written
 
 
+def only_fused(entity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a normalized entity without the instances of sensors, for a broker that keeps one value each."""
+    return {
+        name: next((one for one in attribute if "datasetId" not in one), attribute[0])
+        if isinstance(attribute, list) and attribute and all(isinstance(one, dict) for one in attribute)
+        else attribute
+        for name, attribute in entity.items()
+    }
+
+
 def dataset_id(source: str) -> str:
     """Return the datasetId of a sensor."""
     return DATASET + quote(source, safe="")

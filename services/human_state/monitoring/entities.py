@@ -3,15 +3,16 @@
 import asyncio
 import time
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from datamodels import HumanState
 from handover.broker import BrokerClient
+from handover.broker_identity import BrokerIdentity, identify
 from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from services.human_state.exchange.deletions import Deletions
-from services.human_state.exchange.ngsi_ld import OF_PERSON, EntityThrottle, human_state
+from services.human_state.exchange.ngsi_ld import OF_PERSON, EntityThrottle, human_state, only_fused
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.monitoring.person_monitor import PersonMonitor
@@ -47,6 +48,7 @@ class HumanStates:
         self._writer = writer
         self._deletions = deletions
         self._throttles: dict[str, EntityThrottle] = {}
+        self._identity: BrokerIdentity | None = None
 
     async def run(self) -> None:
         """Write until cancelled."""
@@ -80,7 +82,15 @@ class HumanStates:
             return
         entity = self.entity(monitor, values, now_s)
         if throttle.offer(entity, now_s) is not None:
-            self._writer.put(identifier, lambda: self._broker.upsert([entity.to_normalized()]))
+            self._writer.put(identifier, lambda: self._upsert(entity.to_normalized()))
+
+    async def _upsert(self, entity: dict[str, Any]) -> None:
+        """Write an entity; to a broker that may not keep instances, the fused values alone."""
+        if self._identity is None:
+            self._identity = await identify(self._broker)
+            if not self._identity.keeps_instances:
+                log.info("the broker has the fused values only, not those of each sensor")
+        await self._broker.upsert([entity if self._identity.keeps_instances else only_fused(entity)])
 
     def entity(self, monitor: PersonMonitor, values: list[FusedValue], now_s: float) -> HumanState:
         """Return the HumanState; the fused value is the default instance, one more for each sensor."""

@@ -14,6 +14,7 @@ from services.human_state.exchange.ngsi_ld import (
     EntityThrottle,
     features_of,
     human_state,
+    only_fused,
     pressure_mat,
     read_human_state,
     session,
@@ -174,3 +175,14 @@ def test_texts_and_sensors_that_come_are_changes() -> None:
     assert throttle.offer(a_state(a_value("sitting")), 1.0) is None
     assert throttle.offer(a_state(a_value("standing")), 2.0) is not None
     assert throttle.offer(a_state(a_value("standing"), a_value(80)), 3.0) is not None
+
+
+def test_a_broker_that_keeps_one_value_gets_the_fused_one() -> None:
+    of_all, sensor = (
+        {"type": "Property", "value": 70.0},
+        {"type": "Property", "value": 71.0, "datasetId": "urn:a"},
+    )
+    person = {"type": "Relationship", "object": "urn:ngsi-ld:Person:demo:a"}
+    entity = {"id": "urn:a", "type": "HumanState", "refPerson": person}
+    for instances in ([of_all, sensor], [sensor, of_all], of_all):
+        assert only_fused({**entity, "heartRate": instances}) == {**entity, "heartRate": of_all}
