@@ -194,9 +194,7 @@ class BrokerClient:
         Raises `NotFound` if the entity does not exist, `BrokerError` with the reasons for refused attributes.
         """
         answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
-        _require_all_done(
-            answer, "notUpdated", lambda left: f"{left.get('attributeName')}: {left.get('reason')}"
-        )
+        _require_all_done(answer, "notUpdated", _not_updated)
 
     async def append(self, entity_id: str, attributes: NgsiLd) -> None:
         """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity does not exist."""
@@ -482,6 +480,12 @@ def _is_not_found(error: Mapping[str, Any]) -> bool:
         return False
     named = str(problem.get("type", "")).endswith("/ResourceNotFound")
     return named or _status_of(error) == HTTPStatus.NOT_FOUND
+
+
+def _not_updated(left: Mapping[str, Any]) -> str:
+    """Describe attributes that were not updated, in the form of the standard or of Orion-LD."""
+    names = left.get("attributeName") or ", ".join(map(str, left.get("attributes") or ()))
+    return f"{names}: {left.get('reason') or left.get('title')}"
 
 
 def _batch_error(error: Mapping[str, Any]) -> str:

@@ -1,13 +1,16 @@
 """The services of a cell: name, module and port."""
 
 import importlib
+import json
 import os
 import socket
 from contextlib import suppress
+from hashlib import sha256
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from datamodels.contexts import handover_context
 from handover.errors import UsageError
 from handover.extensions import EXTRA_SERVICES, Service
 from handover.outbound_policy import is_loopback
@@ -76,10 +79,12 @@ def has_own_broker() -> bool:
 def let_broker_fetch_context() -> None:
     """Name the @context of our orchestrator to another broker, unless a setting says which one.
 
-    Our own broker has the @context of the default address.
+    Our own broker has the @context of the default address. Others may keep for ever what they have fetched,
+    so the address differs with the content.
     """
     if not has_own_broker() and "context_url" not in Settings.load().model_fields_set:
-        os.environ["HANDOVER_CONTEXT_URL"] = f"{OrchestratorSettings.load().own_url}/context.jsonld"
+        digest = sha256(json.dumps(handover_context()).encode()).hexdigest()[:12]
+        os.environ["HANDOVER_CONTEXT_URL"] = f"{OrchestratorSettings.load().own_url}/context.jsonld?{digest}"
 
 
 def _is_here(host: str) -> bool:
