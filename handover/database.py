@@ -143,7 +143,7 @@ def connect(
     try:
         if engine.dialect.name == "sqlite" and parsed.database not in {None, "", ":memory:"}:
             file = Path(str(parsed.database))
-            file.parent.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if is_own:
                 lock_own(file)
                 _refuse_unreleased(file)

@@ -181,9 +181,13 @@ def _number_in(database: sqlite3.Connection) -> int:
 
 
 def _create(path: Path) -> None:
-    """Create an empty database atomically, so that a file of 0 bytes is always damage."""
+    """Create an empty database atomically, so that a file of 0 bytes is always damage.
+
+    Nobody else may read it, also where a command and not a service makes it. Its log inherits that.
+    """
     with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         unfinished = marks.create(Path(folder), path.name, _random_number())
+        unfinished.chmod(0o600)
         try:
             os.link(unfinished, path)
         except FileExistsError:

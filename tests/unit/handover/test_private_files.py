@@ -106,3 +106,13 @@ def test_check_names_what_others_can_read(tmp_path: Path) -> None:
         cwd=REPOSITORY,
     )
     assert f"open     {tmp_path} can be read by others (mode 0755)" in checked.stdout
+
+
+def test_a_command_that_makes_accounts_makes_private_files(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "data"
+    command = [sys.executable, "-m", "handover.cli", "accounts", "set-up", "--data-dir", str(folder)]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert mode_of(folder) == 0o700
+    stored_files = [path for path in folder.rglob("*") if path.is_file() and "security" not in path.parts]
+    assert {path.name for path in stored_files} >= {"accounts.db"}
+    assert {path.name: mode_of(path) for path in stored_files if mode_of(path) & 0o077} == {}
