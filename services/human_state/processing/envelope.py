@@ -7,7 +7,8 @@ does not continue here: a heart of 190 bpm that is taken for one of 95 has twice
 
 The peaks between two beats are counted. Where movements add some, the median interval of peaks without a
 movement in between is right, and the first maximum of the autocorrelation of the envelope, which noise does
-not move. A heart without a rhythm has no such maximum, and needs none while its peaks are clear.
+not move. A heart without a rhythm has no such maximum, and needs none while its peaks are clear. Where every
+second beat is lower, that maximum is at two beats; it does not count while peaks stand in its middle.
 
 Memory: `KEPT_S` of the signal at about 125 Hz.
 """
@@ -40,6 +41,9 @@ MAX_HEIGHT: Final = 1.8
 MOVEMENT_S: Final = 0.15
 MIN_INTERVALS: Final = 3
 MIN_PERIODICITY: Final = 0.3
+EQUAL: Final = 0.12
+"""Intervals that differ by less, as a share, are equal."""
+MOST: Final = 0.8
 
 
 class EnvelopeRate:
@@ -98,7 +102,8 @@ class EnvelopeRate:
         intervals = np.diff(peaks)[moved[peaks[1:] + 1] == moved[peaks[:-1]]]
         if len(intervals) >= MIN_INTERVALS:
             yield 60 * self._rate_hz / float(np.median(intervals))
-        if period_s := self._period_s(np.minimum(part, usual), ~is_moving):
+        period_s = self._period_s(np.minimum(part, usual), ~is_moving)
+        if period_s and not _has_two_beats(intervals, period_s * self._rate_hz):
             yield 60 / period_s
 
     def _enveloped(self) -> Floats:
@@ -129,6 +134,15 @@ class EnvelopeRate:
         if heights.max() < MIN_PERIODICITY:
             return 0.0
         return float(peaks[np.flatnonzero(heights >= 0.8 * heights.max())[0]] + first) / self._rate_hz
+
+
+def _has_two_beats(intervals: NDArray[np.int64], period: float) -> bool:
+    """Return whether a period has two peaks in equal intervals: beats of two heights, which alternate."""
+    if len(intervals) < MIN_INTERVALS:
+        return False
+    median = float(np.median(intervals))
+    are_equal = np.mean(np.abs(intervals - median) <= EQUAL * median) >= MOST
+    return bool(are_equal) and abs(period / median - 2) <= 2 * EQUAL
 
 
 def _autocorrelation(wave: Floats) -> Floats:

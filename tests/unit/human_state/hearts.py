@@ -49,19 +49,24 @@ def heart(
     seed: int = 1,
     jitter: float = 0.01,
     noise_mv: float = 0.02,
+    second: float = 1.0,
 ) -> Heart:
-    """Return a heart; the T wave of a fast one comes earlier, and is cut off by the next beat."""
+    """Return a heart; the T wave of a fast one comes earlier, and is cut off by the next beat.
+
+    Every second beat has the height `second`.
+    """
     random = np.random.default_rng(seed)
     rate: Rate = bpm if callable(bpm) else lambda _: float(bpm)
     at_s, values = np.array(BEATS[beat]).T
     ecg = random.normal(0, noise_mv, round(duration_s * rate_hz))
     time_s = np.arange(len(ecg)) / rate_hz
-    peak_s = 0.4
+    peak_s, height = 0.4, 1.0
     while peak_s < duration_s:
         cycle_s = 60 / rate(peak_s)
         scale = np.where(np.abs(at_s) > 0.05, np.clip(np.sqrt(cycle_s), 0.55, 1.15), 1.0)
         near = (time_s > peak_s - 0.4) & (time_s < peak_s + 0.6 * min(1.0, 1.3 * cycle_s))
-        ecg[near] += np.interp(time_s[near] - peak_s, at_s * scale, values, left=0, right=0)
+        ecg[near] += np.interp(time_s[near] - peak_s, at_s * scale, height * values, left=0, right=0)
+        height = second if height == 1.0 else 1.0
         peak_s += cycle_s * (1 + jitter * random.normal())
     return Heart(ecg, rate_hz, rate)
 

@@ -60,6 +60,20 @@ def test_no_fault_in_the_middle_makes_a_valid_rate_too_low(
     assert seen.valid_again_s(25 + seconds) <= MAX_RECOVERY_S
 
 
+@SLOW
+@given(
+    bpm=st.integers(120, 220),
+    second=st.floats(0.45, 0.95),
+    beat=st.sampled_from(["normal", "deep S", "wide"]),
+    seed=st.integers(0, 999),
+)
+def test_beats_of_two_heights_that_alternate_are_not_half_as_many(
+    bpm: int, second: float, beat: str, seed: int
+) -> None:
+    alternating = heart(bpm, 40, beat=beat, second=second, seed=seed)
+    assert course(alternating, heart_rates(alternating)).longest_low_s() <= MAX_LOW_S
+
+
 @pytest.mark.parametrize(
     ("before", "after"), [(80, 190), (120, 190), (60, 120), (180, 90), (190, 80), (70, 175)]
 )
