@@ -36,9 +36,14 @@ class Entities:
             "involves": {"type": "Property", "value": [glove]},
             "workParameters": {"type": "Property", "value": {"description": "Confirm", "commandId": 3}},
         }
-        answer = httpx.post(self._url, json=task, headers=self.headers, timeout=120, trust_env=False)
-        assert answer.status_code == 201, answer.text
+        wait_for(lambda: self._is_created(task), 90, "the broker refuses changes")
         return str(task["id"])
+
+    def _is_created(self, task: dict[str, Any]) -> bool:
+        """Create a Task; 503 says that nothing was done: the broker cannot ask accounts about the token yet."""
+        answer = httpx.post(self._url, json=task, headers=self.headers, timeout=120, trust_env=False)
+        assert answer.status_code in {201, 503}, answer.text
+        return answer.status_code == 201
 
     def _read(self, task: str) -> httpx.Response | None:
         """Return the answer of the broker; None while it cannot ask accounts about the token."""
