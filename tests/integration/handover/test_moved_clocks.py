@@ -40,7 +40,7 @@ class Entities:
         return str(task["id"])
 
     def _is_created(self, task: dict[str, Any]) -> bool:
-        """Create a Task; 503 says that nothing was done: the broker cannot ask accounts about the token yet."""
+        """Create a Task; 503 says that nothing was done, while the broker cannot ask accounts."""
         answer = httpx.post(self._url, json=task, headers=self.headers, timeout=120, trust_env=False)
         assert answer.status_code in {201, 503}, answer.text
         return answer.status_code == 201
