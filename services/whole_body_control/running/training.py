@@ -178,7 +178,7 @@ class Training:
         control.motion.require_free()
         wanted = BEHAVIOURS[plan.application]
         if control.motion.behaviour is Behaviour(NAMES[wanted]):
-            control.motion.begin(control.motion.behaviour)  # it goes on from the session before
+            control.motion.begin(control.motion.behaviour)  # as in the session before
         else:
             control.choose(wanted)
         juggling = None
