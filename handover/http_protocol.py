@@ -281,12 +281,14 @@ class HttpProtocol(HttpToolsProtocol):
                 piece = data[:MAX_HEAD_BYTES]
             else:
                 if self.phase is not HEAD:
-                    data = data.lstrip(b"\r\n")  # as the parser does
+                    data = self._after_empty_lines(data)
                 piece = data[: self._end_of_head(data)]
                 # The empty line, which a complete head has, does not count.
                 lines = self._head_lines + piece.count(b"\n") - self._ends_head(piece)
                 if self._head_bytes + len(piece) > MAX_HEAD_BYTES or lines > MAX_HEAD_LINES:
                     self._refuse_in_turn(_too_large_head())
+                    return
+                if not piece:
                     return
             data = data[len(piece) :]
             self._parse(piece)
@@ -322,12 +324,22 @@ class HttpProtocol(HttpToolsProtocol):
         elif self.phase is BODY and phase is BODY and self.body_bytes == body_bytes:
             self._head_bytes += len(piece)
             self._head_lines += piece.count(b"\n")
+        elif self.phase is phase and phase is not BODY and piece.isspace():
+            self._after_empty_lines(piece)
         else:
             self._head_bytes = self._head_lines = 0
             self._head_end = b""
             return
         if self._head_bytes > MAX_HEAD_BYTES or self._head_lines > MAX_HEAD_LINES:
             self._refuse_in_turn(_too_large_head())
+
+    def _after_empty_lines(self, data: bytes) -> bytes:
+        """Count the empty lines before a head, which the parser skips, as its lines; return what follows."""
+        rest = data.lstrip(b"\r\n")
+        empty = data[: len(data) - len(rest)]
+        self._head_bytes += len(empty)
+        self._head_lines += empty.count(b"\n")
+        return rest
 
     def _count_unfinished(self, piece: bytes, body: bytes, *, is_new: bool) -> None:
         """Count the head at the end of `piece`; `body` is the last part of a body in it, if it has a length.

@@ -76,7 +76,7 @@ def compare(database: Path, within_s: float | None, *, with_pages: bool = True) 
         return Comparison((f"{error}; {RESTAMP}",))
 
 
-RESTAMP: Final = "if this database is the right one, `handover check --restamp` creates it again"
+RESTAMP: Final = "if you replaced this database yourself, `handover check --restamp` accepts it"
 
 
 def create(folder: Path, name: str, application_id: int) -> Path:
@@ -138,7 +138,8 @@ def _require_stamp(database: Path, stamp: Stamp | None, application_id: int, com
         missing = stamp.commits - (commits or 0)
         raise _Fault(
             f"{database}: the last {missing} of {stamp.commits} changes are missing, because "
-            f"{wal_of(database).name} was deleted, replaced or altered; {RESTAMP}"
+            f"{wal_of(database).name} was deleted, replaced or altered; put it back if you have it; "
+            f"{RESTAMP}"
         )
 
 

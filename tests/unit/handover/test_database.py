@@ -159,7 +159,7 @@ def test_a_database_without_its_marks_is_taken_once_they_are_renewed_as_the_erro
 ) -> None:
     file = filled(tmp_path)
     harm(file)
-    with pytest.raises(UsageError, match=r"lamp\.db\..*`handover check --restamp` creates it again"):
+    with pytest.raises(UsageError, match=r"lamp\.db\..*`handover check --restamp` accepts it"):
         connect(f"sqlite:///{file}")
     renew_marks(file)
     connect(f"sqlite:///{file}").dispose()

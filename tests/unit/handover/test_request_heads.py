@@ -120,7 +120,10 @@ def chunked(*chunks: bytes, extension: bytes = b"", trailers: int = 0) -> bytes:
 
 ACCEPTABLE = st.one_of(
     st.builds(get, st.integers(3, MAX_HEAD_LINES), st.integers(1000, MAX_HEAD_BYTES)),
-    st.builds(post, st.sampled_from((b"", b"x", b"\r\n\r\n" * 30, b"\n" * 500, b"x" * 70_000))),
+    st.builds(get, st.integers(3, 50), st.integers(1000, 3000)).map((b"\r\n" * 10).__add__),
+    st.builds(
+        post, st.sampled_from((b"", b" " * 70_000, b"x", b"\r\n\r\n" * 30, b"\n" * 500, b"x" * 70_000))
+    ),
     st.builds(
         chunked,
         st.sampled_from((b"x", b"\n" * 300, b"GET / HTTP/1.1\r\n\r\n", b"x" * 40_000)),
@@ -155,6 +158,7 @@ def test_requests_within_the_limits_are_answered_however_they_come(
             b"GET / HTTP/1.1\r\n" + b"x: " + b"y" * MAX_HEAD_BYTES,
             b"GET / HTTP/1.1\r\n" + b"x" * MAX_HEAD_BYTES,
             b"GET / HTTP/1.1\r\n" + b"cookie: a\r\n" * 200_000,
+            b"\r\n" * 200_000,
         )
     ).map(Sent),
     LENGTHS,

@@ -168,7 +168,7 @@ def test_a_stamp_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "lamp.db"
     killed_while_writing(file, 3, checkpoint_s=0.0)
     file.with_name("lamp.db.stamp").write_bytes(content)
-    with pytest.raises(UsageError, match=r"damaged data: .*lamp\.db\.stamp is damaged; if this database"):
+    with pytest.raises(UsageError, match=r"damaged data: .*lamp\.db\.stamp is damaged; if you replaced"):
         connect(f"sqlite:///{file}")
     assert "lamp.db.stamp is damaged" in check_database(file).faults[0]
 
