@@ -72,16 +72,17 @@ def show() -> None:
 
 
 def wait_for_secrets(settings: Iterable[str], *, timeout_s: float = READY_TIMEOUT_S) -> None:
-    """Wait until the secrets among `settings` exist; return at once without `HANDOVER_SECRETS_DIR`.
+    """Wait until the secrets exist that the environment names without a value, among `settings`.
 
-    `handover secrets make` may run at the same time. Raises `UsageError` after the timeout.
+    So a container names what is mounted in it, and waits for nothing else. `handover secrets make` may run at
+    the same time. Returns at once without `HANDOVER_SECRETS_DIR`. Raises `UsageError` after the timeout.
     """
     folder = os.environ.get(SECRETS_DIR)
     deadline_s = time.monotonic() + timeout_s
     needed = {f"{PREFIX}{name}".upper() for name in settings}
-    for name in (one for one in SECRETS if folder and one in needed):
+    for name in (one for one in SECRETS if folder and one in needed and os.environ.get(one) == ""):
         file = Path(folder or "") / name
-        while not os.environ.get(name) and not file.exists():
+        while not file.exists():
             if time.monotonic() > deadline_s:
                 raise UsageError(
                     f"there is no secret {file}; make it with: handover secrets make "

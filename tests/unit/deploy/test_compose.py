@@ -14,7 +14,7 @@ from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_arguments
-from handover.cli.secrets import SECRETS
+from handover.cli.secrets import SECRETS, wait_for_secrets
 from handover.cli.secure import Plan
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
@@ -108,6 +108,23 @@ def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_tha
             assert "/secrets/HANDOVER_DATABASE_PASSWORD" in each["entrypoint"][2]
         else:
             assert mounts == [], name
+
+
+@every_one_of_ours
+def test_a_container_waits_only_for_the_secrets_that_are_mounted_in_it(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    each = OURS[name]
+    for variable, value in each.get("environment", {}).items():
+        if variable in SECRETS:
+            monkeypatch.setenv(variable, VARIABLE.sub(r"\2", value))
+    monkeypatch.setenv("HANDOVER_SECRETS_DIR", str(tmp_path))
+    for mount in each.get("volumes", []):
+        for secret in given_to(mount) if mount.startswith("secret-") else ():
+            (tmp_path / secret).write_text("x")
+    for service in SERVICES:
+        if each["command"][:2] == ["handover", "run"] and each["command"][-1] == service.name:
+            wait_for_secrets(service.settings.model_fields, timeout_s=0)
 
 
 def test_the_first_container_makes_what_is_secret_as_the_user_of_the_image() -> None:

@@ -106,6 +106,8 @@ def test_of_many_who_make_a_secret_at_once_one_does(tmp_path: Path) -> None:
 
 def test_a_service_waits_until_the_secrets_are_made(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     needed = HumanStateSettings.model_fields
+    for name in ("HANDOVER_DATABASE_PASSWORD", RECORDING_KEY, TOKEN):
+        monkeypatch.setenv(name, "")
     with ThreadPoolExecutor(1) as thread:
         waiting = thread.submit(wait_for_secrets, needed, timeout_s=60)
         for name in ("HANDOVER_DATABASE_PASSWORD", RECORDING_KEY):
@@ -115,8 +117,10 @@ def test_a_service_waits_until_the_secrets_are_made(folder: Path, monkeypatch: p
     assert not (folder / TOKEN).exists(), "it does not need the token of gloves"
     with pytest.raises(UsageError, match=rf"no secret .*{TOKEN}; make it with: handover secrets make"):
         wait_for_secrets(("glove_token",), timeout_s=0)
+    monkeypatch.delenv(TOKEN)
+    wait_for_secrets(("glove_token",), timeout_s=0)  # a container that is not given it
     monkeypatch.setenv(TOKEN, "chosen")
     wait_for_secrets(("glove_token",), timeout_s=0)
     monkeypatch.delenv("HANDOVER_SECRETS_DIR")
-    monkeypatch.delenv(TOKEN)
+    monkeypatch.setenv(TOKEN, "")
     wait_for_secrets(("glove_token",), timeout_s=0)
