@@ -2,6 +2,10 @@
 
 It uses only ETSI GS CIM 009. The Link header of every request has the @context, so that types and attributes
 have the same meaning for all clients.
+
+A broker that is not ours gets no credentials of ours. Some brokers answer without their database that nothing
+is there: before something counts as missing at a broker that is not ours, an entity that this client has
+written is read (`_PRESENCE`).
 """
 
 import asyncio
@@ -16,6 +20,8 @@ import httpx
 import orjson
 
 from datamodels.entities import Entity
+from handover.broker_credentials import HOW_TO_SET, BrokerCredentials, credentials_of
+from handover.broker_identity import CONTEXT_PATH, ORION_VERSION_PATH, BrokerIdentity, identity_in
 from handover.errors import HandoverError, Problem
 from handover.http_client import Address, BodyReadingHttpClient, HttpResponse, SendError, address
 from handover.settings import Settings
@@ -31,7 +37,14 @@ MAX_RESPONSE_BYTES = 256 * 1024 * 1024
 MAX_FAULTS: Final = 3
 """A request at which the broker has failed so often (`BrokerFault`) is not repeated."""
 
+_ENTITIES: Final = ("/entities", "/entityOperations")
+_PRESENCE: Final = "BrokerPresence"
+"""Type of the entity that is read before another one counts as missing: one for each cell and tenant."""
+_PURPOSE: Final = "While it cannot be read, the broker is without its data, and nothing counts as missing."
+_NO_CREDENTIALS: Final[Mapping[str, str]] = {}
+
 AnEntity = TypeVar("AnEntity", bound=Entity)
+AJson = TypeVar("AJson", list[Any], dict[str, Any])
 NgsiLd = Mapping[str, Any]
 
 
@@ -85,9 +98,10 @@ class Credentials(Protocol):
 class BrokerClient:
     """A client of the broker of `settings`; an asynchronous context manager.
 
-    Every method raises `BrokerUnavailable` when the broker does not answer, and another `BrokerError` when
-    it refuses the request. Each request carries the `credentials`. `transport` replaces the HTTP client, for
-    example by the ASGI transport of httpx.
+    Every method raises `BrokerUnavailable` when the broker does not answer, or not as a broker that has its
+    data, and another `BrokerError` when it refuses the request. A broker of ours gets the `credentials`,
+    another one those of the settings. `transport` replaces the HTTP client, for example by the ASGI transport
+    of httpx.
     """
 
     def __init__(
@@ -107,6 +121,9 @@ class BrokerClient:
         self._root = self._base.target.removesuffix("/ngsi-ld/v1")
         self._timeout_s = timeout_s
         self.credentials = credentials
+        self._others: BrokerCredentials | None = credentials_of(settings)
+        self._identity: BrokerIdentity | None = None
+        self._presence_id = settings.entity_id(_PRESENCE, settings.broker_tenant or "cell")
         self._transport = transport
         self._http = BodyReadingHttpClient(ca_files=settings.ca_files, max_response_bytes=MAX_RESPONSE_BYTES)
         # A robot may be updated hundreds of times a second, so the headers are built once.
@@ -118,6 +135,8 @@ class BrokerClient:
 
     async def __aexit__(self, *_: object) -> None:
         self._http.close()
+        if self._others is not None:
+            self._others.close()
         if self._transport is not None:
             await self._transport.aclose()
 
@@ -125,16 +144,26 @@ class BrokerClient:
         """Send a small query; raise `BrokerUnavailable` if the broker does not answer."""
         await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
 
-    async def look_up(self, path: str) -> Any:
-        """Return the JSON document at a path of the server; None where it has none.
+    async def identity(self) -> BrokerIdentity:
+        """Return which broker it is; it is asked again after it could not be reached.
 
         Raises `BrokerUnavailable`.
         """
+        if self._identity is None:
+            orion_version = await self._look_up(ORION_VERSION_PATH)
+            self._identity = identity_in(orion_version, await self._look_up(CONTEXT_PATH))
+        return self._identity
+
+    async def _look_up(self, path: str) -> Any:
+        """Return the JSON document at a path of the server, without our credentials; None if it has none."""
+        others = _NO_CREDENTIALS if self._others is None else await _headers_of(self._others)
+        url = replace(self._base, target=f"{self._root}{path}")
+        response = await self._send("GET", url, (*self._headers, *others.items()), b"")
+        if response.status in _TRANSIENT:
+            raise _refusal(response, f"GET {path}")
         try:
-            return orjson.loads((await self._call("GET", path, base=self._root)).body)
-        except BrokerUnavailable:
-            raise
-        except (BrokerError, orjson.JSONDecodeError):
+            return orjson.loads(response.body) if response.status < 300 else None
+        except orjson.JSONDecodeError:
             return None
 
     async def create(self, entity: Entity | NgsiLd) -> None:
@@ -144,8 +173,7 @@ class BrokerClient:
     async def retrieve(self, entity_id: str) -> dict[str, Any]:
         """Return an entity in normalized form; raise `NotFound` if there is none."""
         response = await self._call("GET", f"/entities/{_in_path(entity_id)}")
-        entity: dict[str, Any] = orjson.loads(response.body)
-        return entity
+        return _json(response, dict, self.url)
 
     async def get(self, entity_id: str, model: type[AnEntity]) -> AnEntity:
         """Return an entity as `model`."""
@@ -238,8 +266,12 @@ class BrokerClient:
 
     async def delete_batch(self, entity_ids: Sequence[str]) -> None:
         """Delete entities in one request; missing ones are ignored."""
+        path = "/entityOperations/delete"
         with suppress(NotFound):  # some brokers answer so when none exists
-            answer = await self._call("POST", "/entityOperations/delete", body=list(entity_ids))
+            answer = await self._call("POST", path, body=list(entity_ids))
+            is_missing = any(map(_is_not_found, _failures(answer, "errors")))
+            if is_missing and await self._has_to_repeat():
+                answer = await self._request("POST", path, body=list(entity_ids))
             _require_all_done(answer, "errors", _batch_error, is_ignored=_is_not_found)
 
     async def ensure_subscription(self, subscription: NgsiLd) -> None:
@@ -265,7 +297,7 @@ class BrokerClient:
     async def types(self) -> list[str]:
         """Return the types of all entities."""
         response = await self._call("GET", "/types")
-        return [str(name) for name in orjson.loads(response.body).get("typeList", [])]
+        return [str(name) for name in _json(response, dict, self.url).get("typeList", [])]
 
     async def subscriptions(self) -> list[dict[str, Any]]:
         """Return all subscriptions, with the times of their changes."""
@@ -276,8 +308,7 @@ class BrokerClient:
         """Return a subscription, with the times of its changes; raise `NotFound` if there is none."""
         path = f"/subscriptions/{_in_path(subscription_id)}"
         response = await self._call("GET", path, params={"options": "sysAttrs"})
-        document: dict[str, Any] = orjson.loads(response.body)
-        return document
+        return _json(response, dict, self.url)
 
     async def delete_subscription(self, subscription_id: str) -> None:
         """Delete a subscription; raise `NotFound` if there is none."""
@@ -290,46 +321,106 @@ class BrokerClient:
         offset = 0
         while True:
             page = await self._call("GET", path, params={**params, "limit": PAGE, "offset": offset})
-            entities: list[dict[str, Any]] = orjson.loads(page.body)
+            entities: list[dict[str, Any]] = _json(page, list, self.url)
             yield entities
             if len(entities) < PAGE:
                 return
             offset += PAGE
 
     async def _call(
-        self,
-        method: str,
-        path: str,
-        *,
-        params: Mapping[str, Any] | None = None,
-        body: Any = None,
-        base: str | None = None,
+        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
     ) -> HttpResponse:
+        """Send a request; where another broker finds nothing, or fails, ask first whether it has its data."""
+        try:
+            response = await self._request(method, path, params, body)
+        except NotFound:
+            if not path.startswith(_ENTITIES) or not await self._has_to_repeat():
+                raise
+        except BrokerFault:
+            await self._has_to_repeat()
+            raise
+        else:
+            if not _finds_nothing(method, path, params, response) or not await self._has_to_repeat():
+                return response
+        return await self._request(method, path, params, body)
+
+    async def _has_to_repeat(self) -> bool:
+        """Return whether the same request may be answered otherwise now: by a broker that is not ours.
+
+        Raises `BrokerUnavailable` if it cannot read what this client has written.
+        """
+        if (await self.identity()).is_ours:
+            return False
+        path = f"/entities/{_in_path(self._presence_id)}"
+        try:
+            await self._request("GET", path)
+        except NotFound:
+            await self._write_presence()
+            try:
+                await self._request("GET", path)
+            except NotFound as error:
+                raise self._without_data(error) from None
+        except BrokerFault as error:
+            raise self._without_data(error) from None
+        return True
+
+    async def _write_presence(self) -> None:
+        try:
+            presence = {
+                "id": self._presence_id,
+                "type": _PRESENCE,
+                "purpose": {"type": "Property", "value": _PURPOSE},
+            }
+            await self._request("POST", "/entities", body=presence)
+        except AlreadyExists:
+            return
+        except BrokerError as error:
+            raise self._without_data(error) from None
+
+    def _without_data(self, error: BrokerError) -> BrokerUnavailable:
+        return BrokerUnavailable(
+            503,
+            "Broker without its data",
+            f"{self.url} can neither read nor store {self._presence_id}: is its database away, or is it no "
+            f"NGSI-LD broker? Until then nothing counts as missing ({error.status} {error.title}: "
+            f"{error.detail})",
+        )
+
+    async def _request(
+        self, method: str, path: str, params: Mapping[str, Any] | None = None, body: Any = None
+    ) -> HttpResponse:
+        """Send a request with the credentials for this broker; return its response if it succeeded."""
         query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
-        url = replace(self._base, target=f"{self._base.target if base is None else base}{path}{query}")
+        url = replace(self._base, target=f"{self._base.target}{path}{query}")
         headers = self._headers if body is None else self._with_body
         content = b"" if body is None else orjson.dumps(body)
-        own = await self._own_headers()
+        given, own = await self._given()
         response = await self._send(method, url, (*headers, *own.items()), content)
-        if response.status == HTTPStatus.UNAUTHORIZED and self.credentials is not None:
-            if self.credentials.renew(own):
-                own = await self._own_headers()
-                response = await self._send(method, url, (*headers, *own.items()), content)
-            if response.status == HTTPStatus.UNAUTHORIZED:
-                # The clocks differ, or accounts has just been set up: that is no property of the request.
-                refusal = _refusal(response, f"{method} {path}")
-                raise BrokerUnavailable(refusal.status, refusal.title, refusal.detail, refusal.type)
+        if response.status == HTTPStatus.UNAUTHORIZED and given is not None and given.renew(own):
+            given, own = await self._given()
+            response = await self._send(method, url, (*headers, *own.items()), content)
         if 200 <= response.status < 300:
+            if response.headers.get("content-type", "").startswith("text/html"):
+                raise _no_broker(response, self.url)
             return response
-        raise _refusal(response, f"{method} {path}")
+        refusal = _refusal(response, f"{method} {path}")
+        if response.status in _NO_ACCESS and not (await self.identity()).is_ours:
+            refusal.detail = f"{refusal.detail}; the broker {self.url} wants credentials: {HOW_TO_SET}"
+        if response.status == HTTPStatus.UNAUTHORIZED:
+            # The clocks differ, or accounts has just been set up: that is no property of the request.
+            raise BrokerUnavailable(refusal.status, refusal.title, refusal.detail, refusal.type)
+        raise refusal
 
-    async def _own_headers(self) -> Mapping[str, str]:
+    async def _given(self) -> tuple[Credentials | None, Mapping[str, str]]:
+        """Return what gives the credentials for this broker, and their headers."""
+        if self._others is not None:
+            return self._others, await _headers_of(self._others)
         if self.credentials is None:
-            return {}
-        try:
-            return await self.credentials.headers()
-        except HandoverError as error:
-            raise BrokerUnavailable(503, "No credentials", str(error)) from error
+            return None, _NO_CREDENTIALS
+        own = await _headers_of(self.credentials)
+        if own and not (await self.identity()).is_ours:
+            return None, _NO_CREDENTIALS
+        return self.credentials, own
 
     async def _send(
         self, method: str, url: Address, headers: Iterable[tuple[str, str]], content: bytes
@@ -339,6 +430,7 @@ class BrokerClient:
                 return await self._http.request(method, url, list(headers), content, self._timeout_s)
             return await self._send_by(self._transport, method, url.target, headers, content)
         except (SendError, httpx.TransportError, asyncio.IncompleteReadError) as error:
+            self._identity = None
             reason = str(error) or type(error).__name__
             raise BrokerUnreachable(
                 503, "Broker unavailable", f"{self.url} does not answer: {reason}"
@@ -377,6 +469,7 @@ _TRANSIENT: Final = frozenset(
     }
 )
 """Refusals that concern the moment and not the request."""
+_NO_ACCESS: Final = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
 _FINAL: Final = frozenset({HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED})
 """Those above 500 that concern the request: the broker will never perform it."""
 
@@ -389,6 +482,13 @@ def _refusal(response: HttpResponse, act: str) -> BrokerError:
     if not isinstance(problem, dict):
         problem = {}
     status = response.status
+    if 300 <= status < 400:
+        return BrokerUnavailable(
+            status,
+            "Redirected",
+            f"the broker redirects to {response.headers.get('location', 'nowhere')}, perhaps to sign in: "
+            f"set HANDOVER_BROKER_URL to the broker itself; where it wants credentials, {HOW_TO_SET} ({act})",
+        )
     title = str(problem.get("title") or _phrase(status))
     detail = str(problem.get("detail") or response.body.decode(errors="replace")[:500])
     kind = str(problem.get("type", "about:blank"))
@@ -404,6 +504,42 @@ def _error_class(status: int) -> type[BrokerError]:
         return BrokerUnavailable
     is_fault = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
     return BrokerFault if is_fault else BrokerError
+
+
+async def _headers_of(credentials: Credentials) -> Mapping[str, str]:
+    try:
+        return await credentials.headers()
+    except HandoverError as error:
+        raise BrokerUnavailable(503, "No credentials", str(error)) from error
+
+
+def _finds_nothing(method: str, path: str, params: Mapping[str, Any] | None, response: HttpResponse) -> bool:
+    """Return whether a query of entities has no result."""
+    if method != "GET" or path != "/entities" or params is None:
+        return False
+    if params.get("limit") == 0:
+        return response.headers.get("ngsild-results-count") == "0"
+    return not params.get("offset") and response.body.strip() == b"[]"
+
+
+def _json(response: HttpResponse, kind: type[AJson], url: str) -> AJson:
+    """Return the body as a JSON list or object. Raises `BrokerUnavailable`."""
+    try:
+        document = orjson.loads(response.body)
+    except orjson.JSONDecodeError:
+        document = None
+    if not isinstance(document, kind):
+        raise _no_broker(response, url)
+    return document
+
+
+def _no_broker(response: HttpResponse, url: str) -> BrokerUnavailable:
+    return BrokerUnavailable(
+        502,
+        "No answer of a broker",
+        f"{url} answers {response.status} with {response.headers.get('content-type', 'no type')}, which is "
+        "no NGSI-LD: perhaps a sign-in page, a proxy, another server; set HANDOVER_BROKER_URL to the broker",
+    )
 
 
 def _phrase(status: int) -> str:
@@ -424,10 +560,16 @@ def _require_all_done(
 
     Failures for which `is_ignored` is true are ignored.
     """
-    if answer.status == HTTPStatus.MULTI_STATUS:
-        failures = [each for each in orjson.loads(answer.body).get(undone, []) if not is_ignored(each)]
-        if failures:
-            raise _refused_in_part(failures, describe)
+    failures = [each for each in _failures(answer, undone) if not is_ignored(each)]
+    if failures:
+        raise _refused_in_part(failures, describe)
+
+
+def _failures(answer: HttpResponse, undone: str) -> list[NgsiLd]:
+    """Return what a partial success left out: the list `undone`."""
+    if answer.status != HTTPStatus.MULTI_STATUS:
+        return []
+    return list(orjson.loads(answer.body).get(undone, []))
 
 
 def _refused_in_part(failures: Sequence[NgsiLd], describe: Callable[[NgsiLd], str]) -> BrokerError:
@@ -448,9 +590,7 @@ def _status_of(error: Mapping[str, Any]) -> int:
 
 def _refused(answer: HttpResponse) -> frozenset[str]:
     """Return the ids of the entities that a batch operation refused; raise `BrokerError` if one has no id."""
-    if answer.status != HTTPStatus.MULTI_STATUS:
-        return frozenset()
-    errors = orjson.loads(answer.body).get("errors", [])
+    errors = _failures(answer, "errors")
     if not all(isinstance(error.get("entityId"), str) for error in errors):
         raise _refused_in_part(errors, _batch_error)
     return frozenset(error["entityId"] for error in errors)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from handover.broker import BrokerClient
-
-SOFTWARE: Final = "Handover"
-"""What the embedded broker says in `contextSourceExtras` of its identity (ETSI GS CIM 009, clause 5.15)."""
-_ORION_VERSION: Final = "/ngsi-ld/ex/v1/version"
+ORION_VERSION_PATH: Final = "/ngsi-ld/ex/v1/version"
+CONTEXT_PATH: Final = "/context.jsonld"
+"""Where each server of ours has our @context, for everybody."""
+OURS: Final = "Handover"
+_OUR_TERMS: Final = frozenset({"Task", "HumanState", "PhysiologicalSession"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,22 +22,26 @@ class BrokerIdentity:
     version: str = ""
 
     @property
+    def is_ours(self) -> bool:
+        """Whether it is the embedded broker, of whatever version."""
+        return self.name == OURS
+
+    @property
     def keeps_instances(self) -> bool:
         """Whether a batch may have attributes with several instances (`datasetId`).
 
         Orion-LD 1.6 refuses or damages such an entity; of a broker that is not known it is not assumed.
         """
-        return self.name == SOFTWARE
+        return self.is_ours
 
 
-async def identify(broker: BrokerClient) -> BrokerIdentity:
-    """Ask a broker who it is. Raises `BrokerUnavailable`."""
-    orion = await broker.look_up(_ORION_VERSION)
-    if isinstance(orion, Mapping):
-        found = {str(key).lower().replace("-", ""): str(value) for key, value in orion.items()}
-        return BrokerIdentity("Orion-LD", found.get("orionld version", ""))
-    identity: Any = await broker.look_up("/ngsi-ld/v1/info/sourceIdentity")
-    extras = identity.get("contextSourceExtras") if isinstance(identity, Mapping) else None
-    if not isinstance(extras, Mapping):
-        return BrokerIdentity()
-    return BrokerIdentity(str(extras.get("software", "")), str(extras.get("version", "")))
+def identity_in(orion_version: Any, context: Any) -> BrokerIdentity:
+    """Return the broker that has these documents at `ORION_VERSION_PATH` and `CONTEXT_PATH`."""
+    if isinstance(orion_version, Mapping):
+        found = {str(key).lower().replace("-", ""): str(value) for key, value in orion_version.items()}
+        if "orionld version" in found:
+            return BrokerIdentity("Orion-LD", found["orionld version"])
+    terms = context.get("@context") if isinstance(context, Mapping) else None
+    if isinstance(terms, Mapping) and terms.keys() >= _OUR_TERMS:
+        return BrokerIdentity(OURS)
+    return BrokerIdentity()

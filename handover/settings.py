@@ -7,6 +7,7 @@ A service subclasses `Settings` in its `settings.py`; `handover settings` prints
 of each value.
 """
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -40,6 +41,15 @@ DEFAULT_PORTS = (54100, 54200, 54210, 54220, 54230, 54240, 54270, 54280, 54400)
 _OWN_PORT = re.compile(rf"{PREFIX}[A-Z_]+_PORT$")
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")
+HEADER_NAME = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
+HEADER_VALUE = re.compile(r"[\x21-\x7e]([\x20-\x7e]*[\x21-\x7e])?")
+HEADERS_OF_REQUESTS = frozenset(
+    {
+        "accept", "connection", "content-length", "content-type", "host", "link", "ngsild-tenant",
+        "transfer-encoding",
+    }
+)  # fmt: skip
+"""Headers that depend on the request."""
 USER_WITHOUT_PASSWORD = re.compile(r"^([^:/@\s]+://[^:/@\s]+)@")
 
 
@@ -116,6 +126,25 @@ class Settings(BaseSettings):
         "otherwise it ends with exit code 2 and names the holder",
     )
     broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
+    broker_token_file: MaybePath = Field(
+        None,
+        description="the file of a token for a broker of others, or the proxy before it, sent as "
+        "Authorization: Bearer; it may be replaced at any time",
+    )
+    broker_headers: SecretStr | None = Field(
+        None,
+        description='headers that a broker of others wants, as a JSON object: {"X-Auth-Token": "…"}',
+    )
+    broker_oauth_url: str | None = Field(
+        None,
+        description="the token endpoint of OAuth 2.0 client credentials for a broker of others (Keyrock: "
+        "/oauth2/token, Keycloak: /realms/NAME/protocol/openid-connect/token)",
+    )
+    broker_oauth_client: str | None = Field(None, description="the id of the client at that endpoint")
+    broker_oauth_secret: SecretStr | None = Field(None, description="the secret of that client")
+    broker_oauth_scope: str | None = Field(
+        None, description="the scope to ask for, if the endpoint needs one"
+    )
     orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
     orchestrator_url: str | None = Field(
         None, description="where the broker and others reach the orchestrator; host and port if absent"
@@ -274,6 +303,23 @@ class Settings(BaseSettings):
             raise ValueError("must start with http:// or https://")
         return url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
+    @field_validator("broker_headers")
+    @classmethod
+    def _are_headers(cls, headers: SecretStr | None) -> SecretStr | None:
+        if headers is None or not headers.get_secret_value().strip():
+            return None
+        headers_in(headers.get_secret_value())
+        return headers
+
+    @field_validator("broker_oauth_url")
+    @classmethod
+    def _is_token_endpoint(cls, url: str | None) -> str | None:
+        if url and re.fullmatch(r"https?://[^/@\s]+/\S*", url) is None:
+            raise ValueError(
+                f'"{url}" is no address of a token endpoint; write it as https://id.example/token'
+            )
+        return url or None
+
     @field_validator("service_token")
     @classmethod
     def _is_token(cls, token: SecretStr | None) -> SecretStr | None:
@@ -296,6 +342,21 @@ class Settings(BaseSettings):
                 "broker_url": cls.model_fields["broker_url"].default.replace("http", "https", 1),
             }
         return values
+
+    @model_validator(mode="after")
+    def _has_one_token_for_the_broker(self) -> Self:
+        headers = {name.lower() for name in self.other_broker_headers()}
+        ways = {
+            "broker_token_file": self.broker_token_file is not None,
+            "broker_oauth_url": self.broker_oauth_url is not None,
+            "broker_headers (Authorization)": "authorization" in headers,
+        }
+        used = [name for name, is_used in ways.items() if is_used]
+        if len(used) > 1:
+            raise ValueError(f"{' and '.join(used)} both give a token for the broker; set one of them")
+        if self.broker_oauth_url and not (self.broker_oauth_client and self.broker_oauth_secret):
+            raise ValueError("broker_oauth_url needs broker_oauth_client and broker_oauth_secret; set them")
+        return self
 
     @model_validator(mode="after")
     def _has_certificate_for_key(self) -> Self:
@@ -352,6 +413,10 @@ class Settings(BaseSettings):
         """Return `name` as `urn:ngsi-ld:<kind>:<factory>:<name>`; a URN is returned unchanged."""
         return name if name.startswith("urn:") else f"urn:ngsi-ld:{kind}:{self.factory}:{name}"
 
+    def other_broker_headers(self) -> dict[str, str]:
+        """Return the headers that a broker of others wants."""
+        return headers_in(self.broker_headers.get_secret_value()) if self.broker_headers else {}
+
     def url_of(self, port: int, url: str | None = None) -> str:
         """Return the address of a server on `port`: `url`, or by default host and port."""
         if url:
@@ -398,7 +463,7 @@ class Settings(BaseSettings):
             url = getattr(self, name)
             if (
                 name.endswith("_url")
-                and name != "context_url"
+                and name not in {"context_url", "broker_oauth_url"}
                 and str(url).startswith(("http://", "https://"))
             ):
                 yield url
@@ -447,6 +512,24 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the sources of settings in the order of precedence."""
         return init_settings, _SecretFiles(settings_cls), env_settings, dotenv_settings
+
+
+def headers_in(text: str) -> dict[str, str]:
+    """Return the headers in a JSON object; raise `ValueError` for another text, or a header of ours."""
+    try:
+        headers = json.loads(text)
+    except ValueError:
+        headers = None
+    if not isinstance(headers, dict) or not headers:
+        raise ValueError('must be a JSON object of headers, as {"X-Auth-Token": "secret"}')
+    for name, value in headers.items():
+        if not HEADER_NAME.fullmatch(name) or name.lower() in HEADERS_OF_REQUESTS:
+            raise ValueError(
+                f"cannot have the header {name!r}: it is no name of a header, or set by Handover"
+            )
+        if not isinstance(value, str) or not HEADER_VALUE.fullmatch(value):
+            raise ValueError(f"has no text of printable ASCII characters for the header {name!r}")
+    return headers
 
 
 Source = Literal["environment", "secret file", ".env", "default"]

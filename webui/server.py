@@ -33,6 +33,7 @@ from handover.service import ANY_TYPE, accepts, create_app
 from handover.storage import storage_check
 from handover.tls_trust import client_context
 from webui.http.control_proxy import ControlProxy
+from webui.http.other_broker import OtherBroker
 from webui.http.page_files import PageFiles
 from webui.http.page_guard import CsrfCheck, PageGuard
 from webui.http.person_removal import PersonRemoval, add_person_removal
@@ -51,6 +52,7 @@ from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, Opera
 from webui.service_credentials import ServiceCredentials
 from webui.settings import (
     ASSISTIVE_DEVICES,
+    BROKER,
     GATEWAY,
     HUMAN_STATE,
     TRAJECTORY,
@@ -131,7 +133,7 @@ class Components:
         self.broker = BrokerClient(settings, credentials=guard.access)
         urls = settings.service_urls
         self.http = http = httpx.AsyncClient(
-            auth=ServiceCredentials(guard.access, urls.values()),
+            auth=ServiceCredentials(guard.access, (url for name, url in urls.items() if name != BROKER)),
             trust_env=False,
             verify=client_context(*settings.ca_files),
         )
@@ -176,6 +178,7 @@ class Components:
         self.control = ControlProxy(urls, guard, settings.ca_files)
         self.streams = StreamProxy(urls, guard, settings.ca_files)
         self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
+        self.other_broker = OtherBroker(self.broker)
         self.removal = PersonRemoval(urls, http, self.broker, headers_of)
         on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
@@ -336,7 +339,9 @@ def _add_proxy(app: FastAPI, components: Components) -> None:
     @accepts(*ANY_TYPE)  # the service itself decides, and may accept less
     @max_body(MAX_PROXIED_BODY_BYTES)
     async def forward(service: str, path: str, request: Request) -> Response:  # noqa: ARG001
-        return await components.proxy.forward(service, _encoded_path(request, service), request)
+        encoded = _encoded_path(request, service)
+        answer = await components.other_broker.answer(encoded, request) if service == BROKER else None
+        return await components.proxy.forward(service, encoded, request) if answer is None else answer
 
     @app.api_route("/api/{rest:path}", methods=methods, include_in_schema=False, dependencies=signed_in)
     @accepts(*ANY_TYPE)

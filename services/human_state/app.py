@@ -21,6 +21,7 @@ from handover.security.keys_in_force import KeysInForce
 from handover.service import create_app
 from handover.storage import storage_check
 from services.human_state.exchange.deletions import Deletions
+from services.human_state.exchange.health_entities import HealthEntities
 from services.human_state.metrics import REJECTED
 from services.human_state.monitoring.activities import ActivityModel
 from services.human_state.monitoring.breaks import BreakProposals
@@ -57,7 +58,8 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     monitoring = Monitoring(
         settings, people, guard.access, tasks, pipeline_of=pipeline_of, classifier_of=activities.classifier
     )
-    entities = HumanStates(settings, monitoring, broker, writer, deletions)
+    health = HealthEntities(settings, broker)
+    entities = HumanStates(settings, monitoring, health, writer, deletions)
     history = HistoryWriter(store, monitoring, settings.health_history_days)
     breaks = BreakProposals(settings, guard.access)
     recording = RecordingService(
@@ -67,6 +69,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         monitoring=monitoring,
         tasks=tasks,
         broker=broker,
+        health=health,
         writer=writer,
         deletions=deletions,
     )

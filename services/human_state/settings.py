@@ -38,6 +38,11 @@ class HumanStateSettings(Settings):
         description="the niceness of human state, so that busy processes do not delay the limits of robots; "
         "below 0 it needs the right to (`LimitNICE` of systemd, `CAP_SYS_NICE`), else it stays as it is",
     )
+    health_on_other_broker: bool = Field(
+        False,
+        description="whether body signals of persons who consent are written to a broker that is not ours, "
+        "where everybody who reads the broker reads them",
+    )
     health_strain_window_s: float = Field(
         300.0,
         ge=10,

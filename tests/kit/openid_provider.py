@@ -82,6 +82,36 @@ class OpenIdProvider:
         return Client(client_id, None if is_public else secret)
 
     @_outside_the_event_loop
+    def add_program(self) -> Client:
+        """Register a client that gets tokens for itself (client credentials)."""
+        from oauth2_provider.models import Application
+
+        client_id, secret = secrets.token_hex(8), f"{new_token('client')}+/=% :"
+        Application.objects.create(
+            client_id=client_id,
+            client_secret=secret,
+            client_type="confidential",
+            authorization_grant_type="client-credentials",
+            name="A program",
+        )
+        return Client(client_id, secret)
+
+    @_outside_the_event_loop
+    def accepts(self, token: str) -> bool:
+        """Return whether a token was issued here and is valid."""
+        from oauth2_provider.models import AccessToken
+
+        found = AccessToken.objects.filter(token=token).first()
+        return found is not None and bool(found.is_valid())
+
+    @_outside_the_event_loop
+    def revoke(self, token: str) -> None:
+        """Make a token invalid before its time."""
+        from oauth2_provider.models import AccessToken
+
+        AccessToken.objects.get(token=token).revoke()
+
+    @_outside_the_event_loop
     def add_user(self, name: str, *groups: str) -> str:
         """Add a person; return the subject at this provider."""
         from django.contrib.auth.models import User

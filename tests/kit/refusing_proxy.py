@@ -1,4 +1,7 @@
-"""A proxy before a broker, which refuses what a test names, and records what the broker has accepted."""
+"""A proxy before a broker, which refuses what a test names, and records what the broker has accepted.
+
+With a `token` it is a policy enforcement point: without that token it answers 401.
+"""
 
 import threading
 from collections.abc import Iterator
@@ -22,7 +25,10 @@ class RefusingProxy:
     url: str = ""
     refused: frozenset[bytes] = frozenset()
     status: int = 503
+    token: str | None = None
     refusals: int = 0
+    tokens: set[str] = field(default_factory=set)
+    """What was received as Authorization."""
     accepted: list[tuple[str, bytes]] = field(default_factory=list)
     """Path and body of the accepted writes, in their order."""
 
@@ -36,6 +42,12 @@ def refusing_proxy(target: str) -> Iterator[RefusingProxy]:
     class Handler(BaseHTTPRequestHandler):
         def forward(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            given = self.headers.get("Authorization")
+            if given is not None:
+                proxy.tokens.add(given)
+            if proxy.token is not None and given != f"Bearer {proxy.token}":
+                self.answer(401, {}, b'{"title": "Unauthorized", "detail": "no valid token"}')
+                return
             request = f"{self.command} {self.path}".encode() + body
             if any(text in request for text in proxy.refused):
                 proxy.refusals += 1

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
-from handover.broker_identity import SOFTWARE
 from services.context_broker.model.conformance import OURS
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import not_found
@@ -110,7 +109,7 @@ class DiscoveryOperations:
             "contextSourceAlias": alias,
             "contextSourceTimeAt": timestamp_now(),
             "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
-            "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS), "software": SOFTWARE},
+            "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
         }
         return discovery_response(request, context, body)
 

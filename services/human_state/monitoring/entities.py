@@ -3,16 +3,15 @@
 import asyncio
 import time
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from datamodels import HumanState
-from handover.broker import BrokerClient
-from handover.broker_identity import BrokerIdentity, identify
 from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from services.human_state.exchange.deletions import Deletions
-from services.human_state.exchange.ngsi_ld import OF_PERSON, EntityThrottle, human_state, only_fused
+from services.human_state.exchange.health_entities import HealthEntities
+from services.human_state.exchange.ngsi_ld import OF_PERSON, EntityThrottle, human_state
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.monitoring.person_monitor import PersonMonitor
@@ -38,17 +37,16 @@ class HumanStates:
         self,
         settings: Settings,
         monitoring: Monitoring,
-        broker: BrokerClient,
+        health: HealthEntities,
         writer: LatestValueWriter,
         deletions: Deletions,
     ) -> None:
         self._settings = settings
         self._monitoring = monitoring
-        self._broker = broker
+        self._health = health
         self._writer = writer
         self._deletions = deletions
         self._throttles: dict[str, EntityThrottle] = {}
-        self._identity: BrokerIdentity | None = None
 
     async def run(self) -> None:
         """Write until cancelled."""
@@ -82,15 +80,7 @@ class HumanStates:
             return
         entity = self.entity(monitor, values, now_s)
         if throttle.offer(entity, now_s) is not None:
-            self._writer.put(identifier, lambda: self._upsert(entity.to_normalized()))
-
-    async def _upsert(self, entity: dict[str, Any]) -> None:
-        """Write an entity; to a broker that may not keep instances, the fused values alone."""
-        if self._identity is None:
-            self._identity = await identify(self._broker)
-            if not self._identity.keeps_instances:
-                log.info("the broker has the fused values only, not those of each sensor")
-        await self._broker.upsert([entity if self._identity.keeps_instances else only_fused(entity)])
+            self._writer.put(identifier, lambda: self._health.upsert(entity.to_normalized()))
 
     def entity(self, monitor: PersonMonitor, values: list[FusedValue], now_s: float) -> HumanState:
         """Return the HumanState; the fused value is the default instance, one more for each sensor."""
@@ -117,7 +107,7 @@ class HumanStates:
         """Delete entities of persons who were deleted, or whose consent ended, while this did not run."""
         allowed = {one.pseudonym for one in people.all() if Purpose.BROKER in one.purposes()}
         prefix = self._settings.entity_id("HumanState", "P-").removesuffix("P-")
-        for entity in await self._broker.query(type="HumanState"):
+        for entity in await self._health.broker.query(type="HumanState"):
             pseudonym = str(entity["id"]).removeprefix(prefix)
             if pseudonym.startswith("P-") and pseudonym not in allowed:
                 self.delete(pseudonym)

@@ -6,6 +6,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
 from services.human_state.exchange.deletions import Deletions
+from services.human_state.exchange.health_entities import HealthEntities
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.people.people import People
 from services.human_state.recording.archive import Archive
@@ -29,6 +30,7 @@ class RecordingService:
         monitoring: Monitoring,
         tasks: BackgroundTasks,
         broker: BrokerClient,
+        health: HealthEntities,
         writer: LatestValueWriter,
         deletions: Deletions,
     ) -> None:
@@ -37,7 +39,7 @@ class RecordingService:
             Archive(folder, key), store, people, monitoring, tasks, settings.health_recording_days
         )
         self.entities = SessionEntities(
-            settings, people, self.recordings, broker, writer, deletions=deletions
+            settings, people, self.recordings, broker, writer, health=health, deletions=deletions
         )
         self.export = RecordingExport(folder, key)
         self._markers = TaskMarkers(settings, self.recordings, broker, writer)

@@ -8,6 +8,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.latest_value_writer import LatestValueWriter
 from handover.telemetry import get_logger
 from services.human_state.exchange.deletions import Deletions
+from services.human_state.exchange.health_entities import HealthEntities
 from services.human_state.exchange.ngsi_ld import session
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import People, Person
@@ -31,6 +32,7 @@ class SessionEntities:
         broker: BrokerClient,
         writer: LatestValueWriter,
         *,
+        health: HealthEntities,
         deletions: Deletions,
     ) -> None:
         self._settings = settings
@@ -38,6 +40,7 @@ class SessionEntities:
         self._recordings = recordings
         self._broker = broker
         self._writer = writer
+        self._health = health
         self._deletions = deletions
         self._published: set[str] = set()
 
@@ -89,7 +92,7 @@ class SessionEntities:
             recording=f"{self._settings.service_url}/people/{person.name}/recordings/{row.id}/file",
             sha256=row.sha256,
         ).to_normalized()
-        self._writer.put(self.id_of(row.id), lambda: self._broker.upsert([entity]))
+        self._writer.put(self.id_of(row.id), lambda: self._health.upsert(entity))
 
 
 async def rename_attributes(broker: BrokerClient) -> None:

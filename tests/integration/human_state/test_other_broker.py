@@ -4,18 +4,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 
 from handover.broker import BrokerClient
-from handover.broker_identity import SOFTWARE, BrokerIdentity, identify
+from handover.broker_identity import BrokerIdentity
 from tests.integration.human_state.conftest import HEART_RATE, Running, consent
-from tests.kit import processes
 from tests.kit.cell import Cell
-from tests.kit.other_broker.profiles import ORION_LD
-from tests.kit.other_broker.running import QUERY, OtherBroker
-from tests.kit.ports import next_free_port
-from tests.kit.waiting import until, wait_for
+from tests.kit.other_broker.running import orion_like
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -23,23 +19,8 @@ pytestmark = pytest.mark.slow
 @pytest.fixture
 def orion(shared_cell: Cell, tmp_path: Path) -> Iterator[str]:
     """The URL of a broker that speaks as Orion-LD."""
-    port = next_free_port()
-    broker = OtherBroker(port, tmp_path, ORION_LD.name, "")
-    environment = {**shared_cell.environment, "HANDOVER_DATA_DIR": str(tmp_path / "broker")}
-    process = broker.spawn(environment, tmp_path / "strict-broker.log")
-    try:
-        wait_for(lambda: answers(f"http://127.0.0.1:{port}{QUERY}"), 60, "the broker does not answer")
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        processes.stop(process)
-        broker.stop()
-
-
-def answers(url: str) -> bool:
-    try:
-        return httpx.get(url, timeout=120, trust_env=False).is_success
-    except httpx.TransportError:
-        return False
+    with orion_like(shared_cell.environment, tmp_path) as url:
+        yield url
 
 
 async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an_alert(
@@ -52,12 +33,12 @@ async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an
     }
     settings = shared_cell.settings.model_copy(update=there)
     async with (
-        running(**there) as rest,
+        running(**there, health_on_other_broker=True) as rest,
         BrokerClient(settings) as broker,
         BrokerClient(shared_cell.settings) as own,
     ):
-        assert await identify(broker) == BrokerIdentity("Orion-LD", "1.6.0")
-        assert (await identify(own)).name == SOFTWARE
+        assert await broker.identity() == BrokerIdentity("Orion-LD", "1.6.0")
+        assert (await own.identity()).is_ours
         (await rest.put("/people/aino", json={"age": 40})).raise_for_status()
         (await rest.put("/people/aino/consent", json=consent())).raise_for_status()
         sensor = {"person": "aino", "driver": "simulated", "settings": HEART_RATE}
@@ -82,3 +63,21 @@ async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an
             return str(found[0]["description"]["value"]) if found else None
 
         assert entity["id"] in await until(alert)
+
+
+async def test_without_a_yes_no_body_signal_is_written_there(
+    running: Running, shared_cell: Cell, orion: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = {
+        "broker_url": orion,
+        "broker_tenant": None,
+        "context_url": f"{shared_cell.url('context_broker')}/context.jsonld",
+    }
+    settings = shared_cell.settings.model_copy(update=there)
+    async with running(**there) as rest, BrokerClient(settings) as broker:
+        (await rest.put("/people/eino", json={"age": 40})).raise_for_status()
+        (await rest.put("/people/eino/consent", json=consent())).raise_for_status()
+        sensor = {"person": "eino", "driver": "simulated", "settings": HEART_RATE}
+        (await rest.put("/sensors/strap-eino", json=sensor)).raise_for_status()
+        await until(lambda: "HANDOVER_HEALTH_ON_OTHER_BROKER" in "".join(capsys.readouterr()), 120)
+        assert await broker.query(type="HumanState") == []

@@ -14,10 +14,13 @@ import json
 import os
 import secrets
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Final
+
+import httpx
 
 from datamodels.contexts import handover_context
 from handover.settings import Settings
@@ -26,6 +29,7 @@ from tests.kit.other_broker.profiles import ORION_LD, PLAIN
 from tests.kit.paths import REPOSITORY
 from tests.kit.ports import next_free_port
 from tests.kit.processes import Process
+from tests.kit.waiting import wait_for
 
 BROKER: Final = os.environ.get("HANDOVER_TEST_BROKER", "")
 IS_OTHER: Final = bool(BROKER)
@@ -78,6 +82,29 @@ def settings() -> dict[str, str]:
 def ready_path(service: str) -> str:
     """Return the path that answers with success when a service of a cell is ready."""
     return QUERY if IS_OTHER and service == "context_broker" else "/readyz"
+
+
+@contextmanager
+def orion_like(environment: Mapping[str, str], folder: Path) -> Iterator[str]:
+    """Run a broker that speaks as Orion-LD 1.6.0 beside the broker of a cell; yield its URL."""
+    port = next_free_port()
+    broker = OtherBroker(port, folder, ORION_LD.name, "")
+    own = {**environment, "HANDOVER_DATA_DIR": str(folder / "broker")}
+    process = broker.spawn(own, folder / "strict-broker.log")
+    url = f"http://127.0.0.1:{port}"
+    try:
+        wait_for(lambda: _answers(f"{url}{QUERY}"), 60, "the broker does not answer")
+        yield url
+    finally:
+        processes.stop(process)
+        broker.stop()
+
+
+def _answers(url: str) -> bool:
+    try:
+        return httpx.get(url, timeout=120, trust_env=False).is_success
+    except httpx.TransportError:
+        return False
 
 
 class OtherBroker:

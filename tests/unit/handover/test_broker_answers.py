@@ -3,6 +3,7 @@
 import httpx
 import pytest
 
+from datamodels.contexts import handover_context
 from handover.broker import (
     AlreadyExists,
     BrokerClient,
@@ -12,24 +13,30 @@ from handover.broker import (
     BrokerUnreachable,
     NotFound,
 )
+from handover.broker_identity import CONTEXT_PATH
 from handover.settings import Settings
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
 
 
 def client(status: int, body: object = None) -> BrokerClient:
-    """Return a client of a broker that gives one answer."""
-    answer = httpx.MockTransport(lambda _: httpx.Response(status, json=body))
-    return BrokerClient(Settings(_env_file=None), transport=answer)
+    """Return a client of a broker of ours that gives one answer."""
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        if request.url.path == CONTEXT_PATH:
+            return httpx.Response(200, json=handover_context())
+        return httpx.Response(status, json=body)
+
+    return BrokerClient(Settings(_env_file=None), transport=httpx.MockTransport(answer))
 
 
 @pytest.mark.parametrize(
     ("kind", "statuses"),
     [
-        (BrokerError, [400, 401, 403, 405, 413, 415, 422, 501, 505]),
+        (BrokerError, [400, 403, 405, 413, 415, 422, 501, 505]),
         (NotFound, [404]),
         (AlreadyExists, [409]),
-        (BrokerUnavailable, [408, 425, 429, 502, 503, 504, 507]),
+        (BrokerUnavailable, [302, 401, 408, 425, 429, 502, 503, 504, 507]),
         (BrokerFault, [500, 506, 508, 520, 599]),
     ],
 )

@@ -17,6 +17,7 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.secret_tokens import new_token
 from handover.security.service_access import ServiceAccess
+from handover.service import add_operations
 from handover.settings import Settings
 
 
@@ -31,6 +32,7 @@ def set_up_accounts(folder: Path) -> None:
 
 def a_broker(received: list[str | None]) -> httpx.ASGITransport:
     app = FastAPI()
+    add_operations(app, {})
 
     @app.get("/ngsi-ld/v1/types")
     async def types(request: Request) -> dict[str, list[str]]:
@@ -63,6 +65,7 @@ async def test_a_service_that_has_not_noticed_the_first_account_repeats_what_oth
     settings = settings_in(tmp_path, service_token=SecretStr(token))
     received: list[str | None] = []
     app = FastAPI()
+    add_operations(app, {})
 
     @app.get("/ngsi-ld/v1/types")
     async def types(request: Request) -> Response:
