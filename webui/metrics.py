@@ -23,3 +23,8 @@ REJECTED_REQUESTS = Counter(
 EVICTED_REQUESTS = Counter(
     "handover_webui_proxied_requests_evicted_total", "Requests ended early to admit newer ones"
 )
+BROKER_ABILITIES = Gauge(
+    "handover_broker_ability",
+    "Whether another broker can do something (1) or not (0)",
+    ["ability"],
+)

@@ -61,6 +61,7 @@ from webui.settings import (
 )
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
+from webui.sources.broker_abilities import BrokerAbilities
 from webui.sources.broker_entities import BrokerEntities
 from webui.sources.devices import Devices
 from webui.sources.extra_services import ExtraService, extra_services
@@ -147,7 +148,9 @@ class Components:
             *(ExtraService(name, urls[name], is_wanted=False) for name in optional),
             *extra_services(settings),
         )
-        services = ServiceMonitor(own, http, self.broker, self.state, self.events, extra=extra)
+        services = ServiceMonitor(
+            own, http, BrokerAbilities(settings, self.broker), self.state, self.events, extra=extra
+        )
         devices = Devices(self.state, self.events, services)
         processes = Processes(settings, http, self.state, self.events, services)
         self.tasklist = Tasklist(self.state)

@@ -1,5 +1,6 @@
-"""The doctor: checks this machine and prints one line for each missing part, with the remedy."""
+"""The doctor: checks machine and broker, and prints one line for each missing part, with the remedy."""
 
+import asyncio
 import importlib.util
 import os
 import shutil
@@ -8,9 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from handover.broker import BrokerClient
+from handover.broker_abilities import ABILITIES, FoundAbilities, find_abilities
+from handover.cli.access import cli_access
 from handover.cli.launcher import require_space
-from handover.cli.services import wanted
-from handover.errors import UsageError
+from handover.cli.services import has_own_broker, wanted
+from handover.errors import HandoverError, UsageError
 from handover.ports import hold, reserved_ports, unreserved
 from handover.settings import Settings
 
@@ -33,7 +37,7 @@ class Finding:
 
 def examine(settings: Settings) -> list[Finding]:
     """Look at the machine and return every finding."""
-    return [*_python(), *_disk(settings), *_ports(), *_serial(), *_programs()]
+    return [*_python(), *_disk(settings), *_ports(), *_broker(settings), *_serial(), *_programs()]
 
 
 def _python() -> Iterator[Finding]:
@@ -82,6 +86,28 @@ def _reserved(ports: set[int]) -> Iterator[Finding]:
         "sudo tee /etc/sysctl.d/60-handover.conf && sudo sysctl --system",
         needed=False,
     )
+
+
+def _broker(settings: Settings) -> Iterator[Finding]:
+    """Say what a broker that is not ours can do."""
+    if has_own_broker():
+        return
+    try:
+        found = asyncio.run(_abilities(settings))
+    except HandoverError as error:
+        yield Finding("broker", False, str(error))
+        return
+    about = f"broker {settings.broker_url}"
+    yield Finding(about, True, found.broker)
+    for ability in ABILITIES:
+        is_there = found.are_there[ability.name]
+        words = "is there" if is_there else f"is not there: {ability.without}; {ability.remedy}"
+        yield Finding(about, is_there, f"{ability.name} {words}", needed=False)
+
+
+async def _abilities(settings: Settings) -> FoundAbilities:
+    async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
+        return await find_abilities(broker, settings)
 
 
 def _serial() -> Iterator[Finding]:

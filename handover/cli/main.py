@@ -250,7 +250,7 @@ def check(
 
 @app.command()
 def doctor(data_dir: DataDir = None) -> None:
-    """Check this machine, and print the remedy for each missing part."""
+    """Check this machine and a broker that is not ours; print the remedy for each missing part."""
     findings = examine(_settings(data_dir))
     for finding in findings:
         say(f"{'ok     ' if finding.ok else 'missing'}  {finding.about}: {finding.words}")

@@ -8,22 +8,18 @@ from typing import Final, Literal
 import httpx
 import orjson
 
-from handover.broker import BrokerClient, BrokerError
+from handover.broker import BrokerError
 from webui.live.event_log import Event, EventLog, timestamp
 from webui.live.live_state import LiveState
 from webui.live.views import LastMessage, ServiceHealth
 from webui.settings import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
+from webui.sources.broker_abilities import BrokerAbilities
 from webui.sources.extra_services import ExtraService
 from webui.sources.source import Source
 
 POLL_INTERVAL_S = 2.0
 REQUEST_TIMEOUT_S = 1.5
 RATE_WINDOW_S = 6.0
-
-NO_ROUTE: Final = frozenset(
-    {httpx.codes.NOT_FOUND, httpx.codes.METHOD_NOT_ALLOWED, httpx.codes.NOT_IMPLEMENTED}
-)
-"""How brokers answer a path that they do not have."""
 
 State = Literal["up", "degraded", "down"]
 
@@ -113,14 +109,14 @@ class ServiceMonitor(Source):
         self,
         urls: Mapping[str, str],
         http: httpx.AsyncClient,
-        broker: BrokerClient,
+        abilities: BrokerAbilities,
         state: LiveState,
         events: EventLog,
         *,
         extra: Iterable[ExtraService] = (),
     ) -> None:
         self._http = http
-        self._broker = broker
+        self._abilities = abilities
         self._state = state
         self._events = events
         self._rows = {name: ServiceRow(name, url) for name, url in urls.items()}
@@ -168,9 +164,8 @@ class ServiceMonitor(Source):
         try:
             response = await self._http.get(f"{url}/readyz", timeout=REQUEST_TIMEOUT_S)
             state, detail = _state_of(response)
-            if response.status_code in NO_ROUTE and row.name == BROKER:
-                await self._broker.probe()  # another broker has no such route, but answers NGSI-LD
-                state, detail = "up", None
+            if row.name == BROKER and not await self._abilities.is_of_ours():
+                state, detail = "up", await self._abilities.check()  # it may have no such route
             counts = await self._read_counts(url, row.name)
         except (httpx.HTTPError, asyncio.IncompleteReadError, BrokerError) as error:
             row.samples.clear()

@@ -20,6 +20,7 @@ from webui.live.live_state import LiveState, Viewer
 from webui.live.viewers import Viewers
 from webui.live.views import type_of_topic
 from webui.settings import WebuiSettings
+from webui.sources.broker_abilities import BrokerAbilities
 from webui.sources.on_demand import SourceContext
 from webui.sources.registered_devices import RegisteredDevices
 from webui.sources.services import ServiceMonitor
@@ -37,7 +38,7 @@ async def following(bench: Bench, folder: Path) -> AsyncIterator[tuple[LiveState
     state, viewers = LiveState(), Viewers()
     async with httpx.AsyncClient(trust_env=False) as http, ServiceAccess(settings, "webui") as access:
         events = EventLog(connect(settings.database("webui")), state.publish_event)
-        services = ServiceMonitor({}, http, BrokerClient(settings), state, events)
+        services = ServiceMonitor({}, http, BrokerAbilities(settings, BrokerClient(settings)), state, events)
         source = RegisteredDevices(SourceContext(settings, http, state, viewers, services, access))
         async with run_sources((source,)):
             yield state, viewers

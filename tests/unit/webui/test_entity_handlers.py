@@ -17,6 +17,7 @@ from webui.live.live_state import LiveState
 from webui.settings import WebuiSettings
 from webui.sources import alerts as alerts_module
 from webui.sources.alerts import Alerts, view_of
+from webui.sources.broker_abilities import BrokerAbilities
 from webui.sources.devices import Devices
 from webui.sources.services import ServiceMonitor
 from webui.sources.tasklist import Tasklist
@@ -40,7 +41,9 @@ class Cell:
         )
         self.broker = BrokerClient(settings)
         self.http = httpx.AsyncClient(timeout=120)
-        services = ServiceMonitor(settings.service_urls, self.http, self.broker, self.state, self.log)
+        services = ServiceMonitor(
+            settings.service_urls, self.http, BrokerAbilities(settings, self.broker), self.state, self.log
+        )
         self.devices = Devices(self.state, self.log, services)
         tasklist = Tasklist(self.state)
         self.tasks = Tasks(self.log, self.devices, services, self.hints.append, tasklist)
