@@ -387,7 +387,8 @@ async def test_a_subscription_that_others_change_is_restored_with_an_alert(
             return is_ours and "receiverInfo" in endpoint and is_like_ours and await alert() is not None
 
         async with httpx.AsyncClient(timeout=120) as http:
-            assert (await http.request(method, path, json=change)).status_code == 204
+            answer = await http.request(method, path, json=change)
+            assert answer.status_code == 204, answer.text
         await until(is_restored, why=f"the lamp restores its subscription after {method} {change}")
 
         async def is_over() -> bool:

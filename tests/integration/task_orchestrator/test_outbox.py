@@ -105,7 +105,7 @@ class SlowDefinitions(httpx.AsyncBaseTransport):
             self.refused += 1
             return httpx.Response(503, json={"title": "Starting"})
         response = await self._transport.handle_async_request(request)
-        if request.method == "POST":
+        if request.method == "POST" and b'"Task' in request.content:
             self.written.append("definition" if is_definition else "other")
         return response
 
