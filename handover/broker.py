@@ -23,6 +23,7 @@ from datamodels.entities import Entity
 from handover.broker_credentials import HOW_TO_SET, BrokerCredentials, credentials_of
 from handover.broker_identity import CONTEXT_PATH, ORION_VERSION_PATH, BrokerIdentity, identity_in
 from handover.errors import HandoverError, Problem
+from handover.free_values import FREE_VALUES, with_texts, without_texts
 from handover.http_client import Address, BodyReadingHttpClient, HttpResponse, SendError, address
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -168,12 +169,12 @@ class BrokerClient:
 
     async def create(self, entity: Entity | NgsiLd) -> None:
         """Create an entity; raise `AlreadyExists` if its id is taken."""
-        await self._call("POST", "/entities", body=_as_ngsild(entity))
+        await self._call("POST", "/entities", body=await self._written(entity))
 
     async def retrieve(self, entity_id: str) -> dict[str, Any]:
         """Return an entity in normalized form; raise `NotFound` if there is none."""
         response = await self._call("GET", f"/entities/{_in_path(entity_id)}")
-        return _json(response, dict, self.url)
+        return without_texts(_json(response, dict, self.url))
 
     async def get(self, entity_id: str, model: type[AnEntity]) -> AnEntity:
         """Return an entity as `model`."""
@@ -185,7 +186,7 @@ class BrokerClient:
         `selection` holds the query parameters of NGSI-LD (clause 6.4.3.2): `type`, `id`, `id_pattern`,
         `attrs`, `q`; lists are joined with commas.
         """
-        return [entity async for page in self._pages(selection) for entity in page]
+        return [without_texts(entity) async for page in self._pages(selection) for entity in page]
 
     async def count(self, **selection: Any) -> int | None:
         """Return how many entities match; None if the broker does not say it.
@@ -221,12 +222,14 @@ class BrokerClient:
 
         Raises `NotFound` if the entity does not exist, `BrokerError` with the reasons for refused attributes.
         """
-        answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
+        body = await self._written(attributes)
+        answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=body)
         _require_all_done(answer, "notUpdated", _not_updated)
 
     async def append(self, entity_id: str, attributes: NgsiLd) -> None:
         """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity does not exist."""
-        await self._call("POST", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
+        body = await self._written(attributes)
+        await self._call("POST", f"/entities/{_in_path(entity_id)}/attrs", body=body)
 
     async def delete_attribute(self, entity_id: str, name: str) -> None:
         """Delete an attribute, of a name or an IRI; raise `NotFound` if there is none."""
@@ -245,12 +248,12 @@ class BrokerClient:
         return _refused(await self._send_upsert(entities))
 
     async def _send_upsert(self, entities: Sequence[Entity | NgsiLd], option: str = "update") -> HttpResponse:
-        body = [_as_ngsild(entity) for entity in entities]
+        body = [await self._written(entity) for entity in entities]
         return await self._call("POST", "/entityOperations/upsert", params={"options": option}, body=body)
 
     async def create_batch(self, entities: Sequence[Entity | NgsiLd]) -> frozenset[str]:
         """Create entities in one request; return the ids of those that exist already or were refused."""
-        body = [_as_ngsild(entity) for entity in entities]
+        body = [await self._written(entity) for entity in entities]
         return _refused(await self._call("POST", "/entityOperations/create", body=body))
 
     async def delete(self, entity_id: str) -> None:
@@ -343,6 +346,13 @@ class BrokerClient:
             if not _finds_nothing(method, path, params, response) or not await self._has_to_repeat():
                 return response
         return await self._request(method, path, params, body)
+
+    async def _written(self, entity: Entity | NgsiLd) -> NgsiLd:
+        """Return an entity or attributes as they are written to this broker. Raises `BrokerUnavailable`."""
+        document = entity.to_normalized() if isinstance(entity, Entity) else entity
+        if document.keys().isdisjoint(FREE_VALUES) or (await self.identity()).is_ours:
+            return document
+        return with_texts(document)
 
     async def _has_to_repeat(self) -> bool:
         """Return whether the same request may be answered otherwise now: by a broker that is not ours.
@@ -594,10 +604,6 @@ def _refused(answer: HttpResponse) -> frozenset[str]:
     if not all(isinstance(error.get("entityId"), str) for error in errors):
         raise _refused_in_part(errors, _batch_error)
     return frozenset(error["entityId"] for error in errors)
-
-
-def _as_ngsild(entity: Entity | NgsiLd) -> NgsiLd:
-    return entity.to_normalized() if isinstance(entity, Entity) else entity
 
 
 def _in_path(entity_id: str) -> str:

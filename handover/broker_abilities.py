@@ -204,13 +204,13 @@ ABILITIES: Final = (
     ),
     Ability(
         "largeIntegers",
-        "integers beyond 2147483647 in values of users are changed",
+        "integers beyond 2147483647 are changed, except in parameters of Tasks",
         "write them as floats or texts",
         _keeps_large_integers,
     ),
     Ability(
         "listsOfOne",
-        "a list with one element in values of users is read as the element",
+        "a list with one element is read as the element, except in parameters of Tasks",
         "start Orion-LD with -noArrayReduction",
         _keeps_lists_of_one,
     ),
