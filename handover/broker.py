@@ -9,9 +9,11 @@ written is read (`_PRESENCE`).
 """
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from email.utils import parsedate_to_datetime
 from http import HTTPStatus
 from typing import Any, Final, Protocol, Self, TypeVar
 from urllib.parse import quote, urlencode
@@ -141,9 +143,17 @@ class BrokerClient:
         if self._transport is not None:
             await self._transport.aclose()
 
-    async def probe(self) -> None:
-        """Send a small query; raise `BrokerUnavailable` if the broker does not answer."""
-        await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
+    async def probe(self) -> float | None:
+        """Send a small query; return by how many s the broker's clock differs from ours.
+
+        It is None where the broker does not say its time, positive where that is ahead, and right to about a
+        second. Raises `BrokerUnavailable` if the broker does not answer.
+        """
+        answer = await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
+        try:
+            return parsedate_to_datetime(answer.headers["date"]).timestamp() - time.time()
+        except (KeyError, ValueError):
+            return None
 
     async def identity(self) -> BrokerIdentity:
         """Return which broker it is; it is asked again after it could not be reached.

@@ -38,7 +38,7 @@ from handover.validation import fault_text
 
 log = get_logger(__name__)
 
-Check = Callable[[], Awaitable[None]]
+Check = Callable[[], Awaitable[object]]
 """A readiness check: raises an exception with the reason if the dependency is not ready."""
 
 

@@ -4,6 +4,7 @@ With a `token` it is a policy enforcement point: without that token it answers 4
 """
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import httpx
 
-_HOP_BY_HOP = frozenset({"connection", "transfer-encoding", "content-length", "content-encoding"})
+_HOP_BY_HOP = frozenset({"connection", "transfer-encoding", "content-length", "content-encoding", "date"})
 
 
 @dataclass
@@ -27,6 +28,8 @@ class RefusingProxy:
     status: int = 503
     token: str | None = None
     refusals: int = 0
+    ahead_s: float = 0.0
+    """How far the clock of the broker is ahead, by the header Date."""
     tokens: set[str] = field(default_factory=set)
     """What was received as Authorization."""
     accepted: list[tuple[str, bytes]] = field(default_factory=list)
@@ -63,6 +66,9 @@ def refusing_proxy(target: str) -> Iterator[RefusingProxy]:
                 proxy.accepted.append((self.path, body))
             kept = {name: value for name, value in answer.headers.items() if name not in _HOP_BY_HOP}
             self.answer(answer.status_code, kept, answer.content)
+
+        def date_time_string(self, timestamp: float | None = None) -> str:
+            return super().date_time_string((timestamp or time.time()) + proxy.ahead_s)
 
         def answer(self, status: int, headers: dict[str, str], body: bytes) -> None:
             self.send_response(status)

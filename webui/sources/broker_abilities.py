@@ -1,9 +1,13 @@
 """What another broker can do, as the page *System* and the metrics of this server say it."""
 
+from typing import Final, Literal
+
 from handover.broker import BrokerClient
 from handover.broker_abilities import FoundAbilities, find_abilities
 from handover.settings import Settings
 from webui.metrics import BROKER_ABILITIES
+
+MAX_CLOCK_DIFFERENCE_S: Final = 60.0
 
 
 class BrokerAbilities:
@@ -18,11 +22,17 @@ class BrokerAbilities:
         """Return whether it is the embedded broker. Raises `BrokerError`."""
         return (await self._broker.identity()).is_ours
 
-    async def check(self) -> str:
-        """Read from the broker; return one line about what it can do. Raises `BrokerError`."""
-        await self._broker.probe()
+    async def check(self) -> tuple[Literal["up", "degraded"], str]:
+        """Read from the broker; return its state, and one line about what it can do. Raises `BrokerError`."""
+        ahead_s = await self._broker.probe()
         if self._found is None or self._found.identity != await self._broker.identity():
             self._found = await find_abilities(self._broker, self._settings)
             for name, is_there in self._found.are_there.items():
                 BROKER_ABILITIES.labels(name).set(is_there)
-        return self._found.summary()
+        summary = self._found.summary()
+        if ahead_s is None or abs(ahead_s) <= MAX_CLOCK_DIFFERENCE_S:
+            return "up", summary
+        return "degraded", (
+            f"its clock is {abs(ahead_s):.0f} s {'ahead of' if ahead_s > 0 else 'behind'} ours, so events may "
+            f"be missed and ends of Tasks misjudged; set both clocks by NTP. {summary}"
+        )

@@ -165,7 +165,7 @@ class ServiceMonitor(Source):
             response = await self._http.get(f"{url}/readyz", timeout=REQUEST_TIMEOUT_S)
             state, detail = _state_of(response)
             if row.name == BROKER and not await self._abilities.is_of_ours():
-                state, detail = "up", await self._abilities.check()  # it may have no such route
+                state, detail = await self._abilities.check()  # it may have no such route
             counts = await self._read_counts(url, row.name)
         except (httpx.HTTPError, asyncio.IncompleteReadError, BrokerError) as error:
             row.samples.clear()

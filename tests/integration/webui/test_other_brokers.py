@@ -1,11 +1,13 @@
 """A broker of others gets its own credentials and none of ours; people change Tasks by rights of the cell."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 
+from tests.integration.webui.conftest import Viewer
 from tests.integration.webui.test_signing_in import Browser, invited, set_up
 from tests.kit.cell import Cell, new_cell
 from tests.kit.other_broker.running import orion_like
@@ -74,8 +76,8 @@ def test_no_credentials_of_ours_reach_it_and_people_have_their_rights(
         answer = owner.send(method, f"/api/context-broker/ngsi-ld/v1/{other}")
         assert (answer.status_code, answer.json()["title"]) == (403, "Not through this server")
 
-    started = owner.send("POST", "/api/task-orchestrator/processes", {"definition": "bin-picking"})
-    assert started.status_code == 201, started.text
+    starts = "/api/task-orchestrator/processes", {"definition": "bin-picking"}
+    wait_for(lambda: owner.send("POST", *starts).status_code == 201)  # services follow accounts by then
     wait_for(lambda: any("entityOperations" in at or "entities" in at for at, _ in proxy.accepted))
     assert proxy.tokens == set()
 
@@ -96,3 +98,24 @@ def test_it_gets_the_token_that_it_wants_and_says_what_to_set(
     wait_for(lambda: f"HANDOVER_BROKER_TOKEN_FILE is {file}" in detail_of(cell, "task_orchestrator"))
     file.write_text("a-token-of-the-site\n")
     cell.wait_ready("task_orchestrator", 120)
+
+
+def test_the_page_says_what_it_cannot_do_that_its_clock_is_wrong_and_that_it_is_away(
+    cell: Cell, proxy: RefusingProxy, look: Callable[[], Viewer]
+) -> None:
+    cell.start("task_orchestrator", "webui", within_s=120)
+    viewer = look()
+
+    def is_so(state: str, said: str) -> bool:
+        row = viewer.service("context-broker")
+        return row["state"] == state and re.search(said, row["detail"] or "") is not None
+
+    viewer.read_until(lambda: is_so("up", r"^Orion-LD 1\.6\.0; not there: history .*Mintaka"), 120)
+    proxy.ahead_s = -12 * 3600
+    viewer.read_until(lambda: is_so("degraded", r"its clock is 4\d{4} s behind ours"), 120)
+    proxy.ahead_s = 0.0
+    viewer.read_until(lambda: is_so("up", "not there: history"), 120)
+    proxy.token = "a-token-of-the-site"
+    viewer.read_until(lambda: is_so("down", "wants credentials: set HANDOVER_BROKER_TOKEN_FILE"), 120)
+    proxy.token = None
+    viewer.read_until(lambda: is_so("up", "not there: history"), 120)
