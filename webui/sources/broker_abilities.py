@@ -33,6 +33,6 @@ class BrokerAbilities:
         if ahead_s is None or abs(ahead_s) <= MAX_CLOCK_DIFFERENCE_S:
             return "up", summary
         return "degraded", (
-            f"its clock is {abs(ahead_s):.0f} s {'ahead of' if ahead_s > 0 else 'behind'} ours, so events may "
-            f"be missed and ends of Tasks misjudged; set both clocks by NTP. {summary}"
+            f"its clock is {abs(ahead_s):.0f} s {'ahead of' if ahead_s > 0 else 'behind'} ours, so "
+            f"events may be missed and ends of Tasks misjudged; set both clocks by NTP. {summary}"
         )

@@ -153,7 +153,8 @@ def test_the_first_container_makes_what_is_secret_as_the_user_of_the_image() -> 
 def test_each_service_has_a_certificate_of_its_name_and_a_token_of_its_own() -> None:
     plan = plan_of(OURS[INIT]["command"][1:])
     assert {str(folder): names[0] for folder, names in plan.servers} == {
-        f"/tls/{service.name}": service.name for service in SERVICES
+        **{f"/tls/{service.name}": service.name for service in SERVICES},
+        "/tls/other-broker": "other-broker",
     }
     assert plan.clients == ((Path("/tls/operator"), "cli"),)
     assert plan.trusting == (Path("/tls/clients"),)
@@ -193,6 +194,8 @@ def test_a_container_mounts_its_own_certificate_and_token_alone() -> None:
             assert mounts == ["tls-operator:/tls:ro", "security:/security:ro"]
         elif name == "prometheus":
             assert mounts == ["tls-clients:/tls:ro"]
+        elif name == "other-broker":
+            assert mounts == ["tls-other-broker:/tls:ro"]
         else:
             assert name == INIT or mounts == []
         if mounts and "HANDOVER_SECURITY_DIR" in said and name != INIT:
@@ -395,6 +398,20 @@ def test_nothing_of_others_starts_unless_it_is_chosen() -> None:
 def test_the_two_brokers_are_never_chosen_together_by_a_default() -> None:
     assert CONTAINERS["context-broker"]["profiles"] == ["embedded-broker"]
     assert CONTAINERS["orion"]["profiles"] == CONTAINERS["mongo"]["profiles"] == ["orion"]
+    assert CONTAINERS["scorpio"]["profiles"] == CONTAINERS["scorpio-postgres"]["profiles"] == ["scorpio"]
+    assert CONTAINERS["other-broker"]["profiles"] == ["orion", "scorpio", "other-broker"]
+
+
+def test_the_proxy_of_a_broker_of_others_has_its_certificate_and_no_token() -> None:
+    each = CONTAINERS["other-broker"]
+    assert "tls-other-broker:/tls:ro" in each["volumes"]
+    assert "other-broker" not in plan_of(OURS[INIT]["command"][1:]).token_files()
+    (script,) = each["entrypoint"][2:]
+    written = (REPOSITORY / "deploy/other-broker.conf").read_text()
+    placeholders = set(re.findall(r"\b[A-Z]{4,}\b", re.sub(r"(?m)^\s*#.*", "", written)))
+    assert placeholders == set(re.findall(r"s\|(\w+)\|", script))
+    assert "listen 1026 ssl" in written
+    assert "proxy_ssl_verify on" in written
 
 
 def test_orion_starts_with_a_present_mongodb_keeps_lists_and_does_not_fill_the_disk() -> None:

@@ -104,7 +104,15 @@ def test_the_override_mounts_what_was_made_where_the_containers_look(run: Run, t
         targets = {mount.split(":")[1]: mount.split(":")[0] for mount in service["volumes"]}
         before = {mount.split(":")[1] for mount in shipped["services"][name]["volumes"]}
         assert set(targets) <= before
-        if "/tls" in targets and name not in {"prometheus", "simulated-operator"}:
+        if "/tls" in targets and name == "other-broker":
+            folder = Path(targets["/tls"]).relative_to(tmp_path / "data")
+            assert {file.rpartition("/")[2] for file in made if file.startswith(f"{folder}/")} >= {
+                "certificate.pem",
+                "key.pem",
+                "authority.pem",
+            }
+            assert f"{folder}/service-token" not in made
+        elif "/tls" in targets and name not in {"prometheus", "simulated-operator"}:
             folder = Path(targets["/tls"]).relative_to(tmp_path / "data")
             for file in ("certificate.pem", "key.pem", "authority.pem", "service-token"):
                 assert f"{folder}/{file}" in made, (name, file)
