@@ -61,11 +61,9 @@ class FoundAbilities:
         return [one for one in ABILITIES if not self.are_there[one.name]]
 
     def summary(self) -> str:
-        """Return one line: what is not there, and what helps."""
-        missing = [f"{one.name} (without it: {one.without}; {one.remedy})" for one in self.missing()]
-        return (
-            f"{self.broker}; not there: {', '.join(missing)}" if missing else f"{self.broker}; all is there"
-        )
+        """Return one line: which broker it is, and what is not there."""
+        missing = ", ".join(one.name for one in self.missing())
+        return f"{self.broker}; not there: {missing} (handover doctor says more)" if missing else self.broker
 
 
 async def find_abilities(broker: BrokerClient, settings: Settings) -> FoundAbilities:
