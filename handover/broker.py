@@ -126,6 +126,7 @@ class BrokerClient:
         self.credentials = credentials
         self._others: BrokerCredentials | None = credentials_of(settings)
         self._identity: BrokerIdentity | None = None
+        self._identifying = asyncio.Lock()
         self._presence_id = settings.entity_id(_PRESENCE, settings.broker_tenant or "cell")
         self._transport = transport
         self._http = BodyReadingHttpClient(ca_files=settings.ca_files, max_response_bytes=MAX_RESPONSE_BYTES)
@@ -160,10 +161,15 @@ class BrokerClient:
 
         Raises `BrokerUnavailable`.
         """
-        if self._identity is None:
-            orion_version = await self._look_up(ORION_VERSION_PATH)
-            self._identity = identity_in(orion_version, await self._look_up(CONTEXT_PATH))
-        return self._identity
+        if self._identity is not None:
+            return self._identity
+        async with self._identifying:
+            if self._identity is None:
+                identity = identity_in(None, await self._look_up(CONTEXT_PATH))
+                if not identity.is_ours:
+                    identity = identity_in(await self._look_up(ORION_VERSION_PATH), None)
+                self._identity = identity
+            return self._identity
 
     async def _look_up(self, path: str) -> Any:
         """Return the JSON document at a path of the server, without our credentials; None if it has none."""
