@@ -11,12 +11,14 @@ import orjson
 from starlette.requests import Request
 from starlette.responses import Response
 
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import Problem
+from handover.messages import message
 from handover.security.authentication import not_allowed
 from handover.security.caller import LOCAL_OWNER
 from handover.security.guard import authenticated
 from handover.security.permissions import Permission
+from webui.settings import BROKER
 
 _ATTRIBUTES_OF_TASK: Final = re.compile(r"ngsi-ld/v1/entities/(urn:ngsi-ld:Task:[^/]+)/attrs")
 
@@ -33,7 +35,7 @@ class OtherBroker:
         Raises `Problem`: 403 for a request that only the broker itself may answer, or without permission.
         """
         caller = await authenticated(request)
-        if caller is LOCAL_OWNER or (await self._broker.identity()).is_ours:
+        if caller is LOCAL_OWNER or await self._is_ours():
             return None
         task = _ATTRIBUTES_OF_TASK.fullmatch(unquote(path))
         if request.method != "POST" or task is None:
@@ -47,6 +49,21 @@ class OtherBroker:
             raise not_allowed(caller, Permission.WRITE_ENTITIES, task[1])
         await self._broker.append(task[1], _object(await request.body()))
         return Response(status_code=204)
+
+    async def _is_ours(self) -> bool:
+        try:
+            return (await self._broker.identity()).is_ours
+        except BrokerUnavailable:
+            raise Problem(
+                502,
+                "Service unavailable",
+                message(
+                    "page.service_unavailable",
+                    "{service} does not respond ({url}); check its state on the System page and try again",
+                    service=BROKER,
+                    url=self._broker.url,
+                ),
+            ) from None
 
 
 def _object(body: bytes) -> dict[str, Any]:
