@@ -46,7 +46,9 @@ class OwnerRights:
     def may_see(self, entity_id: str, *, is_private: bool) -> bool:
         return self.rights.may_see(entity_id, is_private=is_private)
 
-    def may_see_private(self) -> bool:
+    def may_see_private(self, *, somewhere: bool = False) -> bool:
+        if somewhere:
+            return self.rights.caller.may_somewhere(Permission.READ_HEALTH_DATA)
         return self.rights.may_everywhere(Permission.READ_HEALTH_DATA)
 
     def private_name(self, entity: Entity) -> str | None:

@@ -39,8 +39,8 @@ class Receiver(Protocol):
         not.
         """
 
-    def may_see_private(self) -> bool:
-        """Return whether the owner may see all entities about the bodies of persons."""
+    def may_see_private(self, *, somewhere: bool = False) -> bool:
+        """Return whether the owner may see all entities about the bodies of persons, or else some of them."""
 
     def private_name(self, entity: Entity) -> str | None:
         """Return the resource of an entity about the body of a person in audit records, None for others."""

@@ -80,6 +80,11 @@ class Counts:
             fields["lastFailure"],
         )
 
+    def reset(self) -> None:
+        """Count from the start."""
+        self.sent = self.failed = 0
+        self.last_notification = self.last_success = self.last_failure = None
+
     def members(self) -> dict[str, Any]:
         """Return the counts as members of `notification`; none before the first attempt."""
         if not (self.sent or self.failed):

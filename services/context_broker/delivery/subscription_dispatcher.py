@@ -62,6 +62,12 @@ class SubscriptionDispatcher:
         self._workers.pop(subscription_id).end()
         self.update_index(subscription_id)
 
+    def reset_counts(self, subscription_id: str) -> None:
+        """Count from the start, as for a new owner."""
+        subscription = self._workers[subscription_id].subscription
+        subscription.counts.reset()
+        self.settle(subscription, ())
+
     def get(self, subscription_id: str) -> Subscription | None:
         """Return a subscription."""
         worker = self._workers.get(subscription_id)

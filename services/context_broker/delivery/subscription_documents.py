@@ -112,9 +112,9 @@ def names_things(change: Mapping[str, Any]) -> bool:
 
 
 def shown_document(
-    subscription: Subscription, context: Context, now_s: float, *, sys_attrs: bool
+    subscription: Subscription, context: Context, now_s: float, *, sys_attrs: bool, has_counts: bool = True
 ) -> dict[str, Any]:
-    """Return a subscription for a client, in its names and with the counts."""
+    """Return a subscription for a client, in its names and, unless it may not see them, with the counts."""
     document = {"id": subscription.id, "type": "Subscription", **subscription.document}
     context_document = document.pop("context")
     document.pop(NAMES_IN, None)
@@ -133,12 +133,14 @@ def shown_document(
         ]
     if "watchedAttributes" in document:
         document["watchedAttributes"] = [compact(name) for name in document["watchedAttributes"]]
-    notification = {**document["notification"], **subscription.counts.members()}
+    notification = {**document["notification"]}
+    if has_counts:
+        notification |= subscription.counts.members()
     if isinstance(notification.get("endpoint"), dict):
         notification["endpoint"] = hidden_members(notification["endpoint"], *_ENDPOINT)
     if "attributes" in notification:
         notification["attributes"] = [compact(name) for name in notification["attributes"]]
-    if (status := subscription.counts.status()) is not None:
+    if has_counts and (status := subscription.counts.status()) is not None:
         notification["status"] = status
     document["status"] = subscription.status(now_s)
     document["notification"] = notification

@@ -1,8 +1,8 @@
 """Secrets in subscriptions, registrations and snapshots: what a client writes and nobody reads.
 
 They are the values of `receiverInfo`, `notifierInfo` and `contextSourceInfo`, and in addresses the user
-information, the values of the query, and parts of the path that look like a key. Responses, notifications
-about registrations, logs and audit records show `HIDDEN` instead.
+information, the values of the query, the fragment, and parts of the path that look like a key. Responses,
+notifications about registrations, logs and audit records show `HIDDEN` instead.
 
 A client that sends `HIDDEN` back keeps the stored value, so that it can change a document that it has read.
 No secret follows a change of the address: then the values are to be given again.
@@ -17,11 +17,11 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 HIDDEN: Final = STARS
-_USER_INFORMATION: Final = re.compile(r"(://)[^/?#]*@")
-_QUERY_VALUE: Final = re.compile(r"([?&;][^=&;#]*=)[^&;#]+")
-_KEY_IN_PATH: Final = re.compile(
-    r"(?<=/)(?=[^/?#]*[0-9])(?=[^/?#]*[A-Za-z])[A-Za-z0-9_.~=%-]{20,}(?=[/?#]|$)"
-)
+_PARTS: Final = re.compile(r"([^/?#]*//[^/?#]*)?([^?#]*)(\?[^#]*)?(#.*)?", re.DOTALL)
+"""The parts of any address: scheme and authority, path, query, fragment."""
+_USER_INFORMATION: Final = re.compile(r"//.*@", re.DOTALL)
+_QUERY_VALUE: Final = re.compile(r"([?&;])([^=&;]*=)?[^&;]+")
+_KEY_IN_PATH: Final = re.compile(r"(?<![^/])(?!urn:)(?=[^/]*[0-9])(?=[^/]*[A-Za-z])[^/]{20,}")
 _FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
 _PLAIN_KEYS: Final = frozenset(
     {"jsonldcontext", "accept", "contenttype", "ngsildconformance", "mqtt-qos", "mqtt-version", "prefer"}
@@ -30,9 +30,13 @@ _PLAIN_KEYS: Final = frozenset(
 
 
 def without_secrets(uri: str) -> str:
-    """Return an address without user information, values of its query and keys in its path."""
-    path = _KEY_IN_PATH.sub(HIDDEN, _USER_INFORMATION.sub(rf"\1{HIDDEN}@", uri))
-    return _QUERY_VALUE.sub(rf"\1{HIDDEN}", path)
+    """Return an address without user information, values of its query, keys in its path, and fragment."""
+    parts = _PARTS.fullmatch(uri)
+    assert parts is not None  # noqa: S101 - each part may be empty
+    authority, path, query, fragment = (one or "" for one in parts.groups())
+    authority = _USER_INFORMATION.sub(f"//{HIDDEN}@", authority)
+    query = _QUERY_VALUE.sub(lambda value: f"{value[1]}{value[2] or ''}{HIDDEN}", query)
+    return authority + _KEY_IN_PATH.sub(HIDDEN, path) + query + (f"#{HIDDEN}" if fragment else "")
 
 
 def hidden_members(document: Mapping[str, Any], address: str, *pairs: str) -> dict[str, Any]:

@@ -36,7 +36,13 @@ from services.context_broker.model.stored_documents import (
 )
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
-from services.context_broker.request.ownership import owner_of, require_changeable, require_deletable
+from services.context_broker.request.ownership import (
+    has_new_owner,
+    owner_of,
+    require_changeable,
+    require_deletable,
+    shows_counts,
+)
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     json_headers,
@@ -174,6 +180,8 @@ class SubscriptionOperations:
                 await self._require_open(request.tenant, updated)
             updated = await self._with_link(request, updated)
             await self.keep(request.tenant, updated)
+            if has_new_owner(request, before.owner):
+                self.dispatcher(request.tenant).reset_counts(updated.id)
         return DONE
 
     async def delete(self, request: RequestContext) -> Response:
@@ -281,7 +289,13 @@ class SubscriptionOperations:
     def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
         try:
-            return shown_document(stored, context, time.time(), sys_attrs=sys_attrs)
+            return shown_document(
+                stored,
+                context,
+                time.time(),
+                sys_attrs=sys_attrs,
+                has_counts=shows_counts(request, stored.owner),
+            )
         except Exception as error:  # the others of a list are shown
             log.exception("a subscription cannot be shown", subscription=stored.id)
             return unusable_document("Subscription", stored.id, str(error))

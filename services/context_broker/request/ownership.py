@@ -20,6 +20,23 @@ def owner_of(request: RequestContext) -> dict[str, str]:
     return Owner.of(request.caller).stored()
 
 
+def shows_counts(request: RequestContext, owner: Owner | None) -> bool:
+    """Return whether the caller may see how often and when something was sent to `owner`.
+
+    What was sent may depend on data about bodies of persons, and the counts would disclose them.
+    """
+    tenant = request.tenant
+    if tenant.store.may_see_private(somewhere=False):
+        return True
+    receiver = tenant.receivers.known(owner, tenant.name)
+    return receiver is not None and not receiver.may_see_private(somewhere=True)
+
+
+def has_new_owner(request: RequestContext, owner: Owner | None) -> bool:
+    """Return whether a change by the caller ends the ownership of `owner`, whose counts end with it."""
+    return owner is not None and not owner.is_same(Owner.of(request.caller))
+
+
 def require_changeable(request: RequestContext, document_id: str, owner: Owner | None, what: str) -> None:
     """Raise a problem (403) if the caller may not change a document of `owner`."""
     if _is_free(request, owner):

@@ -124,7 +124,13 @@ QUERIES = [
         "type=Wearable;HumanState",
     ),
     *(f"id={quote(one)}" for one in (STATE, BOTH, ALIASED)),
-    *("q=worksWith{strain}>50", "q=worksWith{strain}<50", "q=worksWith{heartRate}", "q=wears{heartRate}"),
+    *(
+        f"type=Device&q={one}&join=inline&joinLevel=2"
+        for one in (
+            *("worksWith{strain}>50", "worksWith{strain}<50", "worksWith{strain}!=7", "worksWith{heartRate}"),
+            *("wears{heartRate}", "(speed>0|worksWith{strain}>50)", "worksWith{refPerson{firstName}}"),
+        )
+    ),
     *("q=heartRate", "q=strain>0", "idPattern=.*", "scopeQ=/cell", "attrs=heartRate", "attrs=strain,speed"),
     *("join=inline&joinLevel=3", "join=flat&joinLevel=3", "pick=worksWith{heartRate}&join=inline"),
     *("join=inline&pick=id,wears{heartRate}", "orderBy=strain", "orderBy=id&type=HumanState"),
@@ -145,7 +151,8 @@ READS = [
     *(("GET", f"/entities/{ROBOT}?{one}", None) for one in QUERIES if "join" in one),
     *(("POST", "/entityOperations/query", {"type": "Query", **one}) for one in (
         {"entities": [{"type": "HumanState"}]}, {"entities": [{"id": STATE}, {"type": "Device"}]},
-        {"q": "worksWith{strain}>50"}, {"entities": [{"type": "Wearable"}]},
+        {"entities": [{"type": "Device"}], "q": "worksWith{strain}>50", "join": "flat"},
+        {"entities": [{"type": "Wearable"}]},
         {"entities": [{"type": "Device"}], "join": "inline", "joinLevel": 2},
     )),
     ("POST", "/temporal/entityOperations/query",
@@ -157,7 +164,7 @@ READS = [
       for more in ("", "?details=true", "?local=true", "?count=true")
       if "/" not in one or more in {"", "?local=true"}),
     ("GET", "/entityMaps?type=HumanState", None),
-    ("GET", "/entityMaps?q=worksWith{strain}>50", None),
+    ("GET", "/entityMaps?type=Device&q=worksWith{strain}>50&join=inline", None),
     ("POST", "/entityMaps", {"type": "Query", "entities": [{"type": "HumanState"}]}),
     ("GET", f"/temporal/entityMaps?{EVER}", None),
 ]  # fmt: skip
@@ -210,6 +217,9 @@ def test_who_may_read_private_data_sees_it(broker: SecuredBroker) -> None:
         if PRIVATE in doctor.request(method, path, json=body).text
     ]
     assert len(seen) > 50, "the reads above can see it"
+    for method, path, body in READS:
+        if "{strain}" in f"{path}{body}" and ROBOT not in path:
+            assert doctor.request(method, path, json=body).status_code < 400, f"{path} compares nothing"
     kinds = doctor.get("/types").json()["typeList"]
     assert "HumanState" in kinds
     assert doctor.get("/types/HumanState").json()["entityCount"] == 2
@@ -528,3 +538,57 @@ def test_maps_and_the_history_of_deleted_entities_are_private(broker: SecuredBro
     for read in (f"/temporal/entities?{EVER}", f"/temporal/entities?{EVER}&type=Device"):
         assert PRIVATE not in engineer.get(read).text
     assert PRIVATE in doctor.get(past).text
+
+
+COUNTED = {"timesSent", "timesFailed", "lastNotification", "lastSuccess", "lastFailure"}
+
+
+def counts_in(document: dict[str, Any]) -> set[str]:
+    return COUNTED & (document.keys() | document.get("notification", {}).keys())
+
+
+def test_no_count_says_how_often_private_data_was_sent_to_others(
+    broker: SecuredBroker, sinks: Iterator[Subscriber], source: ScriptedSource
+) -> None:
+    tenant = {"NGSILD-Tenant": "counts"}
+    service, doctor = broker.service(**tenant), broker.caller(*DOCTOR, **tenant)
+    engineer, colleague = broker.caller(Role.ENGINEER, **tenant), broker.caller(Role.ENGINEER, **tenant)
+    upsert(service, public_entities())
+    sink, of_engineer, watching = next(sinks), next(sinks), next(sinks)
+    members = {"entities": [{"type": "HumanState"}], "q": "strain>50"}
+    made = post(doctor, "/subscriptions", subscription(members, f"{sink.url}/n"))
+    subscribed = made.headers["location"].removeprefix("/ngsi-ld/v1")
+    post(engineer, "/csourceSubscriptions", subscription({"timeInterval": 1}, f"{watching.url}/n"))
+    own = post(engineer, "/subscriptions", subscription({}, f"{of_engineer.url}/n")).headers["location"]
+    registration = {
+        "type": "ContextSourceRegistration",
+        "endpoint": source.url,
+        "information": [{"entities": [{"type": "HumanState"}, {"type": "Device"}]}],
+        "operations": ["redirectionOps"],
+    }
+    registered = post(doctor, "/csourceRegistrations", registration).headers["location"]
+    registered = registered.removeprefix("/ngsi-ld/v1")
+    upsert(service, private_entities())
+    upsert(service, [{**public_entities()[0], "speed": prop(5)}])
+    wait_for(lambda: sink.received and of_engineer.received and source.asked)
+    for at in (subscribed, registered):
+        wait_for(lambda one=at: counts_in(doctor.get(one).json()), why="the counts are there")
+    listings = ("/subscriptions", *(f"/csourceRegistrations?type={one}" for one in ("HumanState", "Device")))
+    for at in (subscribed, registered, *listings):
+        answer = colleague.get(at)
+        assert answer.status_code == 200, at
+        listed = answer.json() if isinstance(answer.json(), list) else [answer.json()]
+        assert listed, at
+        for one in listed:
+            is_own = one["id"] in own
+            assert bool(counts_in(one)) is is_own, (at, one)
+            assert ("status" in one.get("notification", {})) is is_own, (at, one)
+    watching.received.clear()
+    wait_for(lambda: "HumanState" in str(watching.received))
+    assert not [name for name in COUNTED if name in str(watching.received[-1])]
+    for at in (subscribed, registered):
+        assert engineer.patch(at, json={"description": "mine"}).status_code in {204, 403}, at
+    assert engineer.get(subscribed).json()["description"] == "mine"
+    assert not counts_in(engineer.get(subscribed).json()), "the counts of the previous owner"
+    broker.cell.restart("context_broker")
+    assert not counts_in(engineer.get(subscribed).json())

@@ -7,7 +7,7 @@ when it expires, or at the next start.
 import asyncio
 import time
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 from uuid import uuid4
 
@@ -35,6 +35,7 @@ from services.context_broker.federation.registrations.registration_search import
 from services.context_broker.federation.registrations.registry import claims
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
 from services.context_broker.federation.tenant_state import federated
+from services.context_broker.model.context import Context
 from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import (
     already_exists,
@@ -55,7 +56,13 @@ from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.request.document_responses import document_response, in_media_type
-from services.context_broker.request.ownership import owner_of, require_changeable, require_deletable
+from services.context_broker.request.ownership import (
+    has_new_owner,
+    owner_of,
+    require_changeable,
+    require_deletable,
+    shows_counts,
+)
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     options_of,
@@ -185,6 +192,8 @@ class RegistrationOperations:
             if {"mode", "information"} & change.keys():
                 _refuse_conflicts(request.tenant, updated)
             await self._keep(request.tenant, before, updated)
+            if has_new_owner(request, before.owner):
+                federated(request.tenant).registry.reset_attempts(updated)
         return DONE
 
     async def delete(self, request: RequestContext) -> Response:
@@ -210,7 +219,7 @@ class RegistrationOperations:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
         reason = federated(request.tenant).registry.unusable.get(request.names[0])
         document = (
-            shown_document(_existing(request), context, sys_attrs=sys_attrs)
+            _shown(request, _existing(request), context, sys_attrs=sys_attrs)
             if reason is None
             else unusable_document(TYPE, request.names[0], reason)
         )
@@ -225,7 +234,7 @@ class RegistrationOperations:
         found = federated(request.tenant).registry.matching_any(search.targets, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
-            shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
+            _shown(request, one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
             for one in page
         ]
         result = document_response(
@@ -277,6 +286,18 @@ def _require_types(request: RequestContext, candidate: Registration) -> None:
     store = request.tenant.store
     if not store.may_see_private(somewhere=False) and request.tenant.receivers.is_private("", types):
         raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
+
+
+def _shown(
+    request: RequestContext,
+    stored: Registration,
+    context: Context,
+    *,
+    sys_attrs: bool,
+    pieces: list[int] | None = None,
+) -> dict[str, Any]:
+    has_counts = shows_counts(request, stored.owner)
+    return shown_document(stored, context, sys_attrs=sys_attrs, pieces=pieces, has_counts=has_counts)
 
 
 def _require_readable(made: Registration) -> None:

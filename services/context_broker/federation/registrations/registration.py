@@ -152,6 +152,11 @@ class Attempts:
     cooldown_until_s: float = float("-inf")
     """End of the cooldown on the monotonic clock. Not stored."""
 
+    def reset(self) -> None:
+        """Count from the start."""
+        self.sent = self.failed = 0
+        self.last_success = self.last_failure = None
+
     def members(self) -> dict[str, Any]:
         """Return the members for a reader of the registration; none before the first attempt."""
         if not self.sent:
@@ -326,9 +331,14 @@ def root_of(endpoint: str) -> str:
 
 
 def shown_document(
-    registration: Registration, context: Context, *, sys_attrs: bool, pieces: list[int] | None = None
+    registration: Registration,
+    context: Context,
+    *,
+    sys_attrs: bool,
+    pieces: list[int] | None = None,
+    has_counts: bool = True,
 ) -> dict[str, Any]:
-    """Return a registration as a document in the reader's names, with its counts.
+    """Return a registration as a document in the reader's names and, unless it may not see them, its counts.
 
     `pieces` (indexes into its information) limits it to what matched a query; None shows all.
     """
@@ -349,7 +359,8 @@ def shown_document(
     document.setdefault("mode", "inclusive")
     is_for_gaps = registration.mode is Mode.AUXILIARY
     document.setdefault("operations", ["retrieveOps" if is_for_gaps else DEFAULT_GROUP])
-    document.update(registration.attempts.members())
+    if has_counts:
+        document.update(registration.attempts.members())
     for name, value in properties.items():
         document[compact(name)] = value
     return document

@@ -167,8 +167,16 @@ class Registry:
             attempts.last_failure = at
             attempts.cooldown_until_s = time.monotonic() + registration.management.cooldown_s
         if registration.id in self._all:  # it may have been deleted during the request
-            key = (DocumentKind.ATTEMPTS, self.tenant, registration.id)
-            self._commits.store_later(Entries(documents={key: stored_attempts(attempts)}))
+            self._store_attempts(registration)
+
+    def reset_attempts(self, registration: Registration) -> None:
+        """Count requests to a source from the start, as for a new owner."""
+        registration.attempts.reset()
+        self._store_attempts(registration)
+
+    def _store_attempts(self, registration: Registration) -> None:
+        key = (DocumentKind.ATTEMPTS, self.tenant, registration.id)
+        self._commits.store_later(Entries(documents={key: stored_attempts(registration.attempts)}))
 
     def restore_attempts(self, registration_id: str, stored: bytes) -> None:
         """Restore the stored counts of a registration."""

@@ -173,6 +173,7 @@ def _notices(
             subscription.context,
             sys_attrs=subscription.view.sys_attrs,
             pieces=one.relevant(search.targets),
+            has_counts=False,  # they change without a notification, and not every subscriber may see them
         )
         for one in found
     ]
