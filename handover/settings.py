@@ -34,6 +34,8 @@ ENV_FILE = ".env"
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 PUBLIC_KEYS_FILE = "public-keys.json"
 """In the security directory; it exists as soon as there are accounts."""
+SERVICE_TOKENS_FOLDER = "service-tokens"
+"""In the security directory: a file for each service."""
 SIGNING_KEYS_FILE = "accounts-keys.json"
 """In the data directory of accounts, which alone reads it."""
 DEFAULT_PORTS = (54100, 54200, 54210, 54220, 54230, 54240, 54270, 54280, 54400)

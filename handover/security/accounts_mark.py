@@ -1,22 +1,25 @@
 """The mark of accounts: a service that has seen accounts never opens in local mode again.
 
-Accounts exist where there are public keys. If they are missing, these show that they were lost: the mark
-`<service>.accounts` that a service writes into its data directory when it has read them, the private keys,
-and people in the database of accounts. A service with such a sign refuses to start and names the file.
+Accounts exist where there are public keys. If they are missing, each of these shows that they were lost: the
+mark `<service>.accounts` that a service writes into its data directory when it has read them, whichever
+service that was, the private keys, tokens of services, and people in the database of accounts. With such a
+sign a service refuses to start and names the file; so it does if the database may have had people.
 """
 
 import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Final
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.settings import PUBLIC_KEYS_FILE, SIGNING_KEYS_FILE, Settings
+from handover.settings import PUBLIC_KEYS_FILE, SERVICE_TOKENS_FOLDER, SIGNING_KEYS_FILE, Settings
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
+ACCOUNTS_DATABASE: Final = "accounts.db"
 _CONTENT = b"This service has seen accounts. Without their public keys it does not start.\n"
 _HAS_PEOPLE = "SELECT 1 FROM accounts_user LIMIT 1"
 
@@ -49,11 +52,16 @@ class AccountsMark:
 
 
 def sign_of_accounts(settings: Settings) -> str | None:
-    """Return what shows, beside the mark of a service, that accounts exist; None if nothing does."""
+    """Return what shows, beside public keys, that accounts exist; None if nothing does.
+
+    Raises `UsageError` if the database of accounts is damaged, so that nobody knows.
+    """
     private = settings.data_dir / SIGNING_KEYS_FILE
-    if private.exists():
-        return str(private)
-    database = settings.data_dir / "accounts.db"
+    tokens = settings.security_folder / SERVICE_TOKENS_FOLDER
+    for file in (*sorted(settings.data_dir.glob("*.accounts")), private, *sorted(tokens.glob("*"))):
+        if file.exists():
+            return str(file)
+    database = settings.data_dir / ACCOUNTS_DATABASE
     return f"{database}, which has people," if _has_people(database) else None
 
 
@@ -67,7 +75,12 @@ def missing_keys(file: Path, sign: str) -> UsageError:
 
 
 def _has_people(database: Path) -> bool:
-    if not database.exists():
+    is_empty = not database.exists() or database.stat().st_size == 0
+    for other in ("-wal", ".stamp"):
+        file = database.with_name(database.name + other)
+        if is_empty and file.exists() and file.stat().st_size:
+            raise _unknown(database, f"it is missing or empty, but there is {file}")
+    if is_empty:
         return False
     try:
         uri = f"{database.absolute().as_uri()}?mode=ro"
@@ -76,6 +89,11 @@ def _has_people(database: Path) -> bool:
     except sqlite3.DatabaseError as error:
         if isinstance(error, sqlite3.OperationalError) and "no such table" in str(error):
             return False
-        raise UsageError(
-            f"{database} cannot be read, so it is unknown whether accounts exist: {error}"
-        ) from None
+        raise _unknown(database, str(error)) from None
+
+
+def _unknown(database: Path, reason: str) -> UsageError:
+    return UsageError(
+        f"{database} cannot be read, so it is unknown whether accounts exist: {reason}; restore it from a "
+        "backup, or move what is left of it away"
+    )

@@ -22,9 +22,8 @@ from handover.http_client import BodyReadingHttpClient, HttpResponse, NoResponse
 from handover.security.caller import CallerKind
 from handover.security.keys_in_force import KeysInForce
 from handover.security.secret_tokens import is_secret_token, kind_of
-from handover.settings import Settings
+from handover.settings import SERVICE_TOKENS_FOLDER, Settings
 
-SERVICE_TOKENS_FOLDER: Final = "service-tokens"
 REQUEST_TIMEOUT_S: Final = 4.0
 UNAUTHORIZED: Final = 401
 INTERNAL_ERROR: Final = 500

@@ -23,6 +23,7 @@ from services.accounts import links, secret_token_store, sessions, stations, tab
 from services.accounts.changes import Change, Store, revision_of
 from services.accounts.grants import grants_of
 from services.accounts.identifiers import IdentifierHashes, IdentifierKind, identified
+from services.accounts.lost_database import require_anybody, require_file
 from services.accounts.metrics import SIGN_INS
 from services.accounts.passwords import (
     PasswordHashes,
@@ -60,6 +61,7 @@ class Directory:
     """All accounts; an asynchronous context manager."""
 
     def __init__(self, settings: AccountsSettings) -> None:
+        require_file(settings)  # the store makes it
         self.settings = settings
         self.store = Store(settings.database("accounts"))
         self.keys = SigningKeys(settings.signing_keys_file, settings.security_folder)
@@ -84,8 +86,9 @@ class Directory:
         return self
 
     def _require_keys(self) -> None:
-        """Raise `UsageError` if there are people, but a file of the keys is missing."""
+        """Raise `UsageError` if there are people, but a file of the keys is missing, or the reverse."""
         with self.store.read() as connection:
+            require_anybody(self.settings, connection)
             if not connection.execute(select(func.count()).select_from(tables.users)).scalar():
                 return
         for file in (self.settings.security_folder / PUBLIC_KEYS_FILE, self.settings.signing_keys_file):

@@ -19,6 +19,7 @@ from handover.security.glove_token import GLOVE_TOKEN_SECRET, make_glove_token, 
 from handover.security.service_access import service_token_file
 from services.accounts import links, secret_token_store, tables
 from services.accounts.changes import Store
+from services.accounts.lost_database import require_anybody, require_file
 from services.accounts.settings import AccountsSettings
 from services.accounts.signing_keys import SigningKeys
 
@@ -40,10 +41,13 @@ class SetUp:
 
 @contextmanager
 def opened_store(settings: AccountsSettings) -> Iterator[Store]:
-    """Yield the database of accounts."""
+    """Yield the database of accounts. Raises `UsageError` if it was lost."""
+    require_file(settings)
     store = Store(settings.database("accounts"))
     try:
         store.prepare()
+        with store.read() as connection:
+            require_anybody(settings, connection)
         yield store
     finally:
         store.close()

@@ -141,7 +141,11 @@ class SigningKeys:
                 if "jwk" in one
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UsageError(f"the signing keys {self._private_file} cannot be read: {error}") from None
+            raise UsageError(
+                f"the signing keys {self._private_file} cannot be read: {error}; restore the file from a "
+                "backup, or move it away and run `handover accounts set-up`, which makes a new key: proofs "
+                "of PINs that an earlier key has signed are lost"
+            ) from None
         self._stamp = stamp
 
     def _write(self, keys: tuple[_DatedKey, ...], retired: tuple[RetiredKey, ...]) -> None:
