@@ -63,11 +63,11 @@ class Authorization:
             return tenant
         rights = self.rights_of(caller, tenant.name)
         self._require(rights, operation, request, names)
-        is_unrestricted = rights.is_unrestricted()
-        if is_unrestricted and recording is None and caller.kind is CallerKind.SERVICE:
+        missing = rights.missing()
+        if missing is None and recording is None and caller.kind is CallerKind.SERVICE:
             return tenant
-        if not is_unrestricted and b"ngsild-snapshot" in request.headers:
-            raise rights.denied(Permission.WRITE_ENTITIES)
+        if missing is not None and b"ngsild-snapshot" in request.headers:
+            raise rights.denied(missing)
         restricted = copy.copy(tenant)
         refusal = partial(rights.refusal, tenant.store.latest)
         restricted.store = RestrictedStore(tenant.store, rights, refusal, recording)

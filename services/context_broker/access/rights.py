@@ -83,14 +83,12 @@ class Rights:
         """The caller lacks a permission."""
         return not_allowed(self.caller, permission, self.prefix + entity_id)
 
-    def is_unrestricted(self) -> bool:
-        """Return whether the caller may see and change every entity of the tenant."""
-        return (
-            self.may_everywhere(Permission.READ)
-            and self.may_everywhere(Permission.WRITE_ENTITIES)
-            and self.may_everywhere(Permission.READ_HEALTH_DATA)
-            and (self.caller.kind is CallerKind.SERVICE or self.may_everywhere(Permission.MANAGE_PEOPLE))
-        )
+    def missing(self) -> Permission | None:
+        """Return a permission that the caller lacks to see and change every entity of the tenant, if any."""
+        asked = [Permission.READ, Permission.WRITE_ENTITIES, Permission.READ_HEALTH_DATA]
+        if self.caller.kind is not CallerKind.SERVICE:
+            asked.append(Permission.MANAGE_PEOPLE)
+        return next((one for one in asked if not self.may_everywhere(one)), None)
 
 
 def resource_prefix(tenant: str, own_tenant: str) -> str:

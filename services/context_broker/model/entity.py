@@ -5,7 +5,7 @@ and sub-attributes with IRIs (which all contain a colon). Entities are immutable
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple, Protocol
 
 import orjson
@@ -51,12 +51,15 @@ class Entity:
     """The expiry of a transient entity (clause 4.22), None if it has none."""
     ends_at: str | None = None
     """The earliest expiry of the entity and its attributes, None if there is none."""
+    former_types: tuple[str, ...] = ()
+    """Types that it has lost since its creation: rights to its history count for them, too."""
     rendered: dict[Any, bytes] = field(default_factory=dict)
     """Recently rendered forms, by context and form, because most reads repeat."""
 
     def stored(self) -> bytes:
         """Return the entity as the journal stores it; raises `orjson.JSONEncodeError` if it is nested too
         deeply."""
+        former = {"formerTypes": self.former_types} if self.former_types else {}
         return orjson.dumps(
             {
                 "id": self.id,
@@ -68,6 +71,7 @@ class Entity:
                 "scopes": self.scopes,
                 "expiresAt": self.expires_at,
                 "endsAt": self.ends_at,
+                **former,
             }
         )
 
@@ -85,6 +89,7 @@ class Entity:
             tuple(fields["scopes"]),
             fields["expiresAt"],
             fields["endsAt"],
+            tuple(fields.get("formerTypes", ())),
         )
 
 
@@ -98,6 +103,17 @@ class Event(NamedTuple):
     before: Entity | None
     after: Entity | None
     written: frozenset[str]
+
+    def with_former_types(self) -> "Event":
+        """Return the change such that the entity afterwards knows the types that it has lost."""
+        before, after = self.before, self.after
+        if before is None or after is None or (before.types == after.types and not before.former_types):
+            return self
+        known = dict.fromkeys((*before.former_types, *before.types))
+        former = tuple(one for one in known if one not in after.types)
+        if former == after.former_types:
+            return self
+        return self._replace(after=replace(after, former_types=former, rendered={}))
 
     @classmethod
     def end_of(cls, entity: Entity) -> "Event":

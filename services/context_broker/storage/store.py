@@ -239,6 +239,7 @@ class Store:
 
     def stage(self, event: Event) -> asyncio.Future[None]:
         """Start to write a change; the future is done when it is durable, or fails with a problem (507)."""
+        event = event.with_former_types()
         before, after = event.before, event.after
         entries = Entries()
         entity = after or before

@@ -162,7 +162,8 @@ class Change:
 class TemporalOnlyEntity:
     """An entity with a history only: `deleted_at` is None if it never was a current entity.
 
-    `expires_at` is when its history expires, None if only retention deletes it (clause 4.22).
+    `expires_at` is when its history expires, None if only retention deletes it (clause 4.22). `former_types`
+    are those that it had lost; rights count for them, too.
     """
 
     types: tuple[str, ...]
@@ -171,6 +172,7 @@ class TemporalOnlyEntity:
     modified_at: str
     deleted_at: str | None
     expires_at: str | None = None
+    former_types: tuple[str, ...] = ()
 
     def has_expired_at(self, now_s: float) -> bool:
         """Return whether its history has expired."""
@@ -178,6 +180,7 @@ class TemporalOnlyEntity:
 
     def stored(self) -> bytes:
         """Return the body of the stored row."""
+        former = {"formerTypes": self.former_types} if self.former_types else {}
         return orjson.dumps(
             {
                 "types": self.types,
@@ -186,6 +189,7 @@ class TemporalOnlyEntity:
                 "modifiedAt": self.modified_at,
                 "deletedAt": self.deleted_at,
                 "expiresAt": self.expires_at,
+                **former,
             }
         )
 
@@ -200,6 +204,7 @@ class TemporalOnlyEntity:
             fields["modifiedAt"],
             fields["deletedAt"],
             fields["expiresAt"],
+            tuple(fields.get("formerTypes", ())),
         )
 
 
@@ -223,7 +228,12 @@ class Recorder:
                 tenant,
                 entity.id,
                 TemporalOnlyEntity(
-                    entity.types, entity.scopes, entity.created_at, entity.modified_at, at
+                    entity.types,
+                    entity.scopes,
+                    entity.created_at,
+                    entity.modified_at,
+                    at,
+                    former_types=entity.former_types,
                 ).stored(),
             )
         change = change_of(event)

@@ -242,6 +242,7 @@ class TemporalProvision:
                 raise bad_request_data(
                     f"{entity_id} is current: set its expiresAt with PATCH entities/{{id}}"
                 )
+            _require_public(tenant, live, provided)
             entity_seq = live.seq
         else:
             entity_seq = subject.entity_seqs[-1] if subject is not None else tenant.store.next_seq()
@@ -422,3 +423,13 @@ def _absent_instance(request: RequestContext) -> Problem:
         f"the history of {entity_id} has no instance {shown(instance)} of the attribute {shown(name)}; "
         "its temporal representation has the instanceIds"
     )
+
+
+def _require_public(tenant: Tenant, live: Entity, provided: ProvidedEvolution) -> None:
+    """Raise a problem (400) for data about the body of a person in the history of other entities."""
+    is_private = tenant.receivers.is_private
+    if is_private(live.id, provided.types) and not is_private(live.id, live.types):
+        raise bad_request_data(
+            f"{live.id} is current and not about the body of a person; add the type to it first, because its "
+            "types decide who sees its history"
+        )

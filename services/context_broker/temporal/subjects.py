@@ -28,7 +28,7 @@ class Subject:
     expires_at: str | None = None
     was_never_current: bool = False
     earlier_types: tuple[str, ...] = ()
-    """Types that the subject had before its present creation; rights count for all of them."""
+    """Types that the subject has lost, or had before its present creation; rights count for all of them."""
 
     def with_all_types(self) -> Entity:
         """Return the entity with all types that it ever had, for decisions on rights."""
@@ -50,7 +50,13 @@ class Subject:
     def as_temporal_only(self, at: str) -> TemporalOnlyEntity:
         """Return the stored form of an entity with a history only, changed at `at`."""
         return TemporalOnlyEntity(
-            self.types, self.scopes, self.created_at, at, self.deleted_at, self.expires_at
+            self.types,
+            self.scopes,
+            self.created_at,
+            at,
+            self.deleted_at,
+            self.expires_at,
+            self.earlier_types,
         )
 
 
@@ -79,7 +85,7 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             entity_seqs,
             stored.expires_at,
             was_never_current=stored.deleted_at is None,
-            earlier_types=() if known is None else (*known.earlier_types, *known.types),
+            earlier_types=_earlier(known, stored.former_types),
         )
     for entity in entities:
         known = found.get(entity.id)
@@ -97,6 +103,10 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             None,
             (*earlier, entity.seq),
             entity.expires_at,
-            earlier_types=() if known is None else (*known.earlier_types, *known.types),
+            earlier_types=_earlier(known, entity.former_types),
         )
     return sorted(found.values(), key=lambda subject: subject.entity_seqs[0])
+
+
+def _earlier(known: Subject | None, former: tuple[str, ...]) -> tuple[str, ...]:
+    return former if known is None else (*known.earlier_types, *known.types, *former)

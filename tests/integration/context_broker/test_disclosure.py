@@ -592,3 +592,41 @@ def test_no_count_says_how_often_private_data_was_sent_to_others(
     assert not counts_in(engineer.get(subscribed).json()), "the counts of the previous owner"
     broker.cell.restart("context_broker")
     assert not counts_in(engineer.get(subscribed).json())
+
+
+def test_the_history_of_an_entity_stays_private_when_it_loses_the_type(broker: SecuredBroker) -> None:
+    tenant = {"NGSILD-Tenant": "types"}
+    service, doctor = broker.service(**tenant), broker.caller(*DOCTOR, **tenant)
+    engineer = broker.caller(Role.ENGINEER, **tenant)
+    both = {"type": ["Device", "HumanState"], "heartRate": prop(PRIVATE)}
+    public = {"type": "Device", "speed": prop(1)}
+    replaced, upserted = "urn:ngsi-ld:Thing:demo:1", "urn:ngsi-ld:Thing:demo:2"
+    for one in (replaced, upserted):
+        assert service.post("/entities", json={"id": one, **both}).status_code == 201
+
+    def require_private() -> None:
+        for one in (replaced, upserted):
+            assert engineer.get(f"/temporal/entities/{one}").status_code == 404
+            assert PRIVATE in doctor.get(f"/temporal/entities/{one}").text
+            changed = engineer.post(f"/temporal/entities/{one}/attrs", json={"speed": [prop(2)]})
+            assert changed.status_code in {403, 404}, changed.text
+        for read in (f"/temporal/entities?{EVER}&type=Device", f"/temporal/entities?{EVER}&attrs=heartRate"):
+            assert PRIVATE not in engineer.get(read).text, read
+
+    assert service.put(f"/entities/{replaced}", json={"id": replaced, **public}).status_code == 204
+    upsert(service, [{"id": upserted, **public}])
+    assert service.patch(f"/entities/{replaced}/attrs", json={"speed": prop(3)}).status_code == 204
+    assert engineer.get(f"/entities/{replaced}").json()["speed"]["value"] == 3, "its present state is public"
+    require_private()
+    broker.cell.restart("context_broker")
+    require_private()
+    for one in (replaced, upserted):
+        assert service.delete(f"/entities/{one}").status_code == 204
+    require_private()
+    assert doctor.get(f"/temporal/entities/{replaced}").json()["type"] == "Device"
+    past = {"id": "urn:ngsi-ld:Thing:demo:3", "type": "HumanState", "heartRate": [prop(PRIVATE)]}
+    assert service.post("/entities", json={"id": past["id"], **public}).status_code == 201
+    refused = doctor.post("/temporal/entities", json=past)
+    assert (refused.status_code, "add the type to it first" in refused.text) == (400, True)
+    assert service.post("/entities", json={"id": replaced, **public}).status_code == 201
+    require_private()

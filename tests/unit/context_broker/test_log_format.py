@@ -139,9 +139,11 @@ def test_the_members_of_the_bodies_are_documented() -> None:
     at = "2026-01-01T00:00:00Z"
     change = Change({"urn:a": [{"type": "Property", "value": 1}]}, {"urn:b": [("Property", None)]}, ["/a"])
     written = {
-        "entity/1": Entity("urn:x", ("urn:t",), {}, at, at, 1).stored(),
+        "entity/1": Entity("urn:x", ("urn:t",), {}, at, at, 1, former_types=("urn:s",)).stored(),
         "history/1": change.stored(),
-        "temporal_only_entity/1": TemporalOnlyEntity(("urn:t",), (), at, at, None).stored(),
+        "temporal_only_entity/1": TemporalOnlyEntity(
+            ("urn:t",), (), at, at, None, former_types=("urn:s",)
+        ).stored(),
     }
     bodies = documented("Bodies")
     assert {name: list(json.loads(body)) for name, body in written.items()} == {
