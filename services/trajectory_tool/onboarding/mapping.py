@@ -122,21 +122,39 @@ def _bodies(model: Any) -> dict[int, list[str]]:
 
 
 def _common(model: RobotModel, ours: Any, theirs: Any) -> dict[str, str]:
-    """Return the names of the joints that both have, ours first: the same, with a prefix, or in order."""
+    """Return the names of the joints that both have, ours first: the same, with a prefix, or in order.
+
+    Joints with other names are the same in order, if as many are between the same neighbours: of the joints
+    a, b, c and a, x, c, b is x. Whether they move alike is decided by their axes.
+    """
     own, other = list(ours.names)[1:], list(theirs.names)[1:]
     names = {name: name for name in own if name in other}
     for name in own:
         ends = [one for one in other if one.endswith((f"_{name}", f"/{name}")) or name.endswith(f"_{one}")]
         if name not in names and len(ends) == 1 and ends[0] not in names.values():
             names[name] = ends[0]
-    if not set(names) & set(model.joint_names) and len(other) == len(model.joint_names):
-        names = dict(zip(model.joint_names, other, strict=True))
+    own_gaps = _gaps(model.joint_names, {name: name for name in names})
+    for after, gap in _gaps(other, {same: name for name, same in names.items()}).items():
+        if len(gap) == len(own_gaps.get(after, ())):
+            names |= dict(zip(own_gaps[after], gap, strict=True))
     if not set(names) & set(model.joint_names):
         raise UsageError(
             f"{model.name} and the URDF with the meshes have no joint in common: "
             f"{', '.join(model.joint_names)}; {', '.join(other) or 'none'}; give the joints the same names"
         )
     return names
+
+
+def _gaps(joints: Sequence[str], known: dict[str, str]) -> dict[str, list[str]]:
+    """Return the joints that are not known, by our name of the known joint before them; "" at the begin."""
+    gaps: dict[str, list[str]] = {}
+    after = ""
+    for joint in joints:
+        if joint in known:
+            after = known[joint]
+        else:
+            gaps.setdefault(after, []).append(joint)
+    return gaps
 
 
 def _configurations(ours: Any, theirs: Any, names: dict[str, str]) -> tuple[Array, Array]:

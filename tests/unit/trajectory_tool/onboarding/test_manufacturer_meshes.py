@@ -144,6 +144,25 @@ def test_what_is_outside_is_measured_where_frames_differ(tmp_path: Path) -> None
     assert report.comparison.falsely_allowed > 0
 
 
+@pytest.mark.parametrize("renamed", [("j3",), ("j1", "j4"), ("j2", "j3", "j5")])
+def test_joints_with_other_names_are_found_between_those_with_the_same(
+    tmp_path: Path, renamed: tuple[str, ...]
+) -> None:
+    model = plain_model(tmp_path, boxes("0.25"))
+    root = etree.fromstring(boxes("0.28"))
+    for one in root.findall("joint"):
+        if one.get("name") in renamed:
+            one.set("name", f"axis {one.get('name')[1:]} of the maker")
+    for text in (link("hand", BOX.format("0.05")), joint("grip", "l6", "hand")):
+        root.append(etree.fromstring(text))
+    (tmp_path / "other.urdf").write_text(etree.tostring(root, encoding="unicode"))
+    report = measure_shapes(model, str(tmp_path / "other.urdf"), 10, 1)
+    assert {one.link: one.outside_mm for one in report.links} == pytest.approx(
+        {f"l{number}": 15.0 for number in range(7)}, abs=0.01
+    )
+    assert set(report.unmapped) == {"hand"}
+
+
 def test_a_urdf_of_another_arm_is_refused_and_says_where_they_differ(tmp_path: Path) -> None:
     model = plain_model(tmp_path, boxes("0.25"))
     other = tmp_path / "other.urdf"
