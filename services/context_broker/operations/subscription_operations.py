@@ -41,7 +41,7 @@ from services.context_broker.request.ownership import (
     owner_of,
     require_changeable,
     require_deletable,
-    shows_counts,
+    shows_results,
 )
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
@@ -179,8 +179,10 @@ class SubscriptionOperations:
             if "notification" in change:
                 await self._require_open(request.tenant, updated)
             updated = await self._with_link(request, updated)
+            is_another_owner = has_new_owner(request, before.owner)
+            updated.counts = Counts() if is_another_owner else before.counts
             await self.keep(request.tenant, updated)
-            if has_new_owner(request, before.owner):
+            if is_another_owner:
                 self.dispatcher(request.tenant).reset_counts(updated.id)
         return DONE
 
@@ -203,7 +205,7 @@ class SubscriptionOperations:
         media_type, context = request.accept(), await request.reader_context()
         reason = self.dispatcher(request.tenant).unusable.get(request.names[0])
         document = (
-            self._shown(self._existing(request), request, context)
+            await self._shown(self._existing(request), request, context)
             if reason is None
             else unusable_document("Subscription", request.names[0], reason)
         )
@@ -219,7 +221,7 @@ class SubscriptionOperations:
         shown = [
             unusable_document("Subscription", one, dispatcher.unusable[one])
             if isinstance(one, str)
-            else self._shown(one, request, context)
+            else await self._shown(one, request, context)
             for one in page
         ]
         documents = [_with_context(one, media_type, context) for one in shown]
@@ -275,7 +277,14 @@ class SubscriptionOperations:
 
     def entries_of(self, tenant: Tenant, current: Subscription) -> Entries:
         """Return what is to be written for a subscription."""
-        return Entries(documents={(self.KIND, tenant.name, current.id): orjson.dumps(current.document)})
+        dispatcher = self.dispatcher(tenant)
+        counts = (dispatcher.counts_kind, tenant.name, current.id)
+        return Entries(
+            documents={
+                (self.KIND, tenant.name, current.id): orjson.dumps(current.document),
+                **({} if dispatcher.get(current.id) is None else {counts: current.counts.stored()}),
+            }
+        )
 
     @staticmethod
     async def write(tenant: Tenant, entries: Entries) -> None:
@@ -286,15 +295,16 @@ class SubscriptionOperations:
             raise not_stored(str(error), is_away=error.is_away) from error
 
     @staticmethod
-    def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
+    async def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
+        has_counts = await shows_results(request, stored.owner)
         try:
             return shown_document(
                 stored,
                 context,
                 time.time(),
                 sys_attrs=sys_attrs,
-                has_counts=shows_counts(request, stored.owner),
+                has_counts=has_counts,
             )
         except Exception as error:  # the others of a list are shown
             log.exception("a subscription cannot be shown", subscription=stored.id)

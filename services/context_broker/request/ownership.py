@@ -20,14 +20,18 @@ def owner_of(request: RequestContext) -> dict[str, str]:
     return Owner.of(request.caller).stored()
 
 
-def shows_counts(request: RequestContext, owner: Owner | None) -> bool:
-    """Return whether the caller may see how often and when something was sent to `owner`.
+async def shows_results(request: RequestContext, owner: Owner | None) -> bool:
+    """Return whether the caller may see how often and when something was sent to `owner`, or what a snapshot
+    of `owner` found.
 
-    What was sent may depend on data about bodies of persons, and the counts would disclose them.
+    These may depend on data about bodies of persons. Of an owner whose rights cannot be verified they are not
+    shown.
     """
     tenant = request.tenant
-    if tenant.store.may_see_private(somewhere=False):
+    is_own = owner is not None and owner.is_same(Owner.of(request.caller))
+    if is_own or tenant.store.may_see_private(somewhere=False):
         return True
+    await tenant.receivers.prepare((owner,))
     receiver = tenant.receivers.known(owner, tenant.name)
     return receiver is not None and not receiver.may_see_private(somewhere=True)
 

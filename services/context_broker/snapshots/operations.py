@@ -24,13 +24,17 @@ from typing import Any, Final
 from urllib.parse import quote
 from uuid import uuid4
 
+from handover.security.authentication import not_allowed
+from handover.security.permissions import Permission
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
+from services.context_broker.model.owner import OWNER
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.secrets import kept_members, require_secrets_again
 from services.context_broker.model.stored_documents import is_unusable, isolated
 from services.context_broker.model.validation import inside, moment, outside, require_uri
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.document_responses import document_response, in_media_type
+from services.context_broker.request.ownership import owner_of, shows_results
 from services.context_broker.request.request_context import (
     PREFIX,
     RequestContext,
@@ -144,7 +148,7 @@ class BrokerSnapshots:
 
     async def clone(self, request: RequestContext) -> Response:
         """POST snapshots/{id}/clone: an independent copy with its own expiry (clause 5.16.2)."""
-        original = self._existing(request.tenant, request.names[0])
+        original = await self._permitted(request)
         given = require_valid((await request.body())[0], has_queries=False)
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
@@ -156,14 +160,14 @@ class BrokerSnapshots:
 
     async def retrieve(self, request: RequestContext) -> Response:
         """GET snapshots/{id}."""
-        return await _snapshot_response(request, self._existing(request.tenant, request.names[0]))
+        return await _snapshot_response(request, await self._permitted(request))
 
     async def update(self, request: RequestContext) -> Response:
         """PATCH snapshots/{id}: priority, lifetime and notification endpoint."""
         change = require_valid_change((await request.body())[0])
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
         async with self._snapshots.lock:
-            before = self._existing(request.tenant, request.names[0])
+            before = await self._permitted(request)
             members = kept_members(members, before.document, *SECRETS)
             require_secrets_again({**before.document, **members}, before.document, members, *SECRETS)
             if "endpoint" in members:
@@ -184,7 +188,7 @@ class BrokerSnapshots:
             if request.names[0] in self._snapshots.unusable.get(request.tenant.name, {}):
                 await self._snapshots.remove_unusable(request.tenant, request.names[0])
                 return _DONE
-            await self._snapshots.remove(request.tenant, self._existing(request.tenant, request.names[0]))
+            await self._snapshots.remove(request.tenant, await self._permitted(request))
         return _DONE
 
     async def purge(self, request: RequestContext) -> Response:
@@ -193,11 +197,13 @@ class BrokerSnapshots:
         wants = purge_filter(request.parameter("q"), context)
         async with self._snapshots.lock:
             for snapshot in [found for found in self._snapshots.of(request.tenant).values() if wants(found)]:
-                await self._snapshots.remove(request.tenant, snapshot)
+                if await shows_results(request, snapshot.owner):
+                    await self._snapshots.remove(request.tenant, snapshot)
         return _DONE
 
     async def _start(self, request: RequestContext, snapshot: Snapshot) -> None:
         tenant = request.tenant
+        snapshot.document[OWNER] = owner_of(request)
         await self._require_open(tenant, snapshot.document)
         async with self._snapshots.lock:
             if snapshot.id in self._snapshots.of(tenant):
@@ -208,6 +214,13 @@ class BrokerSnapshots:
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
             await require_allowed(tenant.notifier.outbound.policy, document["endpoint"], '"endpoint"')
+
+    async def _permitted(self, request: RequestContext) -> Snapshot:
+        """Return the snapshot that is named; raise a problem (403) if its results are not for the caller."""
+        found = self._existing(request.tenant, request.names[0])
+        if not await shows_results(request, found.owner):
+            raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
+        return found
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")

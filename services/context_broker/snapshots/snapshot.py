@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 import orjson
 
 from handover.errors import Problem
+from services.context_broker.model.owner import OWNER, Owner
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.secrets import hidden_members, kept_members
 from services.context_broker.model.stored_documents import refuse_null, require_id, without_null
@@ -59,7 +60,9 @@ class Status(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class Snapshot:
-    """A snapshot. `document` is stored and returned; `written_s` is the time of the last write."""
+    """A snapshot. `document` is stored, and returned without the owner; `written_s` is the time of the last
+    write.
+    """
 
     id: str
     document: dict[str, Any]
@@ -71,13 +74,20 @@ class Snapshot:
         return Status(self.document["snapshotStatus"])
 
     @property
+    def owner(self) -> Owner | None:
+        """Return who created it, with the rights of whom; None if an earlier version did."""
+        return Owner.restored(self.document)
+
+    @property
     def expires_s(self) -> float:
         """Return the expiry in seconds since 1970."""
         return moment(self.document["expiresAt"]) or 0.0
 
     def shown(self) -> dict[str, Any]:
         """Return the snapshot for a reader, without its secrets."""
-        return hidden_members(self.document, *SECRETS)
+        shown = hidden_members(self.document, *SECRETS)
+        shown.pop(OWNER, None)
+        return shown
 
     def stored(self) -> bytes:
         """Return the document for the journal."""

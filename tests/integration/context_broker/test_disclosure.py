@@ -592,6 +592,7 @@ def test_no_count_says_how_often_private_data_was_sent_to_others(
     assert not counts_in(engineer.get(subscribed).json()), "the counts of the previous owner"
     broker.cell.restart("context_broker")
     assert not counts_in(engineer.get(subscribed).json())
+    assert counts_in(colleague.get(own.removeprefix("/ngsi-ld/v1")).json()), "its owner is verified again"
 
 
 def test_the_history_of_an_entity_stays_private_when_it_loses_the_type(broker: SecuredBroker) -> None:
@@ -630,3 +631,43 @@ def test_the_history_of_an_entity_stays_private_when_it_loses_the_type(broker: S
     assert (refused.status_code, "add the type to it first" in refused.text) == (400, True)
     assert service.post("/entities", json={"id": replaced, **public}).status_code == 201
     require_private()
+
+
+def test_the_result_of_a_snapshot_is_for_those_who_may_see_what_its_creator_may(
+    broker: SecuredBroker, sinks: Iterator[Subscriber]
+) -> None:
+    tenant = {"NGSILD-Tenant": "snapshots"}
+    service, doctor = broker.service(**tenant), broker.caller(*DOCTOR, **tenant)
+    engineer, colleague = broker.caller(Role.ENGINEER, **tenant), broker.caller(Role.ENGINEER, **tenant)
+    upsert(service, private_entities())
+    query = {"type": "Query", "entities": [{"type": "HumanState"}], "q": "strain>50"}
+
+    def created(by: httpx.Client, name: str) -> str:
+        made = {"id": f"urn:ngsi-ld:Snapshot:{name}", "type": "Snapshot", "snapshotQueries": [query]}
+        assert by.post("/snapshots", json=made).status_code == 201
+        at = f"/snapshots/{made['id']}"
+        wait_for(lambda: by.get(at).json()["snapshotStatus"] != "preparing")
+        return at
+
+    private, public = created(doctor, "doctor"), created(engineer, "engineer")
+    of_service = created(service, "service")
+    assert doctor.get(private).json()["snapshotStatus"] == "success"
+    assert "owner" not in doctor.get(private).json()
+    thief = next(sinks)
+    for at in (private, of_service):
+        for method, path, body in (
+            ("GET", at, None),
+            ("PATCH", at, {"endpoint": f"{thief.url}/n"}),
+            ("POST", f"{at}/clone", {"type": "Snapshot"}),
+            ("DELETE", at, None),
+        ):
+            refused = engineer.request(method, path, json=body)
+            assert (refused.status_code, refused.json()["permission"]) == (403, "readHealthData"), path
+    assert engineer.delete("/snapshots", params={"q": 'snapshotStatus=="success"'}).status_code == 204
+    assert doctor.get(private).status_code == doctor.get(of_service).status_code == 200
+    assert colleague.get(public).json()["snapshotStatus"] == "empty"
+    assert doctor.get(public).status_code == 200
+    broker.cell.restart("context_broker")
+    assert engineer.get(private).status_code == 403
+    assert doctor.delete(private).status_code == 204
+    assert not thief.received

@@ -61,7 +61,7 @@ from services.context_broker.request.ownership import (
     owner_of,
     require_changeable,
     require_deletable,
-    shows_counts,
+    shows_results,
 )
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
@@ -76,7 +76,7 @@ from services.context_broker.request.request_context import (
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
-from services.context_broker.storage.entries import DocumentKind, Entries
+from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries
 from services.context_broker.tenants import Tenant
 
 log = get_logger(__name__)
@@ -191,8 +191,9 @@ class RegistrationOperations:
                 await _require_open(request.tenant, updated)
             if {"mode", "information"} & change.keys():
                 _refuse_conflicts(request.tenant, updated)
-            await self._keep(request.tenant, before, updated)
-            if has_new_owner(request, before.owner):
+            is_another_owner = has_new_owner(request, before.owner)
+            await self._keep(request.tenant, before, updated, keeps_counts=not is_another_owner)
+            if is_another_owner:
                 federated(request.tenant).registry.reset_attempts(updated)
         return DONE
 
@@ -219,7 +220,7 @@ class RegistrationOperations:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
         reason = federated(request.tenant).registry.unusable.get(request.names[0])
         document = (
-            _shown(request, _existing(request), context, sys_attrs=sys_attrs)
+            await _shown(request, _existing(request), context, sys_attrs=sys_attrs)
             if reason is None
             else unusable_document(TYPE, request.names[0], reason)
         )
@@ -234,7 +235,7 @@ class RegistrationOperations:
         found = federated(request.tenant).registry.matching_any(search.targets, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
-            _shown(request, one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
+            await _shown(request, one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
             for one in page
         ]
         result = document_response(
@@ -246,10 +247,16 @@ class RegistrationOperations:
         result.headers += page_links(request, window, media_type, more=more)
         return result
 
-    async def _keep(self, tenant: Tenant, before: Registration | None, after: Registration) -> None:
-        key = (DocumentKind.REGISTRATION, tenant.name, after.id)
+    async def _keep(
+        self, tenant: Tenant, before: Registration | None, after: Registration, *, keeps_counts: bool = True
+    ) -> None:
+        documents: dict[DocumentKey, bytes | None] = {
+            (DocumentKind.REGISTRATION, tenant.name, after.id): orjson.dumps(after.document)
+        }
+        if not keeps_counts:
+            documents[DocumentKind.ATTEMPTS, tenant.name, after.id] = None
         pending = notices_of_change(federated(tenant).source_notifier, before, after)
-        await _write(tenant, Entries(documents={key: orjson.dumps(after.document)}, pending=pending))
+        await _write(tenant, Entries(documents=documents, pending=pending))
         federated(tenant).registry.put(after)
         federated(tenant).source_notifier.deliver(pending)
         self._schedule_expiry(tenant, after)
@@ -288,7 +295,7 @@ def _require_types(request: RequestContext, candidate: Registration) -> None:
         raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
 
 
-def _shown(
+async def _shown(
     request: RequestContext,
     stored: Registration,
     context: Context,
@@ -296,7 +303,7 @@ def _shown(
     sys_attrs: bool,
     pieces: list[int] | None = None,
 ) -> dict[str, Any]:
-    has_counts = shows_counts(request, stored.owner)
+    has_counts = await shows_results(request, stored.owner)
     return shown_document(stored, context, sys_attrs=sys_attrs, pieces=pieces, has_counts=has_counts)
 
 
