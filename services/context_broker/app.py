@@ -95,7 +95,7 @@ class Broker:
             for operations in (
                 EntityOperations(),
                 BatchOperations(),
-                DiscoveryOperations(),
+                DiscoveryOperations(self.tenants.named),
                 self.subscriptions,
                 self.federation,
                 self.snapshots,

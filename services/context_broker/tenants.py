@@ -158,6 +158,10 @@ class Tenants:
         """Yield all tenants."""
         return iter(list(self._tenants.values()))
 
+    def named(self) -> list[str]:
+        """Return the names of the tenants that something was stored for, without the default one."""
+        return [one.name for one in self if one.name and one.is_kept and outside(one.name)[1] is None]
+
     def of(self, header: bytes, *, makes: bool) -> Tenant:
         """Return the tenant that a request names; `makes` allows the request to create it.
 

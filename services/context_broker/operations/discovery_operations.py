@@ -6,8 +6,9 @@ sources are added, unless `local=true` excludes them.
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Final
+from typing import Any, Final
 
+from handover.security.permissions import Permission
 from services.context_broker.model.conformance import OURS
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import not_found
@@ -34,8 +35,10 @@ _ONE: Final = frozenset({"local"})
 class DiscoveryOperations:
     """Operations on the broker's content as a whole."""
 
-    def __init__(self) -> None:
+    def __init__(self, tenants: Callable[[], Iterable[str]]) -> None:
+        """`tenants` returns the names of all tenants that clients can name."""
         self._since_s = time.monotonic()
+        self._tenants = tenants
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
@@ -100,16 +103,23 @@ class DiscoveryOperations:
         return discovery_response(request, context, body)
 
     async def source_identity(self, request: RequestContext) -> Response:
-        """GET info/sourceIdentity (clause 5.15): the identity of the broker for a tenant."""
+        """GET info/sourceIdentity (clause 5.15): the identity of the broker for a tenant.
+
+        The standard has no list of tenants. A caller with the rights for all of them sees it here, in the
+        default tenant.
+        """
         context = await request.reader_context()
         alias = request.tenant.alias
+        extras: dict[str, Any] = {"ngsildConformance": "{}.{}".format(*OURS)}
+        if not request.tenant.name and request.caller.may(Permission.WRITE_ENTITIES):
+            extras["tenants"] = sorted(self._tenants())
         body = {
             "id": f"urn:ngsi-ld:ContextSourceIdentity:{alias}",
             "type": "ContextSourceIdentity",
             "contextSourceAlias": alias,
             "contextSourceTimeAt": timestamp_now(),
             "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
-            "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
+            "contextSourceExtras": extras,
         }
         return discovery_response(request, context, body)
 
