@@ -81,6 +81,11 @@ class BrokerFault(BrokerUnavailable):
     """The broker failed at the request, as with 500; a retry may succeed, or never."""
 
 
+def is_presence(entity_id: str) -> bool:
+    """Return whether an entity is one that clients have written to see that the broker has its data."""
+    return entity_id.startswith(f"urn:ngsi-ld:{_PRESENCE}:")
+
+
 def fault_delay_s(faults: int) -> float:
     """Return the pause before a request is repeated at which the broker has failed `faults` times."""
     return 2.0**faults
@@ -104,7 +109,8 @@ class BrokerClient:
     Every method raises `BrokerUnavailable` when the broker does not answer, or not as a broker that has its
     data, and another `BrokerError` when it refuses the request. A broker of ours gets the `credentials`,
     another one those of the settings. `transport` replaces the HTTP client, for example by the ASGI transport
-    of httpx.
+    of httpx. Bodies are sent and asked for as `media_type`. Without a `context_url` in the settings there is
+    no Link header.
     """
 
     def __init__(
@@ -114,9 +120,12 @@ class BrokerClient:
         credentials: Credentials | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
         timeout_s: float = 10.0,
+        media_type: str = JSON,
     ) -> None:
-        context = f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"'
-        headers = [("Accept", JSON), ("Link", f'{context}; type="application/ld+json"')]
+        headers = [("Accept", media_type)]
+        if settings.context_url:
+            context = f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"'
+            headers.append(("Link", f'{context}; type="application/ld+json"'))
         if settings.broker_tenant:
             headers.append(("NGSILD-Tenant", settings.broker_tenant))
         self.url = settings.broker_url
@@ -132,7 +141,7 @@ class BrokerClient:
         self._http = BodyReadingHttpClient(ca_files=settings.ca_files, max_response_bytes=MAX_RESPONSE_BYTES)
         # A robot may be updated hundreds of times a second, so the headers are built once.
         self._headers = tuple(headers)
-        self._with_body = (*headers, ("Content-Type", JSON))
+        self._with_body = (*headers, ("Content-Type", media_type))
 
     async def __aenter__(self) -> Self:
         return self
@@ -182,6 +191,15 @@ class BrokerClient:
             return orjson.loads(response.body) if response.status < 300 else None
         except orjson.JSONDecodeError:
             return None
+
+    async def request(
+        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
+    ) -> HttpResponse:
+        """Send a request of the API, with `path` below /ngsi-ld/v1; return the answer as it is.
+
+        A partial success (207) is for the caller to read.
+        """
+        return await self._call(method, path, params=params, body=body)
 
     async def create(self, entity: Entity | NgsiLd) -> None:
         """Create an entity; raise `AlreadyExists` if its id is taken."""
