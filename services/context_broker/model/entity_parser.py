@@ -55,10 +55,12 @@ _NO_NAMES: Final = (METADATA | VALUE_MEMBERS | _FROM_THE_BROKER | _ONLY_SHOWN | 
 }
 """Terms of the core context that cannot name an attribute (clause 4.5.1). `value` can nevertheless: the
 published Device has an attribute of that name."""
-_NO_ATTRIBUTES_OF_ENTITIES: Final = (
+NO_ATTRIBUTES_OF_ENTITIES: Final = (
     _NO_NAMES | _TIMES | {"id", "@id", "type", "@type", "scope", "expiresAt", "@context"}
 )
 """Members of an entity that are not attributes."""
+NO_SUB_ATTRIBUTES: Final = _NO_ATTRIBUTES | METADATA | _MISPLACED | _SEALED
+"""Members of an attribute that are not attributes of it."""
 _CORE: Final = "https://uri.etsi.org/ngsi-ld/"
 _PLACES: Final = frozenset(
     base + name for base in ("", _CORE) for name in ("location", "observationSpace", "operationSpace")
@@ -125,7 +127,7 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
     scopes: tuple[str, ...] | None = None
     expires_at: str | None = None
     for name, given in document.items():
-        if name not in _NO_ATTRIBUTES_OF_ENTITIES:
+        if name not in NO_ATTRIBUTES_OF_ENTITIES:
             _take_attribute(attributes, name, given, terms, 0)
         elif name in {"id", "@id"}:
             entity_id = _entity_id(given)

@@ -11,6 +11,7 @@ import orjson
 
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import VALUE_MEMBER, Attributes, Entity, Instance, Terms
+from services.context_broker.model.entity_parser import NO_ATTRIBUTES_OF_ENTITIES, NO_SUB_ATTRIBUTES
 from services.context_broker.model.geometry import looks_like_geometry
 from services.context_broker.model.language import in_language
 from services.context_broker.model.projection import Projection
@@ -95,8 +96,14 @@ def render(entity: Entity, terms: Terms, view: View) -> dict[str, Any]:
             result = {member: value for member, value in result.items() if projection.wants(member)}
     write = _WRITERS[view.form]
     for name, instances in attributes.items():
-        result[compact(name)] = write(instances, terms, view.sys_attrs)
+        result[_named(name, terms, NO_ATTRIBUTES_OF_ENTITIES)] = write(instances, terms, view.sys_attrs)
     return result
+
+
+def _named(iri: str, terms: Terms, reserved: frozenset[str]) -> str:
+    """Return the name of an attribute for a client: its IRI, if the short name is that of a member."""
+    name = terms.compact(iri)
+    return iri if name in reserved else name
 
 
 def written(instance: Instance, terms: Terms, form: Form, *, sys_attrs: bool) -> Any:
@@ -130,7 +137,7 @@ def _normalized_instance(instance: Instance, terms: Terms, sys_attrs: bool) -> d
     result: dict[str, Any] = {}
     for member, value in instance.items():
         if ":" in member:
-            result[terms.compact(member)] = _normalized(value, terms, sys_attrs)
+            result[_named(member, terms, NO_SUB_ATTRIBUTES)] = _normalized(value, terms, sys_attrs)
         elif sys_attrs or member not in _TIMES:
             result[member] = value
     _use_terms(result, instance["type"], terms)
@@ -168,7 +175,7 @@ def _concise_members(instance: Instance, terms: Terms, sys_attrs: bool) -> dict[
     result: dict[str, Any] = {}
     for member, value in instance.items():
         if ":" in member:
-            result[terms.compact(member)] = _concise(value, terms, sys_attrs)
+            result[_named(member, terms, NO_SUB_ATTRIBUTES)] = _concise(value, terms, sys_attrs)
         elif member != "type" and (sys_attrs or member not in _TIMES):
             result[member] = value
     _use_terms(result, instance["type"], terms)

@@ -191,3 +191,23 @@ def test_merging_leaves_the_entity_before_untouched_and_the_change_in_place(
     assert before.stored() == as_stored
     named = {TERMS.expand(name) for name in second if name not in {"id", "type"}}
     assert set(after.attributes) == set(before.attributes) | named
+
+
+RESERVED = ["scope", "createdAt", "unitCode", "hasValue", "hasObject", "observedAt", "expiresAt", "datasetId"]
+CORE_NAMES = st.sampled_from([f"https://uri.etsi.org/ngsi-ld/{name}" for name in RESERVED])
+
+
+@given(CORE_NAMES, CORE_NAMES, st.sampled_from([Form.NORMALIZED, Form.CONCISE]), st.booleans())
+def test_an_attribute_with_the_iri_of_a_member_hides_no_member(
+    name: str, below: str, form: Form, sys_attrs: bool
+) -> None:
+    sent = {
+        "id": "urn:x:1",
+        "type": "Task",
+        "scope": "/line",
+        name: {"type": "Property", "value": 1, "unitCode": "MTR", below: {"type": "Property", "value": 2}},
+    }
+    entity = created(read_entity(sent, TERMS), AT, 1)
+    again = created(read_entity(render(entity, TERMS, View(form, sys_attrs=sys_attrs)), TERMS), AT, 1)
+    assert again.scopes == entity.scopes == ("/line",)
+    assert again.attributes == entity.attributes
