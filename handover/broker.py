@@ -33,6 +33,7 @@ from handover.telemetry import get_logger
 log = get_logger(__name__)
 
 JSON = "application/json"
+JSON_LD = "application/ld+json"
 PAGE = 500
 """Entities per page; many brokers refuse more than 1000."""
 MAX_RESPONSE_BYTES = 256 * 1024 * 1024
@@ -109,8 +110,8 @@ class BrokerClient:
     Every method raises `BrokerUnavailable` when the broker does not answer, or not as a broker that has its
     data, and another `BrokerError` when it refuses the request. A broker of ours gets the `credentials`,
     another one those of the settings. `transport` replaces the HTTP client, for example by the ASGI transport
-    of httpx. Bodies are sent and asked for as `media_type`. Without a `context_url` in the settings there is
-    no Link header.
+    of httpx. `accept` is the media type of answers. Without a `context_url` in the settings there is no Link
+    header; an object with an "@context" is sent as JSON-LD.
     """
 
     def __init__(
@@ -120,14 +121,15 @@ class BrokerClient:
         credentials: Credentials | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
         timeout_s: float = 10.0,
-        media_type: str = JSON,
+        accept: str = JSON,
     ) -> None:
-        headers = [("Accept", media_type)]
-        if settings.context_url:
-            context = f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"'
-            headers.append(("Link", f'{context}; type="application/ld+json"'))
+        headers = [("Accept", accept)]
         if settings.broker_tenant:
             headers.append(("NGSILD-Tenant", settings.broker_tenant))
+        self._with_context = (*headers, ("Content-Type", JSON_LD))
+        if settings.context_url:
+            context = f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"'
+            headers.append(("Link", f'{context}; type="{JSON_LD}"'))
         self.url = settings.broker_url
         self._base = address(f"{settings.broker_url.rstrip('/')}/ngsi-ld/v1")
         self._root = self._base.target.removesuffix("/ngsi-ld/v1")
@@ -141,7 +143,7 @@ class BrokerClient:
         self._http = BodyReadingHttpClient(ca_files=settings.ca_files, max_response_bytes=MAX_RESPONSE_BYTES)
         # A robot may be updated hundreds of times a second, so the headers are built once.
         self._headers = tuple(headers)
-        self._with_body = (*headers, ("Content-Type", media_type))
+        self._with_body = (*headers, ("Content-Type", JSON))
 
     async def __aenter__(self) -> Self:
         return self
@@ -437,6 +439,8 @@ class BrokerClient:
         query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
         url = replace(self._base, target=f"{self._base.target}{path}{query}")
         headers = self._headers if body is None else self._with_body
+        if isinstance(body, Mapping) and "@context" in body:
+            headers = self._with_context
         content = b"" if body is None else orjson.dumps(body)
         given, own = await self._given()
         response = await self._send(method, url, (*headers, *own.items()), content)

@@ -16,7 +16,7 @@ import orjson
 
 from datamodels.contexts import CORE_URL, ContextNotAvailable, TermMap, term_map
 from handover.broker import (
-    JSON,
+    JSON_LD,
     MAX_FAULTS,
     BrokerClient,
     BrokerError,
@@ -26,14 +26,13 @@ from handover.broker import (
     NotFound,
     is_presence,
 )
-from handover.broker_copy.entity_form import Json, expanded, has_instances, types_of
+from handover.broker_copy.entity_form import Json, expanded, has_instances, types_of, with_terms
 from handover.broker_identity import BrokerIdentity
 from handover.errors import HandoverError
 from handover.http_client import HttpResponse
 from handover.retry import backoff_delay_s
 from handover.settings import Settings
 
-JSON_LD: Final = "application/ld+json"
 CONTEXTS: Final = "/jsonldContexts"
 PAGE: Final = 100
 """Entities, or documents, per page."""
@@ -87,10 +86,7 @@ class BrokerSide:
 
     async def __aenter__(self) -> Self:
         await self._stack.__aenter__()
-        enter = self._stack.enter_async_context
-        self._reader = await enter(self._client(self._context_url, JSON_LD))
-        self._writer = await enter(self._client(self._context_url, JSON))
-        self._names_contexts = await enter(self._client("", JSON_LD))
+        self._broker = await self._stack.enter_async_context(self._client(self._context_url))
         try:
             await self.read("/entities", {"local": "true", "limit": 1})
         except NotFound:
@@ -105,14 +101,12 @@ class BrokerSide:
     async def __aexit__(self, *reason: Any) -> None:
         await self._stack.__aexit__(*reason)
 
-    def _client(self, context_url: str, media_type: str) -> BrokerClient:
+    def _client(self, context_url: str) -> BrokerClient:
         place = self.place
         settings = place.settings.model_copy(
             update={"broker_tenant": self.tenant, "context_url": context_url}
         )
-        return BrokerClient(
-            settings, credentials=place.credentials, timeout_s=TIMEOUT_S, media_type=media_type
-        )
+        return BrokerClient(settings, credentials=place.credentials, timeout_s=TIMEOUT_S, accept=JSON_LD)
 
     @property
     def local(self) -> Json:
@@ -123,11 +117,11 @@ class BrokerSide:
 
     async def read(self, path: str, params: Mapping[str, Any] | None = None) -> HttpResponse:
         """GET a path of the API."""
-        return await self._patiently(lambda: self._reader.request("GET", path, params=params))
+        return await self._patiently(lambda: self._broker.request("GET", path, params=params))
 
     async def read_in(self, context_url: str, path: str) -> Json:
         """Return a document with the names of an @context."""
-        async with self._client(context_url, JSON_LD) as client:
+        async with self._client(context_url) as client:
             answer = await self._patiently(lambda: client.request("GET", path))
         return as_object(answer)
 
@@ -240,9 +234,10 @@ class BrokerSide:
     async def create(self, entities: Sequence[Json]) -> dict[str, str]:
         """Create entities; return the reasons for those that were refused, by id.
 
-        Those with several instances are created one by one where a batch may damage them.
+        Those with several instances are created one by one where a batch may damage them, and those that need
+        an @context.
         """
-        alone = [] if self.place.identity.keeps_instances else list(filter(has_instances, entities))
+        alone = list(filter(self._is_alone, entities))
         single = {entity["id"] for entity in alone}
         refused: dict[str, str] = {}
         for batch in batches([one for one in entities if one["id"] not in single]):
@@ -258,7 +253,8 @@ class BrokerSide:
             wanted
             for wanted, present in pairs
             if set(types_of(wanted)) != set(types_of(present))
-            or (not self.place.identity.keeps_instances and (has_instances(wanted) or has_instances(present)))
+            or self._is_alone(wanted)
+            or self._is_alone(present)
         ]
         single = {entity["id"] for entity in again}
         for batch in batches([wanted for wanted, _ in pairs if wanted["id"] not in single]):
@@ -275,24 +271,28 @@ class BrokerSide:
             refused |= await self._alone(entity)
         return refused
 
+    def _is_alone(self, entity: Json) -> bool:
+        """Return whether an entity is no part of a batch."""
+        is_damaged = not self.place.identity.keeps_instances and has_instances(entity)
+        return is_damaged or "@context" in with_terms(entity)
+
     async def post(self, path: str, document: Json) -> HttpResponse:
-        """Create a document; one with an @context is sent as JSON-LD."""
-        client = self._names_contexts if "@context" in document and path != CONTEXTS else self._writer
-        return await self._patiently(lambda: client.request("POST", path, body=document))
+        """Create a document."""
+        return await self._patiently(lambda: self._broker.request("POST", path, body=document))
 
     async def delete(self, path: str) -> None:
         """Delete a document."""
-        await self._patiently(lambda: self._writer.request("DELETE", path))
+        await self._patiently(lambda: self._broker.request("DELETE", path))
 
     async def _write(
         self, method: str, path: str, params: Json | None = None, body: Any = None
     ) -> HttpResponse:
         asked = {**(params or {}), **({"local": "true"} if self.place.identity.is_ours else {})}
-        return await self._patiently(lambda: self._writer.request(method, path, params=asked, body=body))
+        return await self._patiently(lambda: self._broker.request(method, path, params=asked, body=body))
 
     async def _alone(self, entity: Json) -> dict[str, str]:
         try:
-            await self._write("POST", "/entities", body=entity)
+            await self._write("POST", "/entities", body=with_terms(entity))
         except BrokerUnavailable as error:
             if not isinstance(error, BrokerFault):
                 raise

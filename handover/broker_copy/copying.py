@@ -92,21 +92,21 @@ async def copy_broker(
         if all(entry.is_empty for entry in report.tenants):
             report.error = f"{source.url} has nothing to copy; are the address and the tenants right?"
     except BrokerError as error:
-        is_access = error.status in {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN}
-        if isinstance(error, BrokerUnavailable) and not is_access:
-            report.error = (
-                f"{error}. What was copied stays copied: start the broker, and give the same command again"
-            )
-            return report
-        way_out = (
-            "; give a token with the right for it: --from-token-file, --to-token-file" if is_access else ""
-        )
-        report.error = f"{error}{way_out}"
+        report.error = explained(error, "What was copied stays copied")
     except UsageError:
         raise
     except HandoverError as error:
         report.error = str(error)
     return report
+
+
+def explained(error: BrokerError, state: str) -> str:
+    """Return an error that ended the copy, with the way out; `state` says what was copied."""
+    if error.status in {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN}:
+        return f"{error}; give a token with the right for it: --from-token-file, --to-token-file"
+    if isinstance(error, BrokerUnavailable):
+        return f"{error}. {state}: start the broker, and give the same command again"
+    return f"{error}. {state}"
 
 
 async def _copy_tenant(

@@ -98,8 +98,8 @@ class EntityCopy:
             self._report.problem(
                 "source",
                 self._source.place.url,
-                f"listed {missed} entities less than it had counted: they are deleted meanwhile, or its database "
-                "was away; give the command again",
+                f"listed {missed} entities less than it had counted: they are deleted meanwhile, or its "
+                "database was away; give the command again",
             )
 
     async def _find_others(self, listed: int) -> None:

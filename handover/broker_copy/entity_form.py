@@ -4,6 +4,7 @@
 clause 4.7.1 keep their short names: no @context changes them, and some brokers know them by these only.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,6 +30,7 @@ _METADATA: Final = frozenset(
 )  # fmt: skip
 _TERM_MEMBERS: Final = frozenset({"vocab", "valueType", "objectType", "entityTypeSealed"})
 """Members whose values are names."""
+_UNFIT_IN_NAMES: Final = re.compile(r"""[\s"'()\[\]{}@=;,|<>]""")
 _TIMES: Final = frozenset({"observedAt", "expiresAt"})
 _DEFAULT_INSTANCE: Final = "@none"
 
@@ -56,6 +58,31 @@ def expanded(entity: Mapping[str, Any], terms: Terms) -> Json:
         else:
             result[_name(name, terms)] = _attribute(value, terms)
     return result
+
+
+def with_terms(entity: Mapping[str, Any]) -> Json:
+    """Return an expanded entity for a request: itself, or with an @context for IRIs that are not written.
+
+    Brokers refuse names with characters that have a meaning in queries, though a term may stand for them.
+    """
+    terms = _RequestTerms()
+    renamed = expanded(entity, terms)
+    if not terms.names:
+        return dict(entity)
+    return {"@context": {term: iri for iri, term in terms.names.items()}, **renamed}
+
+
+class _RequestTerms:
+    """Terms for the IRIs that cannot be written as names; the others stay."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, str] = {}
+
+    def expand(self, term: str) -> str:
+        """Return the term of an IRI, or the IRI."""
+        if not _UNFIT_IN_NAMES.search(term):
+            return term
+        return self.names.setdefault(term, f"copied{len(self.names)}")
 
 
 def types_of(entity: Mapping[str, Any]) -> list[str]:

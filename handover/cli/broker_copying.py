@@ -1,4 +1,4 @@
-"""`handover broker copy`: which brokers and tenants are meant, with which credentials, and what is printed."""
+"""`handover broker copy`: the brokers and tenants that are meant, the credentials, and what is printed."""
 
 import asyncio
 import sys
@@ -12,14 +12,21 @@ import orjson
 
 from handover.broker import BrokerUnavailable
 from handover.broker_copy.broker_side import BrokerPlace
-from handover.broker_copy.copying import HISTORY_STAYS, CopyReport, copy_broker, place_at, tenants_of
+from handover.broker_copy.copying import (
+    HISTORY_STAYS,
+    CopyReport,
+    copy_broker,
+    explained,
+    place_at,
+    tenants_of,
+)
 from handover.broker_copy.report import Counts, Say
 from handover.cli.access import cli_access
 from handover.errors import UsageError
 from handover.security.service_access import ServiceAccess
 from handover.settings import Settings
 
-_NO_CREDENTIALS: Final = {
+_NO_CREDENTIALS: Final[dict[str, Path | None]] = {
     "broker_token_file": None,
     "broker_headers": None,
     "broker_oauth_url": None,
@@ -67,7 +74,8 @@ async def _copy(wish: CopyWish, say: Say) -> CopyReport:
             second = await _place(target, settings, access)
             listed = await tenants_of(first)
         except BrokerUnavailable as error:
-            return CopyReport(source.broker_url, target.broker_url, error=f"{error}. Nothing was copied")
+            why = explained(error, "Nothing was copied")
+            return CopyReport(source.broker_url, target.broker_url, error=why)
         if listed is None and not wish.only:
             say(f"{first.url} does not list its tenants: name each one with --tenant")
         tenants = _tenants(wish, settings, first, listed)
@@ -97,12 +105,13 @@ def _settings_for(given: str, settings: Settings, token_file: Path | None) -> Se
         raise UsageError(f'"{given}" is no URL of a broker; write it as http://127.0.0.1:1026')
     if parts.username is not None:
         raise UsageError("the URL of a broker has no user and password; use a file with a token")
+    changes: dict[str, Path | None] = {}
     if token_file is not None:
         if not token_file.is_file():
             raise UsageError(f"there is no token file {token_file}; write the token for {url} into it")
         changes = {**_NO_CREDENTIALS, "broker_token_file": token_file}
-    else:
-        changes = {} if url == settings.broker_url else _NO_CREDENTIALS
+    elif url != settings.broker_url:
+        changes = dict(_NO_CREDENTIALS)
     return settings.model_copy(update={**changes, "broker_url": url})
 
 

@@ -13,8 +13,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from datamodels.contexts import HANDOVER_URL
 from handover.broker_copy.copying import CopyReport, copy_broker, place_at
 from handover.notifications import KEY_HEADER
+from handover.security.permissions import Role
 from handover.settings import Settings
 from tests.kit import processes
 from tests.kit.other_broker.profiles import ORION_LD
@@ -24,6 +26,7 @@ from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, wait_for
 
 from .conftest import BrokerProcess
+from .secured import secured_broker
 
 LD = {"Content-Type": "application/ld+json"}
 PLAIN_CONTEXT = {
@@ -230,7 +233,7 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
     tenant = tenant.lower()
     instances = [{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "urn:d:1"}]
     text = "x" * 700_000
-    named = {
+    named: dict[str, dict[str, Any]] = {
         "instances": {"n": instances},
         "list-property": {"n": {"type": "ListProperty", "valueList": [1, 2]}},
         "integer": {"n": {"type": "Property", "value": 1764408000000}},
@@ -254,6 +257,7 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
         assert code == 1, progress
         (entry,) = summary["tenants"]
         problems = {one["id"].rpartition(":")[2]: one for one in entry["problems"]}
+        assert summary["error"] is None
         assert set(problems) == {"list-property", "too-large", "integer", "list-of-one"}, progress
         assert "ListProperty" in problems["list-property"]["reason"]
         assert "413" in problems["too-large"]["reason"]
@@ -371,6 +375,26 @@ def test_a_target_that_goes_away_is_named_with_the_way_out(
         assert copied(tmp_path, *words)[0] == 0
     finally:
         target.stop()
+
+
+def test_with_accounts_a_token_has_to_have_the_rights(
+    tmp_path: Path, pair: tuple[BrokerProcess, BrokerProcess], tenant: str
+) -> None:
+    with secured_broker(tmp_path / "cell") as secured:
+        url = secured.cell.url("context_broker")
+        with secured.service(**LD, **{"NGSILD-Tenant": tenant}) as http:
+            for kind in ("Part", "HumanState", "Person"):
+                entity = {"@context": HANDOVER_URL, "id": f"urn:ngsi-ld:{kind}:demo:1", "type": kind}
+                assert http.post("/entities", json=entity).status_code == 201
+        words = (url, pair[1].url, "--tenant", tenant, "--only")
+        code, summary, _ = copied(tmp_path, *words)
+        assert code == 1
+        assert "--from-token-file" in summary["error"]
+        assert summary["tenants"] == [] or not summary["tenants"][0]["entities"]["created"]
+        _, token = secured.script(Role.ADMIN, Role.ENGINEER, Role.RESEARCHER)
+        (tmp_path / "token").write_text(token)
+        code, summary, progress = copied(tmp_path, *words, "--from-token-file", str(tmp_path / "token"))
+        assert (code, summary["tenants"][0]["entities"]["equal"]) == (0, 3), progress
 
 
 # Any entity

@@ -91,6 +91,8 @@ ARGUMENTS: dict[str, Any] = {
     "since": "2026-01-01T00:00:00Z",
     "subscription": {"id": "urn:ngsi-ld:Subscription:demo:1", "type": "Subscription"},
     "subscription_id": "urn:ngsi-ld:Subscription:demo:1",
+    "method": "GET",
+    "path": "/types",
 }
 
 
