@@ -35,7 +35,9 @@ from handover.settings import Settings
 
 CONTEXTS: Final = "/jsonldContexts"
 PAGE: Final = 100
-"""Entities, or documents, per page."""
+FIRST_PAGE: Final = 20
+PAGE_BYTES: Final = 8 * 1024 * 1024
+"""Limits of a page; the first one shows how large the entities are."""
 MAX_BATCH: Final = 100
 MAX_BATCH_BYTES: Final = 512 * 1024
 """Limits of one batch; Orion-LD refuses bodies of more than 1 MiB."""
@@ -180,7 +182,8 @@ class BrokerSide:
 
     async def pages(self, path: str, params: Mapping[str, Any]) -> AsyncIterator[list[Json]]:
         """Yield the pages of a list, by the links of the broker or by offsets."""
-        asked: Json = {**params, "limit": PAGE}
+        limit = FIRST_PAGE
+        asked: Json = {**params, "limit": limit}
         seen, total, has_links = 0, None, False
         while True:
             try:
@@ -194,11 +197,14 @@ class BrokerSide:
                     self.expected = total
             yield page
             seen += len(page)
+            is_full = len(page) >= limit
+            if page:
+                limit = max(1, min(PAGE, PAGE_BYTES * len(page) // len(answer.body)))
             following = _next_page(answer.headers.get("link", ""))
             if following is not None and following != asked:
-                asked, has_links = following, True
-            elif page and not has_links and (len(page) >= PAGE if total is None else seen < total):
-                asked = {**asked, "offset": seen}
+                asked, has_links = {**following, "limit": limit}, True
+            elif page and not has_links and (is_full if total is None else seen < total):
+                asked = {**asked, "offset": seen, "limit": limit}
             else:
                 self.missed += max(0, (total or 0) - seen)
                 return

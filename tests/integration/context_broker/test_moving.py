@@ -251,6 +251,18 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
     ]
     create(source.url, made, tenant)
     create(source.url, [{**one, "id": f"urn:ngsi-ld:Part:{at}"} for at, one in enumerate(parts(150))], tenant)
+    with ask(source, tenant, **LD) as http:
+        for name, more in (("plain", {}), ("trigger", {"notificationTrigger": ["entityCreated"]})):
+            subscription = {
+                "@context": PLAIN_CONTEXT,
+                "id": f"urn:ngsi-ld:Subscription:{name}",
+                "type": "Subscription",
+                "entities": [{"type": "Part"}],
+                "q": "n>5",
+                "notification": {"endpoint": {"uri": "http://127.0.0.1:9/notify"}},
+                **more,
+            }
+            assert http.post("/subscriptions", json=subscription).status_code == 201
     words = (source.url, target, "--tenant", tenant, "--only")
     for _ in range(2):  # what was reported is reported again, and nothing else has changed
         code, summary, progress = copied(tmp_path, *words)
@@ -258,7 +270,10 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
         (entry,) = summary["tenants"]
         problems = {one["id"].rpartition(":")[2]: one for one in entry["problems"]}
         assert summary["error"] is None
-        assert set(problems) == {"list-property", "too-large", "integer", "list-of-one"}, progress
+        refused = {"list-property", "too-large", "trigger"}
+        assert set(problems) == {*refused, "integer", "list-of-one"}, progress
+        assert "501" in problems["trigger"]["problem"] or "Not Implemented" in problems["trigger"]["problem"]
+        assert entry["subscriptions"]["equal"] == 1
         assert "ListProperty" in problems["list-property"]["reason"]
         assert "413" in problems["too-large"]["reason"]
         assert problems["integer"]["attribute"] == "https://example.org/n"
@@ -391,6 +406,12 @@ def test_with_accounts_a_token_has_to_have_the_rights(
         assert code == 1
         assert "--from-token-file" in summary["error"]
         assert summary["tenants"] == [] or not summary["tenants"][0]["entities"]["created"]
+        # the names of tenants are for callers with the rights for all of them
+        extras = [
+            secured.caller(*roles).get("/info/sourceIdentity").json()["contextSourceExtras"]
+            for roles in ((Role.VIEWER,), (Role.ENGINEER,))
+        ]
+        assert [one.get("tenants") for one in extras] == [None, [tenant]]
         _, token = secured.script(Role.ADMIN, Role.ENGINEER, Role.RESEARCHER)
         (tmp_path / "token").write_text(token)
         code, summary, progress = copied(tmp_path, *words, "--from-token-file", str(tmp_path / "token"))
