@@ -33,8 +33,12 @@ from services.trajectory_tool.srdf import LinkPair, Srdf
 SEED = 1
 """Of the configurations by which shapes are cut and pairs are excluded."""
 
-AIM = 0.01
+AIM = 0.002
 """The share of falsely refused configurations of a pair at which no more is cut."""
+ENOUGH = 0.01
+"""The share at which a pair is given up that cuts no longer improve."""
+MAX_CUTS_IN_VAIN = 3
+"""So many cuts one after the other may reduce the share of a pair by less than a tenth, from `ENOUGH` on."""
 MAX_PIECES_OF_LINK = 16
 MAX_ROUNDS = 40
 
@@ -66,6 +70,7 @@ class Shaping:
 def _refine(shaping: Shaping, excluded: dict[LinkPair, str], decided: Decided) -> None:
     """Cut the pieces, and exclude pairs, until no pair is falsely refused too often, or none can be cut."""
     certain: dict[LinkPair, bool] = {}
+    progress: dict[LinkPair, _Progress] = {}
     meshes: MeshPairs | None = None
     for _ in range(MAX_ROUNDS):
         arm = shaping.arm(excluded)
@@ -74,6 +79,8 @@ def _refine(shaping: Shaping, excluded: dict[LinkPair, str], decided: Decided) -
         changed = False
         for shares in sorted(refused, key=lambda one: -one.falsely_refused):
             pair = frozenset((shares.first, shares.second))
+            if not progress.setdefault(pair, _Progress()).goes_on(shares.falsely_refused):
+                continue
             if pair not in certain:
                 meshes = meshes or MeshPairs(arm, shaping.surfaces)
                 numbers = [number for number, links in enumerate(meshes.names) if links == pair]
@@ -85,6 +92,22 @@ def _refine(shaping: Shaping, excluded: dict[LinkPair, str], decided: Decided) -
                 changed = _cut(shaping.pieces, arm, decided, pair) or changed
         if not changed:
             break
+
+
+@dataclass
+class _Progress:
+    """How the cuts of a pair have reduced its share of falsely refused configurations."""
+
+    best: float = 1.0
+    in_vain: int = 0
+
+    def goes_on(self, share: float) -> bool:
+        """Take note of the present share; say whether the pair is worth another cut."""
+        if share < 0.9 * self.best:
+            self.best, self.in_vain = share, 0
+            return True
+        self.in_vain += 1
+        return share > ENOUGH or self.in_vain <= MAX_CUTS_IN_VAIN
 
 
 def unchecked_on_purpose(excluded: dict[LinkPair, str]) -> set[LinkPair]:
