@@ -55,6 +55,7 @@ def running(shared_cell: Cell, tmp_path: Path) -> Running:
                 "broker_tenant": shared_cell.tenant or None,
                 "trajectory_port": shared_cell.ports["trajectory_tool"],
                 "data_dir": tmp_path,
+                "health_on_other_broker": True,
                 **members,
             }
         )

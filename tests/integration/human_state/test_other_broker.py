@@ -33,7 +33,7 @@ async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an
     }
     settings = shared_cell.settings.model_copy(update=there)
     async with (
-        running(**there, health_on_other_broker=True) as rest,
+        running(**there) as rest,
         BrokerClient(settings) as broker,
         BrokerClient(shared_cell.settings) as own,
     ):
@@ -74,7 +74,7 @@ async def test_without_a_yes_no_body_signal_is_written_there(
         "context_url": f"{shared_cell.url('context_broker')}/context.jsonld",
     }
     settings = shared_cell.settings.model_copy(update=there)
-    async with running(**there) as rest, BrokerClient(settings) as broker:
+    async with running(**there, health_on_other_broker=False) as rest, BrokerClient(settings) as broker:
         (await rest.put("/people/eino", json={"age": 40})).raise_for_status()
         (await rest.put("/people/eino/consent", json=consent())).raise_for_status()
         sensor = {"person": "eino", "driver": "simulated", "settings": HEART_RATE}
