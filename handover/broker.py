@@ -23,7 +23,14 @@ import orjson
 
 from datamodels.entities import Entity
 from handover.broker_credentials import HOW_TO_SET, BrokerCredentials, credentials_of
-from handover.broker_identity import CONTEXT_PATH, ORION_VERSION_PATH, BrokerIdentity, identity_in
+from handover.broker_identity import (
+    CONTEXT_PATH,
+    ORION_VERSION_PATH,
+    OURS,
+    BrokerIdentity,
+    identity_in,
+    is_our_context,
+)
 from handover.errors import HandoverError, Problem
 from handover.free_values import FREE_VALUES, with_texts, without_texts
 from handover.http_client import Address, BodyReadingHttpClient, HttpResponse, SendError, address
@@ -176,10 +183,8 @@ class BrokerClient:
             return self._identity
         async with self._identifying:
             if self._identity is None:
-                identity = identity_in(None, await self._look_up(CONTEXT_PATH))
-                if not identity.is_ours:
-                    identity = identity_in(await self._look_up(ORION_VERSION_PATH), None)
-                self._identity = identity
+                is_ours = is_our_context(await self._look_up(CONTEXT_PATH))
+                self._identity = OURS if is_ours else identity_in(await self._look_up(ORION_VERSION_PATH))
             return self._identity
 
     async def _look_up(self, path: str) -> Any:

@@ -10,7 +10,7 @@ from typing import Any, Final
 ORION_VERSION_PATH: Final = "/ngsi-ld/ex/v1/version"
 CONTEXT_PATH: Final = "/context.jsonld"
 """Where each server of ours has our @context, for everybody."""
-OURS: Final = "Handover"
+_OUR_NAME: Final = "Handover"
 _OUR_TERMS: Final = frozenset({"Task", "HumanState", "PhysiologicalSession"})
 
 
@@ -24,7 +24,7 @@ class BrokerIdentity:
     @property
     def is_ours(self) -> bool:
         """Whether it is the embedded broker, of whatever version."""
-        return self.name == OURS
+        return self.name == _OUR_NAME
 
     @property
     def keeps_instances(self) -> bool:
@@ -35,13 +35,19 @@ class BrokerIdentity:
         return self.is_ours
 
 
-def identity_in(orion_version: Any, context: Any) -> BrokerIdentity:
-    """Return the broker that has these documents at `ORION_VERSION_PATH` and `CONTEXT_PATH`."""
+OURS: Final = BrokerIdentity(_OUR_NAME)
+
+
+def is_our_context(document: Any) -> bool:
+    """Return whether the document at `CONTEXT_PATH` is our @context, of whatever version."""
+    terms = document.get("@context") if isinstance(document, Mapping) else None
+    return isinstance(terms, Mapping) and terms.keys() >= _OUR_TERMS
+
+
+def identity_in(orion_version: Any) -> BrokerIdentity:
+    """Return the broker of others that has this document at `ORION_VERSION_PATH`."""
     if isinstance(orion_version, Mapping):
         found = {str(key).lower().replace("-", ""): str(value) for key, value in orion_version.items()}
         if "orionld version" in found:
             return BrokerIdentity("Orion-LD", found["orionld version"])
-    terms = context.get("@context") if isinstance(context, Mapping) else None
-    if isinstance(terms, Mapping) and terms.keys() >= _OUR_TERMS:
-        return BrokerIdentity(OURS)
     return BrokerIdentity()

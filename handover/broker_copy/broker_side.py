@@ -5,7 +5,7 @@ A broker that does not answer is asked again for some seconds; `BrokerUnavailabl
 
 import asyncio
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -348,17 +348,8 @@ class BrokerSide:
 
 def batches(entities: Sequence[Json]) -> Iterator[list[Json]]:
     """Yield entities in batches within the limits; one that is larger is alone."""
-    batch: list[Json] = []
-    size = 2
-    for entity in entities:
-        length = len(orjson.dumps(entity)) + 1
-        if batch and (len(batch) >= MAX_BATCH or size + length > MAX_BATCH_BYTES):
-            yield batch
-            batch, size = [], 2
-        batch.append(entity)
-        size += length
-    if batch:
-        yield batch
+    brackets = 2
+    return _parts(entities, lambda one: len(orjson.dumps(one)) + 1, MAX_BATCH, MAX_BATCH_BYTES - brackets)
 
 
 def in_path(name: str) -> str:
@@ -367,17 +358,24 @@ def in_path(name: str) -> str:
 
 
 def _in_urls(ids: Sequence[str]) -> Iterator[list[str]]:
-    chunk: list[str] = []
+    return _parts(ids, lambda one: len(quote(one, safe=":")) + 1, MAX_IDS, MAX_IDS_LENGTH)
+
+
+def _parts(
+    items: Iterable[T], length_of: Callable[[T], int], most: int, most_length: int
+) -> Iterator[list[T]]:
+    """Yield items in lists limited by number and sum of lengths; one that is longer is alone."""
+    part: list[T] = []
     length = 0
-    for entity_id in ids:
-        added = len(quote(entity_id, safe=":")) + 1
-        if chunk and (len(chunk) >= MAX_IDS or length + added > MAX_IDS_LENGTH):
-            yield chunk
-            chunk, length = [], 0
-        chunk.append(entity_id)
+    for item in items:
+        added = length_of(item)
+        if part and (len(part) >= most or length + added > most_length):
+            yield part
+            part, length = [], 0
+        part.append(item)
         length += added
-    if chunk:
-        yield chunk
+    if part:
+        yield part
 
 
 def _refusals(answer: HttpResponse, batch: Sequence[Json]) -> Iterator[tuple[str, str]]:
