@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -239,6 +239,9 @@ bench-whole-body: setup $(PEERS_VENV)/.ready  ## the stack of tasks on COMAN and
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
 	@$(BIN)/python -m benchmarks.load $(ARGS)
+
+bench-cells: setup  ## 50 cells on one broker, until something gives way (ARGS="--cells 10 --broker http://orion.example:1026")
+	@$(BIN)/python -m benchmarks.many_cells $(ARGS)
 
 bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a person signs in (ARGS="--addresses 500")
 	@$(BIN)/python -m benchmarks.sign_in $(ARGS)

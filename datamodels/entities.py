@@ -48,6 +48,7 @@ from datamodels.forms import Bare, Form
 from datamodels.states import (
     AlertPriority,
     AlertState,
+    CellState,
     DeviceState,
     Outcome,
     RequestedStatus,
@@ -62,6 +63,8 @@ __all__ = [
     "AlertPriority",
     "AlertState",
     "Asset",
+    "Cell",
+    "CellState",
     "DataModelError",
     "Device",
     "DeviceState",
@@ -390,6 +393,23 @@ class SpeedLimit(Entity):
     max_speed: Property[Number] | None = None
 
 
+class Cell(Entity):
+    """A cell on the broker, as its orchestrator describes it every 30 s: one for each name of a cell.
+
+    `identity` is random and stays with the database of the orchestrator, so that two cells with one name
+    are noticed. The counts of processes that have ended are those of the last hour.
+    """
+
+    identity: Property[str]
+    cell_state: Property[CellState]
+    last_seen: Property[DateTime]
+    running_processes: Property[Whole] | None = None
+    unfinished_tasks: Property[Whole] | None = None
+    incidents: Property[Whole] | None = None
+    completed_last_hour: Property[Whole] | None = None
+    failed_last_hour: Property[Whole] | None = None
+
+
 class HumanState(Entity):
     """How a person is, as sensors on and near the body measure it: one entity a Person.
 
@@ -471,6 +491,7 @@ TYPES: dict[str, type[Entity]] = {
         Person,
         Alert,
         SpeedLimit,
+        Cell,
         HumanState,
         PressureMat,
         PhysiologicalSession,

@@ -1,4 +1,4 @@
-"""The enumerations of states: Task, requested action, outcome, device, Alert and measurement."""
+"""The enumerations of states: Task, requested action, outcome, device, cell, Alert and measurement."""
 
 from enum import StrEnum
 
@@ -41,6 +41,13 @@ class DeviceState(StrEnum):
     OUT_OF_BATTERY = "outOfBattery"
     FOR_MAINTENANCE = "forMaintenance"
     ERROR = "error"
+
+
+class CellState(StrEnum):
+    """The state of a cell: whether its orchestrator runs, or was stopped by a person."""
+
+    RUNNING = "running"
+    STOPPED = "stopped"
 
 
 class Severity(StrEnum):

@@ -48,7 +48,7 @@ from webui.live.event_log import MAX_EVENTS_PER_REQUEST, MAX_SEQ, EventLog
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
-from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
+from webui.live.views import AlertsResult, AlertView, CellSummary, CellView, LiveEvent, OperatorView
 from webui.service_credentials import ServiceCredentials
 from webui.settings import (
     ASSISTIVE_DEVICES,
@@ -63,6 +63,7 @@ from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_abilities import BrokerAbilities
 from webui.sources.broker_entities import BrokerEntities
+from webui.sources.cells import Cells
 from webui.sources.devices import Devices
 from webui.sources.extra_services import ExtraService, extra_services
 from webui.sources.gloves import Gloves
@@ -182,6 +183,7 @@ class Components:
         self.streams = StreamProxy(urls, guard, settings.ca_files)
         self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
         self.other_broker = OtherBroker(self.broker)
+        self.cells = Cells(settings, self.broker)
         self.removal = PersonRemoval(urls, http, self.broker, headers_of)
         on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
@@ -193,6 +195,7 @@ class Components:
         self.entities.require_key()
         async with (
             self.broker,
+            self.cells,
             self.http,
             self.proxy,
             self.events,
@@ -285,6 +288,11 @@ def _add_api(app: FastAPI, components: Components) -> None:
         if after is not None:
             return await components.events.after(after, limit)
         return await components.events.before(before, limit)
+
+    @app.get("/api/webui/cells", tags=["cells"], dependencies=[require(Permission.READ)])
+    async def cells() -> list[CellSummary]:
+        """Return the cells on the broker; 503 while it cannot be read."""
+        return await components.cells.summaries()
 
     @app.post("/api/alerts/{alert}/acknowledge", tags=["alerts"])
     async def acknowledge(caller: Acknowledger, alert: str, body: AcknowledgeRequest) -> AlertView:

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr
 
-from handover.settings import MaybePath, Settings
+from handover.settings import MaybePath, Names, Settings
 
 BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
@@ -29,6 +29,9 @@ class WebuiSettings(Settings):
     webui_url: str | None = Field(
         None,
         description="where the broker reaches the web UI; http://host:port of it if absent",
+    )
+    cell_tenants: Names = Field(
+        (), description="tenants of the broker whose cells the page lists besides those of its own"
     )
     emergency_stop: str | None = Field(
         None,

@@ -1,4 +1,5 @@
-"""The follower: learns of Alerts from the broker, of any component, and takes the steps that are due.
+"""The follower: learns of Alerts from the broker, of any component but those of other
+cells, and takes the steps that are due.
 
 A notification of the subscription is a hint to read all Alerts at once; they are read every few seconds
 besides. Taking a step stores it with its messages in one transaction (`Store.take`). An Alert that is deleted
@@ -16,6 +17,7 @@ import orjson
 from datamodels.entities import Alert, AlertState, DataModelError, Severity
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.cells import OtherCells
 from handover.notifications import NotificationReceiver
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
@@ -38,7 +40,7 @@ Key = tuple[str, int]
 
 
 class Follower:
-    """Follows all Alerts; run `run`, `take_steps` and `keep_retention` as tasks."""
+    """Follows all Alerts but those of other cells; run `run`, `take_steps` and `keep_retention` as tasks."""
 
     def __init__(
         self,
@@ -59,6 +61,7 @@ class Follower:
         self._occurrences: dict[Key, Occurrence] = {}
         self._taken: dict[Key, dict[str, datetime]] = {}
         self._places: dict[str, str] = {}
+        self._cells = OtherCells(settings, broker)
         self._is_subscribed = False
         self._taking = asyncio.Lock()
 
@@ -90,9 +93,12 @@ class Follower:
         try:
             await self._subscriptions.keep(self._subscription())
             self._is_subscribed = True
+            await self._cells.read()
             entities = await self._broker.query(type="Alert")
             found = {}
             for entity in entities:
+                if self._cells.has(entity.get("id")):
+                    continue
                 view = await self._view(entity)
                 if view is not None:
                     found[view.id, int(view.issued.timestamp() * 1e6)] = view

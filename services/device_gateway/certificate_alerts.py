@@ -102,11 +102,8 @@ class CertificateAlerts:
         sub_category = DEVICE_CERTIFICATE_EXPIRES.sub_category
         found = await self._broker.query(type="Alert", q=f'subCategory=="{sub_category}"')
         prefix = device_id(self._settings, "")
-        return {
-            str(alert["alertSource"]["object"]).removeprefix(prefix)
-            for alert in found
-            if "validTo" not in alert
-        }
+        sources = {str(alert["alertSource"]["object"]) for alert in found if "validTo" not in alert}
+        return {source.removeprefix(prefix) for source in sources if source.startswith(prefix)}
 
 
 def _key(name: str) -> str:

@@ -15,6 +15,7 @@ from fastapi import Request
 
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.cells import OtherCells
 from handover.content_digest import is_ours
 from handover.errors import Problem
 from handover.messages import message, text_of
@@ -58,6 +59,7 @@ class DefinitionOffers:
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
         self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s * RECONCILE_FACTOR)
+        self._cells = OtherCells(self._settings, broker)
         self._last: dict[str, str] = {}
         """The content of each entity that was seen last, as the id of its offer."""
         self._retry_at_s: dict[str, float] = {}
@@ -83,14 +85,17 @@ class DefinitionOffers:
         """Read the entities of a notification soon; raise `Problem` if it is refused."""
         for entity in await self._receiver.receive(request):
             type_ = type_of_entity(entity)
-            if type_ is not None and not is_ours(entity):
+            if type_ is not None and not is_ours(entity) and not self._cells.has(entity["id"]):
                 self._to_read.setdefault(type_, set()).add(entity["id"])
         self._has_to_read.set()
 
     async def reconcile(self) -> None:
         """Query all definitions once, and offer those of other systems."""
+        await self._orchestrator.cell.require()
+        await self._cells.read()
         await self._subscriptions.keep(self._subscription())
-        entities = [each for type_ in OFFERED_TYPES for each in await self._broker.query(type=type_)]
+        found = [each for type_ in OFFERED_TYPES for each in await self._broker.query(type=type_)]
+        entities = [each for each in found if not self._cells.has(each.get("id"))]
         await self._receive(entities)
         present = {entity.get("id") for entity in entities}
         for entity_id in open_entities(self._orchestrator.state.offers) - present:

@@ -20,6 +20,7 @@ from handover.alert_catalogue import ENTITY_FILTER_REFUSED
 from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.cells import OtherCells
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import NotificationReceiver
@@ -51,6 +52,7 @@ class EntityEvents:
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
         self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
+        self._cells = OtherCells(self._settings, broker)
         self._subscribed: set[str] | None = None
         """The filters with a subscription; None: unknown, since the broker was not reachable."""
         self._watched: dict[str, Watched] = {}
@@ -82,10 +84,11 @@ class EntityEvents:
 
         Raises `Problem` if the notification is refused, or if the consequences cannot be stored.
         """
-        entities = self._usable(await self._receiver.receive(request))
+        received = await self._receiver.receive(request)
         watched = self._watched.get(key)
         if watched is None:
             return
+        entities = self._usable(watched.on, received)
         if watched.messages:
             self._to_read.setdefault(key, set()).update(entity["id"] for entity in entities)
         async with self._locks[key]:
@@ -95,7 +98,8 @@ class EntityEvents:
             if ids is None:
                 return  # another notification has read them
             try:
-                present = self._usable(await self._receiver.read(watched.on.type, ids, q=watched.on.q))
+                read = await self._receiver.read(watched.on.type, ids, q=watched.on.q)
+                present = self._usable(watched.on, read)
             except BrokerError as error:
                 log.warning("changed entities not read", error=str(error))
                 self._resync.request()
@@ -107,6 +111,8 @@ class EntityEvents:
     async def reconcile(self) -> None:
         """Register missing subscriptions, remove unused ones, and query every filter once."""
         await self._orchestrator.writer.recover()
+        await self._orchestrator.cell.require()
+        await self._cells.read()
         watched = self._watched = self._delivery.watched()
         await self._update_subscriptions(watched)
         if not self._alerts_known:
@@ -177,7 +183,8 @@ class EntityEvents:
         """Query a filter; with `since` evaluate conditions also for the states since then."""
         on = watched.on
         async with self._locks[key]:
-            entities = self._usable(await self._broker.query(type=on.type, id_pattern=on.id_pattern, q=on.q))
+            queried = await self._broker.query(type=on.type, id_pattern=on.id_pattern, q=on.q)
+            entities = self._usable(on, queried)
             present = {entity["id"] for entity in entities}
             if watched.messages and not self._delivery.seen.has_baseline(key):
                 await self._set_baseline(key, entities)
@@ -199,7 +206,8 @@ class EntityEvents:
         if on.q is not None:
             return
         try:
-            found = self._usable(await self._broker.evolution(since, type=on.type, id_pattern=on.id_pattern))
+            evolutions = await self._broker.evolution(since, type=on.type, id_pattern=on.id_pattern)
+            found = self._usable(on, evolutions)
         except BrokerUnavailable:
             raise
         except BrokerError as error:
@@ -251,12 +259,17 @@ class EntityEvents:
         taken: dict[str, str] = await self._orchestrator.on_disk(store.business_keys, sorted(keys))
         return taken
 
-    def _usable(self, entities: Entities) -> list[Mapping[str, Any]]:
-        """Return the entities of others, with an id that can be stored."""
+    def _usable(self, on: EntityFilter, entities: Entities) -> list[Mapping[str, Any]]:
+        """Return the entities that this orchestrator has not written, with an id that can be stored.
+
+        Those of other cells are among them where the filter selects by id.
+        """
         return [
             entity
             for entity in entities
-            if _is_storable(entity.get("id")) and not self._delivery.is_own(entity["id"])
+            if _is_storable(entity.get("id"))
+            and not self._delivery.is_own(entity["id"])
+            and (on.id_pattern is not None or not self._cells.has(entity["id"]))
         ]
 
     async def _store_contact(self, moment: datetime) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.telemetry import get_logger
+from services.task_orchestrator.cell_presence import CellPresence
 from services.task_orchestrator.operations.archiving import Archiving
 from services.task_orchestrator.operations.broker_changes import BrokerChanges
 from services.task_orchestrator.operations.deployments import Deployments
@@ -45,7 +46,8 @@ class Orchestrator:
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
         self._readers = ThreadPoolExecutor(READERS, "orchestrator-reader")
         self.state = WorkingState(settings, self.store, self.on_disk, clock)
-        self.outbox = Outbox(settings, broker, self._on_rejected)
+        self.cell = CellPresence(self.state, broker, self.on_disk)
+        self.outbox = Outbox(settings, broker, self._on_rejected, may_deliver=self.cell.wait)
         self.writer = StepWriter(self.state, self.outbox)
         self.deployments = Deployments(self.state, self.writer)
         self.processes = ProcessControl(self.state, self.writer)
@@ -60,6 +62,7 @@ class Orchestrator:
     async def __aenter__(self) -> Self:
         await self.state.load()
         await self.leases.open()
+        await self.cell.__aenter__()
         await self.writer.__aenter__()
         await self.lost_performers.__aenter__()
         log.info("orchestrator started", processes=len(self.state.active_processes.processes))
@@ -68,6 +71,7 @@ class Orchestrator:
     async def __aexit__(self, *_: object) -> None:
         await self.lost_performers.__aexit__()
         await self.writer.__aexit__()
+        await self.cell.__aexit__()
         self._readers.shutdown()
         await self.on_disk(self.store.close)
         self._disk.shutdown()

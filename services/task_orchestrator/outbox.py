@@ -72,13 +72,22 @@ class Outbox:
     """Delivers messages; an asynchronous context manager.
 
     `on_rejected` is awaited for each message that the broker rejects; it raises `Problem` if that cannot be
-    stored. Leaving the context stops the delivery; messages that were not delivered stay in the database.
+    stored. Before each delivery `may_deliver` is awaited. Leaving the context stops the delivery; messages
+    that were not delivered stay in the database.
     """
 
-    def __init__(self, settings: Settings, broker: BrokerClient, on_rejected: OnRejected) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        broker: BrokerClient,
+        on_rejected: OnRejected,
+        *,
+        may_deliver: Callable[[], Awaitable[None]],
+    ) -> None:
         self._settings = settings
         self._broker = broker
         self._on_rejected = on_rejected
+        self._may_deliver = may_deliver
         self._streams: dict[str, deque[Message]] = {}
         self._ready: dict[str, None] = {}
         """Streams whose next message is in no round and in no delivery of its own."""
@@ -148,6 +157,7 @@ class Outbox:
     async def _deliver_rounds(self) -> None:
         while True:
             await self._has_ready.wait()
+            await self._may_deliver()
             streams = list(islice(self._ready, MAX_BATCH))
             for stream in streams:
                 del self._ready[stream]
@@ -248,6 +258,7 @@ class Outbox:
         backoff = Backoff(INITIAL_RETRY_S, MAX_DELAY_S)
         faults = 0
         while True:
+            await self._may_deliver()
             try:
                 await self._write(message)
             except BrokerUnavailable as error:

@@ -14,6 +14,7 @@ from fastapi import Request
 
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.cells import OtherCells
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.own_subscriptions import OwnSubscriptions
@@ -48,6 +49,7 @@ class Reconciler:
         self._subscriptions = OwnSubscriptions("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
+        self._cells = OtherCells(self._settings, broker)
         self._registered = self._was_unavailable = False
         self._definitions_missing = asyncio.Event()
         self._unfinished = UnfinishedCount(broker, "Task", MAX_UNCOMPARED_S)
@@ -68,11 +70,13 @@ class Reconciler:
     async def probe(self) -> None:
         """Raise `Problem` 503 while the subscription to Tasks is missing."""
         if not self._registered:
+            await self._orchestrator.cell.require()
             raise Problem(503, "Not subscribed", "the broker has not accepted the subscription yet")
 
     async def reconcile(self) -> None:
         """Query the broker once for the open Tasks and apply their state."""
         await self._orchestrator.writer.recover()
+        await self._orchestrator.cell.require()
         await self._subscriptions.keep(self._subscription())
         await self._subscriptions.keep(self._agents_subscription())
         if not self._registered:
@@ -181,8 +185,10 @@ class Reconciler:
         self._agents_resync.request()
 
     async def read_agents(self) -> None:
-        """Read the Devices and Persons of the broker, who perform Tasks."""
-        entities = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
+        """Read the Devices and Persons of the broker, who perform Tasks, without those of other cells."""
+        await self._cells.read()
+        found = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
+        entities = [entity for entity in found if not self._cells.has(entity.get("id"))]
         state = self._orchestrator.state
         needs_acceptance = self._settings.resources_need_acceptance
         effective = state.offers.effective(entities, needs_acceptance=needs_acceptance)

@@ -395,6 +395,21 @@ class CellView(TypedDict):
     emergencyStop: NotRequired[str]
 
 
+class CellSummary(TypedDict):
+    """A cell on the broker, of `GET /api/webui/cells`; a silent one has not said that it stops."""
+
+    name: str
+    tenant: str
+    state: Literal["running", "stopped", "silent"]
+    lastSeen: str
+    runningProcesses: int
+    unfinishedTasks: int
+    incidents: int
+    completedLastHour: int
+    failedLastHour: int
+    alerts: int
+
+
 class PeopleView(TypedDict):
     """Topic `people`: a revision of the list of people, for subscribed pages."""
 
@@ -462,7 +477,7 @@ VIEWS = (
     ServiceHealth, GloveView, RobotView, JointState, TasklistView, AlertView,
     DeviceView, RegisteredDeviceView, RegisteredDevicesView, OperatorView, CellView, PeopleView, CommentsView,
     LiveEvent, Batch, SubscribeMessage,
-    ProblemDetails, AlertsResult,
+    ProblemDetails, AlertsResult, CellSummary,
 )  # fmt: skip
 """The types for which TypeScript is generated, with all types that they contain."""
 

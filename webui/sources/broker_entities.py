@@ -1,7 +1,8 @@
 """Broker entities: keeps handlers up to date with the Tasks, Processes, Alerts and Devices in the broker.
 
-Changes arrive through a subscription. Since notifications may be late, repeated or lost, the broker is also
-queried at start, after a broken connection, and every few seconds. This needs standard NGSI-LD only.
+Those of other cells are left out. Changes arrive through a subscription. Since notifications may be late,
+repeated or lost, the broker is also queried at start, after a broken connection, and every few seconds. This
+needs standard NGSI-LD only.
 """
 
 import asyncio
@@ -14,6 +15,7 @@ from typing import Any, Final
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.cells import OtherCells
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
@@ -66,6 +68,7 @@ class BrokerEntities(Source):
         self._services = services
         self._receiver = NotificationReceiver("webui", settings, broker)
         self._subscriptions = OwnSubscriptions("webui", settings, broker)
+        self._cells = OtherCells(settings, broker)
         self._is_subscribed = self._is_unreachable = False
         self._renew_s = 0.0
         self._subscription: dict[str, Any] = {}
@@ -123,6 +126,7 @@ class BrokerEntities(Source):
             self._services.check_now()
         else:
             await self._subscriptions.keep(self._subscription)
+        await self._cells.read()
         for handler in self._handlers.values():
             try:
                 await self._query(handler)
@@ -133,6 +137,8 @@ class BrokerEntities(Source):
 
     async def _query(self, handler: EntityHandler) -> None:
         self._notified.clear()
+        for one in [each for each in handler.active_ids() if self._cells.has(each)]:
+            handler.remove(one)
         before = set(handler.active_ids())
         found = await self._broker.query(type=handler.ngsi_type, q=handler.active_q)
         await self._update_all(found)
@@ -155,7 +161,7 @@ class BrokerEntities(Source):
 
     def _update(self, entity: Mapping[str, Any]) -> None:
         handler = self._handlers.get(_type_of(entity))
-        if handler is None:
+        if handler is None or self._cells.has(entity.get("id")):
             return
         try:
             handler.update(entity)

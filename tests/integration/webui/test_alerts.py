@@ -43,6 +43,39 @@ def topic_of(number: int) -> str:
     return f"alert/{foreign(number)['id']}"
 
 
+def other_cell(name: str, **values: Any) -> dict[str, Any]:
+    """A Cell as the orchestrator of another cell writes it."""
+    seen = {"@type": "DateTime", "@value": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"}
+    given = {"identity": "of-another", "cellState": "running", "lastSeen": seen, **values}
+    attributes = {key: {"type": "Property", "value": value} for key, value in given.items()}
+    return {"id": f"urn:ngsi-ld:Cell:{name}:{name}", "type": "Cell", **attributes}
+
+
+async def test_alerts_of_another_cell_are_counted_and_not_shown(
+    cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "webui")
+    settings = Settings.load(broker_url=cell.url("context_broker"))
+    viewer = look()
+    async with BrokerClient(settings) as broker:
+        theirs = {**foreign(1), "id": "urn:ngsi-ld:Alert:north:1"}
+        await broker.upsert([theirs, {**theirs, "id": "urn:ngsi-ld:Alert:north:2"}])
+        viewer.read_until(lambda: "alert/urn:ngsi-ld:Alert:north:1" in viewer.topics)
+        long_ago = {"@type": "DateTime", "@value": "2026-01-01T00:00:00Z"}
+        await broker.upsert(
+            [other_cell("north", completedLastHour=7), other_cell("south", lastSeen=long_ago)]
+        )
+        viewer.read_until(lambda: "alert/urn:ngsi-ld:Alert:north:1" not in viewer.topics)
+        await broker.upsert([{**theirs, "id": "urn:ngsi-ld:Alert:north:3"}, foreign(2)])
+        viewer.read_until(lambda: topic_of(2) in viewer.topics)
+        assert not [topic for topic in viewer.topics if ":Alert:north:" in topic]
+        listed = {each["name"]: each for each in browser.get("/api/webui/cells").json()}
+        found = {name: (listed[name]["state"], listed[name]["alerts"]) for name in ("north", "south")}
+        assert found == {"north": ("running", 3), "south": ("silent", 0)}
+        assert listed["north"]["completedLastHour"] == 7
+        await broker.delete_batch([f"urn:ngsi-ld:Cell:{name}:{name}" for name in ("north", "south")])
+
+
 async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:

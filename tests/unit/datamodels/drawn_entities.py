@@ -4,7 +4,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from datamodels import TYPES, DeviceState, MeasurementStatus, RequestedStatus, Severity, TaskStatus
+from datamodels import TYPES, CellState, DeviceState, MeasurementStatus, RequestedStatus, Severity, TaskStatus
 
 words = st.text(st.characters(codec="utf-8"), max_size=12)
 names = st.sampled_from(["mass", "colour", "hand", "value2", "x_y", "temperature"])
@@ -108,7 +108,8 @@ def measurements_of(draw: st.DrawFn, said: st.SearchStrategy[Any]) -> Any:
 
 links = st.lists(attributes("Relationship", uris), max_size=3)
 one_of = {
-    state: st.sampled_from([str(word) for word in state]) for state in (TaskStatus, DeviceState, Severity)
+    state: st.sampled_from([str(word) for word in state])
+    for state in (TaskStatus, DeviceState, CellState, Severity)
 }
 requested = st.sampled_from([str(word) for word in RequestedStatus])
 lists_of_words = st.lists(words, max_size=3)
@@ -132,6 +133,11 @@ REQUIRED: dict[str, dict[str, Any]] = {
         "fraction": property_of(st.floats(0, 1)),
         "reason": text,
         "validUntil": property_of(date_times),
+    },
+    "Cell": {
+        "identity": text,
+        "cellState": property_of(one_of[CellState]),
+        "lastSeen": property_of(date_times),
     },
     "HumanState": {"refPerson": relationship},
     "PressureMat": {"refDevice": relationship},
@@ -188,6 +194,7 @@ OPTIONAL: dict[str, dict[str, Any]] = {
         "humanVerified": property_of(st.booleans()),
     },
     "SpeedLimit": {"refPerson": relationship, "maxSpeed": property_of(numbers)},
+    "Cell": {"runningProcesses": property_of(st.integers(0, 99)), "incidents": property_of(st.just(0))},
     "HumanState": {
         "heartRate": measurements_of(numbers),
         "breathingRate": measurements_of(numbers),

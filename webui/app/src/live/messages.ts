@@ -415,6 +415,20 @@ export interface AlertsResult {
   failed: AlertProblem[];
 }
 
+/** A cell on the broker, of `GET /api/webui/cells`; a silent one has not said that it stops. */
+export interface CellSummary {
+  name: string;
+  tenant: string;
+  state: "running" | "stopped" | "silent";
+  lastSeen: string;
+  runningProcesses: number;
+  unfinishedTasks: number;
+  incidents: number;
+  completedLastHour: number;
+  failedLastHour: number;
+  alerts: number;
+}
+
 /** The type of each topic. */
 export interface TopicValues {
   [process: `process/${string}`]: ProcessView;
