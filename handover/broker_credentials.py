@@ -45,7 +45,7 @@ class BrokerCredentials:
         self._tokens: _Tokens | None = None
         if settings.broker_token_file is not None:
             self._tokens = _FileTokens(settings.broker_token_file)
-        elif settings.broker_oauth_url is not None:
+        elif settings.broker_oauth_url:
             self._tokens = _OAuthTokens(settings)
         url = urlsplit(settings.broker_url)
         if url.scheme == "http" and not is_loopback(url.hostname or ""):

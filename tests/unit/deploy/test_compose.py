@@ -13,13 +13,14 @@ import yaml
 from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
+from handover.broker_credentials import credentials_of
 from handover.cli.glove import bridge_arguments
 from handover.cli.secrets import SECRETS, wait_for_secrets
 from handover.cli.secure import Plan
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
 from handover.security.glove_token import GLOVE_TOKEN_FILE
-from handover.settings import origins
+from handover.settings import Settings, origins
 from services.context_broker.settings import BrokerSettings
 from webui.settings import WebuiSettings
 
@@ -286,6 +287,35 @@ def test_the_addresses_by_which_services_find_each_other_lead_to_containers() ->
         url = OURS[service.name]["environment"][service.port_setting.replace("_PORT", "_URL")]
         assert url == f"https://{service.name}:{service.settings.model_fields[service.port_field].default}"
     assert ENV["CELL_BROKER_URL"] == "https://context-broker:1026"
+
+
+@pytest.mark.parametrize(
+    ("given", "is_wanted"),
+    [
+        ({}, False),
+        ({"CELL_BROKER_HEADERS": '{"X-Auth-Token": "secret"}'}, True),
+        (
+            {
+                "CELL_BROKER_OAUTH_URL": "https://keyrock.example/oauth2/token",
+                "CELL_BROKER_OAUTH_CLIENT": "cell",
+                "CELL_BROKER_OAUTH_SECRET": "secret",
+            },
+            True,
+        ),
+    ],
+)
+@pytest.mark.parametrize(
+    "name", [name for name in OURS if "HANDOVER_BROKER_URL" in OURS[name]["environment"]]
+)
+def test_each_service_gets_the_credentials_of_another_broker(
+    name: str, given: dict[str, str], is_wanted: bool
+) -> None:
+    values = {
+        key.removeprefix("HANDOVER_").lower(): VARIABLE.sub(lambda met: (ENV | given)[met[1]], text)
+        for key, text in OURS[name]["environment"].items()
+        if key.startswith("HANDOVER_BROKER_") and "DATABASE" not in key
+    }
+    assert (credentials_of(Settings.load(**values)) is not None) is is_wanted
 
 
 @pytest.mark.parametrize("more", ["", "192.168.7.0/24,scada.example"])
