@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+MAX_COMMAND_ID = 2**31 - 1
+"""More is neither kept by every broker nor by the table of specifications."""
 FIELDS = ("name", "description", "gesture", "commandId")
 """The fields in the words of files and of entities."""
 
@@ -31,6 +33,8 @@ class Specification:
             command = int(command)
         if isinstance(command, bool) or not (command is None or isinstance(command, int)):
             raise ValueError(f"the commandId of a specification is a whole number such as 3, not {command!r}")
+        if command is not None and not 0 <= command <= MAX_COMMAND_ID:
+            raise ValueError(f"the commandId {command} is not within 0 to {MAX_COMMAND_ID}")
         if not any(value is not None for value in (*texts.values(), command)):
             raise ValueError("a specification has a description, and a gesture or a commandId")
         return cls(texts["name"], texts["description"], texts["gesture"], command)

@@ -9,6 +9,7 @@ from datamodels.times import iso
 from handover.content_digest import with_digest
 from handover.messages import message, with_code
 from handover.settings import Settings
+from handover.specification import MAX_COMMAND_ID
 from handover.task_life import is_for_people, type_of
 from services.task_orchestrator.allocation.hints import due_of, follow_up_of, given_priority
 from services.task_orchestrator.model import Activity, Definition
@@ -67,7 +68,7 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
         entity["description"] = _property(activity.description)
     for name in ("gesture", "commandId"):
         given = activity.parameters.get(name)
-        if given is not None and given.expression is None:
+        if given is not None and given.expression is None and not _is_too_large(given.literal):
             entity[name] = _property(given.literal)
     if activity.skills:
         entity["requiredSkills"] = _property(list(activity.skills))
@@ -79,6 +80,11 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
     if form is not None and isinstance(form.literal, Mapping) and "properties" in form.literal:
         entity["outputParametersSchema"] = _property(form.literal)
     return entity
+
+
+def _is_too_large(literal: Any) -> bool:
+    """Return whether some brokers would change a number; the parameters of the Task have it in any case."""
+    return isinstance(literal, int) and abs(literal) > MAX_COMMAND_ID
 
 
 def process_entity(
