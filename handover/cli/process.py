@@ -272,11 +272,13 @@ def _pause(what: str, by: str, process: str | None, definition: str | None, why:
 def message(
     name: Annotated[str, typer.Argument(help="The name of the BPMN message.")],
     key: Annotated[str | None, typer.Option("--key", help="The correlation key or business key.")] = None,
+    process: Annotated[str | None, typer.Option("--process", help="The only process that gets it.")] = None,
     variables: Variables = None,
 ) -> None:
     """Send a message to the process that waits for it, or that it starts."""
     given = dict(parse_parameter(each) for each in variables or [])
-    answer = _ask("POST", "/messages", json={"name": name, "key": key, "variables": given})
+    body = {"name": name, "key": key, "process": process, "variables": given}
+    answer = _ask("POST", "/messages", json=body)
     print(f"{answer['outcome']}{': ' + answer['process'] if answer['process'] else ''}")
 
 

@@ -85,22 +85,21 @@ class EventDelivery:
         *,
         sender: str | None = None,
         ttl: timedelta | None = None,
+        process: str | None = None,
     ) -> MessageRecord:
-        """Return a new message."""
+        """Return a new message; with `process` no other process gets it, and it starts none."""
         expires_at = now + (self._ttl if ttl is None else ttl)
-        return MessageRecord(secrets.token_hex(8), name, key, dict(variables), sender, now, expires_at)
+        return MessageRecord(
+            secrets.token_hex(8), name, key, dict(variables), sender, now, expires_at, process
+        )
 
-    def publish(
-        self, step: Step, record: MessageRecord, now: datetime, *, process: str | None = None
-    ) -> tuple[MessageOutcome, str | None]:
+    def publish(self, step: Step, record: MessageRecord, now: datetime) -> tuple[MessageOutcome, str | None]:
         """Bring a message of a client to its receiver; return what became of it, and the process.
 
         Raises `Problem` 409 if several processes wait for it.
         """
         self.update_index(step)
         found = self._receivers(record)
-        if process is not None:
-            found = [each for each in found if each.process.record.id == process]
         if len({each.process.record.id for each in found}) > 1:
             raise Problem(
                 409,
@@ -189,6 +188,8 @@ class EventDelivery:
 
     def _receivers(self, record: MessageRecord) -> list[Receiver]:
         waiting = self._waiting(WaitType.MESSAGE, record.name)
+        if record.process is not None:
+            waiting = [each for each in waiting if each.record.id == record.process]
         found = receivers(
             waiting,
             WaitType.MESSAGE,
@@ -212,7 +213,8 @@ class EventDelivery:
             process = found[0].process
             process.deliver(found[0].subscription.wait, record.variables, step, now)
             return MessageOutcome.DELIVERED, process.record.id
-        for start in self._starts.get((WaitType.MESSAGE, record.name), {}).values():
+        starts = self._starts.get((WaitType.MESSAGE, record.name), {}) if record.process is None else {}
+        for start in starts.values():
             started = self._start(step, start, record.variables, partner=record.sender)
             return MessageOutcome.STARTED, started
         if record.expires_at <= now:

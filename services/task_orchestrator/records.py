@@ -417,6 +417,8 @@ class MessageRecord:
     """The process that has sent it."""
     sent_at: datetime
     expires_at: datetime
+    process: str | None = None
+    """The only process that may get it; None: any that waits for it, or that it starts."""
 
 
 class TimerKind(StrEnum):

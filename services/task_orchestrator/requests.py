@@ -208,7 +208,9 @@ class MessageRequest(BaseModel):
     key: str | int | float | bool | None = Field(
         None, description="the correlation key, or the business key of the process"
     )
-    process: str | None = Field(None, description="the id of the process that gets it")
+    process: str | None = Field(
+        None, description="the id of the only process that gets it, now or once it waits for it"
+    )
     variables: dict[str, Any] = Field(default_factory=dict, description="variables that it brings")
     ttl: str | None = Field(
         None, description="how long it is kept while no process waits for it, such as PT10M; PT0S: not at all"

@@ -196,16 +196,24 @@ class ProcessControl:
     ) -> tuple[MessageOutcome, str | None]:
         """Bring a message to the process that waits for it, or start one; otherwise keep it for `ttl`.
 
-        Returns what became of it, and the process. Raises `Problem` 409 if several processes wait for it.
+        With `process` no other process gets it, and it starts none. Returns what became of it, and the
+        process. Raises `Problem` 409 if several processes wait for it or `process` has ended, 404 if there is
+        no such process.
         """
         events = self._state.events
 
         def act(step: Step) -> tuple[MessageOutcome, str | None]:
             now = self._state.clock()
-            record = events.record(name, key, variables, now, ttl=ttl)
-            return events.publish(step, record, now, process=process)
+            record = events.record(name, key, variables, now, ttl=ttl, process=process)
+            return events.publish(step, record, now)
 
-        return await self._writer.apply(act)
+        def act_for(addressee: Process, step: Step) -> tuple[MessageOutcome, str | None]:
+            addressee.require_running()
+            return act(step)
+
+        if process is None:
+            return await self._writer.apply(act)
+        return await self._writer.apply_to(process, act_for)
 
     async def broadcast(self, name: str, variables: Mapping[str, Any]) -> list[str]:
         """Bring a signal to everyone who waits for it; return the processes that got it or were started."""

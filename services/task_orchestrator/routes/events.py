@@ -39,7 +39,11 @@ def add_events(app: FastAPI, at: Components) -> None:
     )
     @max_body(MAX_PARAMETERS_BYTES)
     async def publish(body: MessageRequest, connection: Request) -> Response:
-        """Send a message: to the process that waits for it, else a start event, else it is kept."""
+        """Send a message: to the process that waits for it, else a start event, else it is kept.
+
+        With `process` only that process gets it, now or when it waits for it: 404 without such a process,
+        409 if it has ended.
+        """
         resource = ANY_RESOURCE if body.process is None else await process_resource(at, body.process)
         at.guard.require(await authenticated(connection), Permission.RUN_PROCESSES, resource)
         check_variables(body.variables)

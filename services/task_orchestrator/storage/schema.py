@@ -18,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _meta = MetaData()
 definitions = Table(
@@ -202,6 +202,7 @@ messages = Table(
     Column("sender", String(100)),
     Column("sent_at", String(40), nullable=False),
     Column("expires_at", String(40), nullable=False),
+    Column("process", String(100)),
 )
 start_timers = Table(
     "orchestrator_start_timers",
@@ -260,7 +261,11 @@ def migrate(engine: Engine) -> None:
     Raises `UsageError` if they are of a later release, or of a format that was never released.
     """
     migrations.migrate(
-        engine, _meta, component="orchestrator", version=SCHEMA_VERSION, steps={1: _add_verified}
+        engine,
+        _meta,
+        component="orchestrator",
+        version=SCHEMA_VERSION,
+        steps={1: _add_verified, 2: _add_addressee},
     )
 
 
@@ -268,3 +273,8 @@ def _add_verified(connection: Connection) -> None:
     """Add whether names are verified; it is null, which is unverified, for what was stored before."""
     for table in (task_acts, mappings):
         connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN verified BOOLEAN")
+
+
+def _add_addressee(connection: Connection) -> None:
+    """Add the process for which a stored message is; it is null, which is any, for what was stored before."""
+    connection.exec_driver_sql(f"ALTER TABLE {messages.name} ADD COLUMN process VARCHAR(100)")

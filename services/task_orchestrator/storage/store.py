@@ -359,6 +359,7 @@ class Store:
                 row["sender"],
                 to_time(row["sent_at"]),
                 to_time(row["expires_at"]),
+                row["process"],
             )
             for row in self._rows(select(schema.messages).order_by(schema.messages.c.sent_at))
         ]

@@ -534,9 +534,12 @@ def test_a_message_needs_the_right_key_and_one_receiver(deployed: Cell) -> None:
     rest = running.api.post("/messages", json={"name": "go-keyed", "process": first}).json()
     assert rest["outcome"] == "delivered"
     assert running.ended(first)["status"] == running.ended(second)["status"] == "completed"
+    ended = running.api.post("/messages", json={"name": "go-keyed", "process": first})
+    unknown = running.api.post("/messages", json={"name": "go-keyed", "process": "keyed-none"})
+    assert [ended.status_code, unknown.status_code] == [409, 404]
 
 
-def test_a_stored_message_survives_a_kill_and_is_delivered_to_who_waits_later(deployed: Cell) -> None:
+def test_a_stored_message_survives_a_kill_and_reaches_only_the_process_it_names(deployed: Cell) -> None:
     running = deployed
     wait = catch("wait", refer("message", "go"))
     xml = drawing(FRAME + wait + chain("wait"), beside=GO.format(name="stored"), name="stored")
@@ -545,7 +548,24 @@ def test_a_stored_message_survives_a_kill_and_is_delivered_to_who_waits_later(de
     ).raise_for_status()
     sent = running.api.post("/messages", json={"name": "go-stored", "variables": {"n": 5}}).json()
     assert sent == {"outcome": "stored", "process": None}
+    names = '<bpmn:message id="go" name="go-early"/><bpmn:message id="late" name="go-late"/>'
+    waits = catch("early", refer("message", "go")) + catch("wait", refer("message", "late"))
+    both = drawing(FRAME + waits + chain("early", "wait"), beside=names, name="addressed")
+    starter = event("startEvent", "start", refer("message", "late")) + end() + flow("start", "end")
+    for file in (both, drawing(starter, beside=names, name="started-by-late")):
+        running.api.post(
+            "/definitions", content=file, headers={"Content-Type": "application/xml"}
+        ).raise_for_status()
+    addressee, other = running.start("addressed"), running.start("addressed")
+    early = {"name": "go-early", "process": other}
+    assert running.api.post("/messages", json=early).json() == {"outcome": "delivered", "process": other}
+    late = {"name": "go-late", "process": addressee, "variables": {"n": 7}}
+    assert running.api.post("/messages", json=late).json() == {"outcome": "stored", "process": None}
     running.orchestrator.kill()
     running.orchestrator.start()
     process = running.start("stored")
     assert running.ended(process)["variables"] == {"n": 5}
+    assert running.api.post("/messages", json={**early, "process": addressee}).status_code == 200
+    assert running.ended(addressee)["variables"] == {"n": 7}
+    assert running.look(other)["waiting"] == ["wait"]
+    assert not running.api.get("/processes", params={"definition": "started-by-late"}).json()

@@ -38,6 +38,24 @@ def test_a_new_database_has_the_version_and_a_second_start_changes_nothing(tmp_p
     engine.dispose()
 
 
+def test_a_database_of_an_earlier_version_is_migrated(tmp_path: Path) -> None:
+    engine = connect(f"sqlite:///{tmp_path / 'orchestrator.db'}")
+    schema.migrate(engine)
+    created = tables(engine)
+    with engine.begin() as connection:
+        connection.execute(text("UPDATE orchestrator_version SET version = 2"))
+        connection.execute(text("ALTER TABLE orchestrator_messages DROP COLUMN process"))
+        connection.execute(
+            text("INSERT INTO orchestrator_messages VALUES ('m', 'go', 'null', '{}', NULL, :at, :at)"),
+            {"at": "2026-05-04T08:00:00+00:00"},
+        )
+    schema.migrate(engine)
+    assert tables(engine) == created
+    (stored,) = Store(engine).stored_messages()
+    assert (stored.id, stored.process) == ("m", None)
+    engine.dispose()
+
+
 def test_postgresql_has_the_same_tables(new_database: Callable[[], str], tmp_path: Path) -> None:
     sqlite = connect(f"sqlite:///{tmp_path / 'orchestrator.db'}")
     postgresql = connect(new_database())
@@ -58,7 +76,7 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_not_changed(tm
         connection.execute(text("UPDATE orchestrator_version SET version = 99"))
         connection.execute(text("DROP TABLE orchestrator_start_timers"))
     before = tables(engine)
-    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 2; install [^\n]*$"):
+    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 3; install [^\n]*$"):
         schema.migrate(engine)
     assert tables(engine) == before
     engine.dispose()
