@@ -5,6 +5,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, TypeAlias
 
 from handover.errors import HandoverError
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
 
 Json: TypeAlias = Any
 Variables: TypeAlias = Mapping[str, Json]
@@ -57,6 +60,24 @@ class Expression(Protocol):
         ...
 
 
+def evaluation_error(expression: str, error: Exception) -> ExpressionError:
+    """Return what the evaluation of `expression` fails with; whatever Python raises is an `ExpressionError`.
+
+    An unexpected exception is a defect of a function or operator, and is logged as one. It fails the
+    expression only: the process has an incident, and everything else about it continues to work.
+    """
+    if isinstance(error, ExpressionError):
+        reason = str(error)
+    elif isinstance(error, RecursionError):
+        reason = "a value is nested too deeply"
+    elif isinstance(error, OverflowError):
+        reason = "a number grew too large"
+    else:
+        log.error("expression failed unexpectedly", expression=expression, exc_info=error)
+        reason = f"it cannot be evaluated with these values ({type(error).__name__}: {error})"
+    return ExpressionError(f"{expression}: {reason}")
+
+
 def within_limits(value: Json) -> Json:
     """Return `value` if it is JSON within the limits; raise `ExpressionError` if not."""
     left = MAX_ITEMS
@@ -67,8 +88,10 @@ def within_limits(value: Json) -> Json:
             raise ExpressionError(f"a value is nested at most {MAX_DEPTH} deep")
         if isinstance(item, str):
             left -= len(item) // 64
-            _check_text(item)
+            check_text(item)
         elif isinstance(item, dict):
+            for key in item:
+                check_text(key)
             heap.extend((part, depth + 1) for part in item.values())
         elif isinstance(item, list):
             heap.extend((part, depth + 1) for part in item)
@@ -84,7 +107,8 @@ def within_limits(value: Json) -> Json:
     return value
 
 
-def _check_text(text: str) -> None:
+def check_text(text: str) -> None:
+    """Raise `ExpressionError` if `text` cannot be encoded, as half of a surrogate pair cannot."""
     try:
         text.encode()
     except UnicodeEncodeError:

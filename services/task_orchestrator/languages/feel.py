@@ -10,6 +10,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import date, datetime
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -18,6 +19,7 @@ from services.task_orchestrator.languages.base import (
     ExpressionError,
     Json,
     Variables,
+    evaluation_error,
     within_limits,
 )
 from services.task_orchestrator.languages.feel_functions import FUNCTIONS, Function
@@ -141,12 +143,8 @@ class FeelExpression:
             if value is None or value is True or value is False:
                 return value
             return within_limits(to_json(value, budget))
-        except ExpressionError as error:
-            raise ExpressionError(f"{excerpt(self.text)}: {error}") from None
-        except RecursionError:
-            raise ExpressionError(f"{excerpt(self.text)}: a value is nested too deeply") from None
-        except OverflowError:
-            raise ExpressionError(f"{excerpt(self.text)}: a number grew too large") from None
+        except Exception as error:  # noqa: BLE001 - every failure is one of the expression
+            raise evaluation_error(excerpt(self.text), error) from None
 
     def names(self) -> frozenset[str]:
         """Return the names that the expression reads; within a filter, they may be entries of its items."""
@@ -159,13 +157,11 @@ def read_feel(text: str) -> FeelExpression:
     stripped = text.strip()
     try:
         parser = _Parser(stripped, 1 if stripped.startswith("=") else 0)
-        node = parser.expression()
-        if parser.tokens.kind != "end":
-            raise parser.tokens.error(f"expected an operator or the end instead of {parser.tokens.found()}")
-    except ExpressionError as error:
-        raise ExpressionError(f"{excerpt(stripped)}: {error}") from None
+        node = parser.whole()
     except RecursionError:
         raise ExpressionError(f"{excerpt(stripped)}: an expression is nested too deeply") from None
+    except Exception as error:  # noqa: BLE001 - every failure is one of the expression
+        raise evaluation_error(excerpt(stripped), error) from None
     return FeelExpression(stripped, node, frozenset(parser.names))
 
 
@@ -177,7 +173,16 @@ class _Parser:
         self.names: set[str] = set()
         self._local: list[str] = []
         self._is_bound = False
+        self._partials = 0
+        """How often `partial` was read so far."""
         self.tokens.advance()
+
+    def whole(self) -> Node:
+        """Read the whole text as an expression."""
+        node = self.expression()
+        if self.tokens.kind != "end":
+            raise self.tokens.error(f"expected an operator or the end instead of {self.tokens.found()}")
+        return node
 
     def expression(self) -> Node:
         """Read an expression up to a token that cannot continue it."""
@@ -204,7 +209,7 @@ class _Parser:
         return lambda scope: yes(scope) if condition(scope) is True else no(scope)
 
     def _iterators(self) -> list[tuple[str, Node]]:
-        """Read `a in list, b in 1..3`; the names stay local until `_forget`."""
+        """Read `a in list, b in 1..3`; the names stay local until the end of the body."""
         iterators: list[tuple[str, Node]] = []
         while True:
             name = self._name()
@@ -217,37 +222,52 @@ class _Parser:
             if not self.tokens.accept(","):
                 return iterators
 
-    def _body(self, iterators: list[tuple[str, Node]]) -> tuple[Node, int]:
-        """Read the body of a loop; return it with the steps that an evaluation of it takes."""
+    def _body(self, count: int) -> tuple[Node, int]:
+        """Read the body of a loop with `count` names; return it with the steps that an evaluation takes."""
         before = self.tokens.count
         body = self.expression()
-        del self._local[-len(iterators) :]
+        del self._local[-count:]
         return body, _weigh(self.tokens.count - before)
 
     def _for(self) -> Node:
         iterators = self._iterators()
         self.tokens.expect("return")
-        body, weight = self._body(iterators)
+        self._local.append("partial")
+        partials = self._partials
+        body, weight = self._body(len(iterators) + 1)
+        reads_partial = self._partials > partials
 
         def collect(scope: Scope) -> FeelValue:
-            return [body(inner) for inner in _iterate(tuple(iterators), scope, weight)]
+            results: list[FeelValue] = []
+            try:
+                for inner in _iterate(tuple(iterators), scope, weight):
+                    if reads_partial:
+                        scope.budget.spend(len(results))
+                        inner.names = {"partial": [*results], **inner.names}
+                    results.append(body(inner))
+            except _NoItems:
+                return None
+            return results
 
         return collect
 
     def _quantified(self, word: str) -> Node:
         iterators = self._iterators()
         self.tokens.expect("satisfies")
-        body, weight = self._body(iterators)
+        body, weight = self._body(len(iterators))
         decisive = word == "some"
 
         def decide(scope: Scope) -> FeelValue:
             result: bool | None = not decisive
-            for inner in _iterate(tuple(iterators), scope, weight):
-                value = body(inner)
-                if value is decisive:
-                    return decisive
-                if not isinstance(value, bool):
-                    result = None
+            try:
+                for inner in _iterate(tuple(iterators), scope, weight):
+                    value = body(inner)
+                    if value is decisive:
+                        return decisive
+                    if not isinstance(value, bool):
+                        result = None
+            except _NoItems:
+                return None
             return result
 
         return decide
@@ -423,7 +443,7 @@ class _Parser:
         return int(text) if text.isdecimal() else number(value)
 
     def _string(self) -> str:
-        text = unquote(self.tokens.text)
+        text = unquote(self.tokens.text, keeps_unknown=True)
         self.tokens.advance()
         return text
 
@@ -460,6 +480,7 @@ class _Parser:
             )
         if name not in self._local:
             self.names.add(name)
+        self._partials += name == "partial"
         return _variable(name)
 
     def _call(self, name: str, start: int) -> Node:
@@ -667,14 +688,32 @@ def _any_test(tests: tuple[Test, ...], value: FeelValue, scope: Scope) -> bool |
     return result
 
 
+class _NoItems(Exception):
+    """A loop runs over null."""
+
+
+def _is_date(value: FeelValue) -> bool:
+    return isinstance(value, date) and not isinstance(value, datetime)
+
+
 def _items(value: FeelValue, budget: Budget) -> Iterator[FeelValue]:
-    """Yield what a loop visits: the items of a list, the integers of a range, or the value itself."""
+    """Yield what a loop visits: the items of a list, the integers or dates of a range, or the value itself.
+
+    Raises `ExpressionError` for another range, which has no items.
+    """
     if isinstance(value, list):
         yield from value
     elif isinstance(value, Range):
         start, end = value.start, value.end
-        if not (type(start) is int and type(end) is int):
+        if _is_date(start) and _is_date(end):
+            ordinals = Range(start.toordinal(), end.toordinal(), value.has_start, value.has_end)
+            yield from (date.fromordinal(ordinal) for ordinal in _items(ordinals, budget))
             return
+        if not (type(start) is int and type(end) is int):
+            raise ExpressionError(
+                "a loop or filter runs over a list, or over a range of whole numbers or of dates, not over "
+                f"a range from {_described(start, budget)} to {_described(end, budget)}"
+            )
         step = 1 if start <= end else -1
         first = start if value.has_start else start + step
         for current in range(first, end + step if value.has_end else end, step):
@@ -687,7 +726,10 @@ def _items(value: FeelValue, budget: Budget) -> Iterator[FeelValue]:
 def _iterate(iterators: tuple[tuple[str, Node], ...], scope: Scope, weight: int) -> Iterator[Scope]:
     """Yield a scope for each combination of the items, the last iterator fastest."""
     (name, items), *rest = iterators
-    for item in _items(items(scope), scope.budget):
+    visited = items(scope)
+    if visited is None:
+        raise _NoItems
+    for item in _items(visited, scope.budget):
         scope.budget.spend(weight)
         inner = scope.inner({name: item})
         if rest:
@@ -717,4 +759,9 @@ def _select(value: FeelValue, condition: Node, weight: int, scope: Scope) -> Fee
 
 
 def _item_scope(item: FeelValue, scope: Scope) -> Scope:
-    return scope.inner({**item, "item": item} if isinstance(item, dict) else {"item": item})
+    """Return the scope of a filter for an item; an entry named `item` comes before the item itself."""
+    return scope.inner({"item": item, **item} if isinstance(item, dict) else {"item": item})
+
+
+def _described(value: FeelValue, budget: Budget) -> str:
+    return f"{to_json(value, budget)!r:.40}" if value is not None else "null"

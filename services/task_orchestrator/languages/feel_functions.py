@@ -10,7 +10,7 @@ from datetime import date
 from typing import Any, NamedTuple
 
 from handover.durations import Duration
-from services.task_orchestrator.languages.base import ExpressionError, within_limits
+from services.task_orchestrator.languages.base import ExpressionError, check_text, within_limits
 from services.task_orchestrator.languages.feel_values import (
     MAX_STRING,
     Budget,
@@ -26,7 +26,7 @@ from services.task_orchestrator.languages.feel_values import (
     to_duration,
     to_json,
 )
-from services.task_orchestrator.languages.patterns import is_match
+from services.task_orchestrator.languages.patterns import is_match, replaced, split_at, with_flags
 
 
 class Function(NamedTuple):
@@ -90,22 +90,34 @@ def _substring(_: Budget, value: str, start: int, *length: int) -> FeelValue:
     return value[first : first + length[0]] if length else value[first:]
 
 
-@_typed(str, str, str)
-def _replace(budget: Budget, value: str, old: str, new: str) -> FeelValue:
-    if set(old) & set("\\^$.|?*+()[]{}"):
-        return None
-    if len(value) + (value.count(old) if old else len(value) + 1) * len(new) > MAX_STRING:
-        return text("x" * (MAX_STRING + 1), budget)
-    return text(value.replace(old, new), budget)
+@_typed(str, str, str, str, optional=1)
+def _replace(budget: Budget, value: str, pattern: str, replacement: str, flags: str = "") -> FeelValue:
+    made = replaced(value, with_flags(pattern, flags), replacement, MAX_STRING)
+    budget.spend(len(value))
+    return text(made, budget)
 
 
 @_typed(str, str)
-def _split(budget: Budget, value: str, separator: str) -> FeelValue:
-    if not separator or (len(separator) > 1 and set(separator) & set("\\^$.|?*+()[]{}")):
-        return None
-    parts = value.split(separator)
-    budget.spend(len(parts))
+def _split(budget: Budget, value: str, delimiter: str) -> FeelValue:
+    parts = split_at(value, delimiter)
+    budget.spend(len(value))
     return parts
+
+
+@_typed(str, str)
+def _substring_before(_: Budget, value: str, part: str) -> FeelValue:
+    return value.partition(part)[0] if part and part in value else ""
+
+
+@_typed(str, str)
+def _substring_after(_: Budget, value: str, part: str) -> FeelValue:
+    return value.partition(part)[2] if part and part in value else value if not part else ""
+
+
+@_typed(str)
+def _to_base64(budget: Budget, value: str) -> FeelValue:
+    check_text(value)
+    return text(b64encode(value.encode()).decode(), budget)
 
 
 @_typed(list, str, optional=1)
@@ -146,8 +158,9 @@ def _number(_: Budget, value: FeelValue, *separators: FeelValue) -> FeelValue:
         return None
 
 
-def _matches(budget: Budget, value: str, pattern: str) -> FeelValue:
-    found = is_match(value, pattern, is_whole=False)
+@_typed(str, str, str, optional=1)
+def _matches(budget: Budget, value: str, pattern: str, flags: str = "") -> FeelValue:
+    found = is_match(value, with_flags(pattern, flags), is_whole=False)
     budget.spend(len(value))
     return found
 
@@ -270,9 +283,34 @@ def _insert_before(_: Budget, items: list[FeelValue], position: int, value: Feel
     return [*items[:index], value, *items[index:]] if position and 0 <= index <= len(items) else None
 
 
-@_typed(dict, str, _Any)
-def _context_put(_: Budget, context: dict[str, FeelValue], key: str, value: FeelValue) -> FeelValue:
-    return {**context, key: value}
+@_typed(dict, (str, list))
+def _get_value(budget: Budget, context: dict[str, FeelValue], path: str | list[FeelValue]) -> FeelValue:
+    """Return the entry of a key, or of a path of keys; null without one."""
+    keys = path if isinstance(path, list) else [path]
+    value: FeelValue = context if keys else None
+    for key in keys:
+        budget.spend(1)
+        value = value.get(key) if isinstance(value, dict) and isinstance(key, str) else None
+    return value
+
+
+@_typed(dict, (str, list), _Any)
+def _context_put(
+    budget: Budget, context: dict[str, FeelValue], path: str | list[FeelValue], value: FeelValue
+) -> FeelValue:
+    """Return the context with the entry of a key, or of a path of keys, whose contexts are added."""
+    keys = path if isinstance(path, list) else [path]
+    if not keys or not all(isinstance(key, str) for key in keys):
+        return None
+    made = inner = {**context}
+    for key in keys[:-1]:
+        below = inner.get(key)
+        below = {**below} if isinstance(below, dict) else {}
+        budget.spend(1 + len(below))
+        inner[key] = below
+        inner = below
+    inner[keys[-1]] = value
+    return made
 
 
 def _context_merge(budget: Budget, contexts: list[FeelValue]) -> FeelValue:
@@ -430,7 +468,12 @@ def _last_day_of_month(_: Budget, value: date) -> FeelValue:
 
 
 @_typed(date, date)
-def _months_between(_: Budget, start: date, end: date) -> FeelValue:
+def _months_between(budget: Budget, start: date, end: date) -> FeelValue:
+    if order(start, end, budget) is None:
+        raise ExpressionError(
+            "years and months duration() needs two dates, or two dates and times that both have an offset "
+            "or both have none"
+        )
     first, last = min(start, end), max(start, end)
     months = (last.year - first.year) * 12 + last.month - first.month - (last.day < first.day)
     return Duration(months if start <= end else -months, 0)
@@ -457,15 +500,13 @@ FUNCTIONS: Mapping[str, Function] = {
     "contains": _typed(str, str)(lambda _, value, part: part in value),
     "starts with": _typed(str, str)(lambda _, value, part: value.startswith(part)),
     "ends with": _typed(str, str)(lambda _, value, part: value.endswith(part)),
-    "matches": _typed(str, str)(_matches),
+    "matches": _matches,
     "upper case": _typed(str)(lambda budget, value: text(value.upper(), budget)),
     "lower case": _typed(str)(lambda budget, value: text(value.lower(), budget)),
     "trim": _typed(str)(lambda _, value: value.strip()),
     "substring": _substring,
-    "substring before": _typed(str, str)(
-        lambda _, value, part: value.partition(part)[0] if part in value else ""
-    ),
-    "substring after": _typed(str, str)(lambda _, value, part: value.partition(part)[2] if part else value),
+    "substring before": _substring_before,
+    "substring after": _substring_after,
     "string length": _typed(str)(lambda _, value: len(value)),
     "replace": _replace,
     "split": _split,
@@ -473,7 +514,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "string": Function(_string, 1, 1),
     "number": Function(_number, 1, 3),
     "is blank": _typed(str)(lambda _, value: not value.strip()),
-    "to base64": _typed(str)(lambda budget, value: text(b64encode(value.encode()).decode(), budget)),
+    "to base64": _to_base64,
     "to json": Function(_to_json, 1, 1),
     "from json": _from_json,
     "count": Function(_count, 1, 1),
@@ -502,7 +543,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "partition": _partition,
     "duplicate values": _typed(list)(_duplicates),
     "is empty": _typed(list)(lambda _, items: not items),
-    "get value": _typed(dict, str)(lambda _, context, key: context.get(key)),
+    "get value": _get_value,
     "get entries": _typed(dict)(
         lambda _, context: [{"key": key, "value": value} for key, value in context.items()]
     ),

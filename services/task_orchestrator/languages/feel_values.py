@@ -173,13 +173,24 @@ def multiply(left: FeelValue, right: FeelValue, budget: Budget) -> FeelValue:
 
 
 def divide(left: FeelValue, right: FeelValue, budget: Budget) -> FeelValue:
-    """Return the quotient of numbers, or of a duration and a number; null for a divisor of 0."""
+    """Return the quotient of numbers, durations, or a duration and a number; null for a divisor of 0."""
     del budget
+    if isinstance(left, Duration) and isinstance(right, Duration):
+        return _ratio(left, right)
     if not is_number(right) or right == 0:
         return None
     if is_number(left):
         return number(left / right)
     return _scaled(left, 1 / right) if isinstance(left, Duration) else None
+
+
+def _ratio(left: Duration, right: Duration) -> FeelValue:
+    """Return how often `right` fits into `left`; null for different kinds of durations, and for one of 0."""
+    if not (left.months or right.months):
+        return number(left.microseconds / right.microseconds) if right.microseconds else None
+    if left.microseconds or right.microseconds or not right.months:
+        return None
+    return number(left.months / right.months)
 
 
 def power(left: FeelValue, right: FeelValue, budget: Budget) -> FeelValue:
@@ -201,6 +212,10 @@ def read_path(value: FeelValue, name: str, budget: Budget) -> FeelValue:
     if isinstance(value, list):
         budget.spend(len(value))
         return [read_path(item, name, budget) if not isinstance(item, list) else None for item in value]
+    if isinstance(value, Range) and name in {"start", "end"}:
+        return getattr(value, name)
+    if isinstance(value, datetime) and name == "timezone":
+        raise ExpressionError("the part .timezone of a date and time is not supported")
     if isinstance(value, datetime) and name in {"hour", "minute", "second"}:
         return getattr(value, name)
     if isinstance(value, date):
@@ -240,6 +255,10 @@ def to_datetime(value: FeelValue) -> datetime | None:
         return value
     if isinstance(value, date):
         return datetime.combine(value, time(), UTC)
+    if isinstance(value, str) and "@" in value:
+        raise ExpressionError(
+            f'"{value[:60]}" names a time zone, which is not supported; write its offset, as in +02:00'
+        )
     return read_datetime(value) if isinstance(value, str) else None
 
 

@@ -17,6 +17,7 @@ from services.task_orchestrator.languages.base import (
     ExpressionError,
     Json,
     Variables,
+    evaluation_error,
     quote_names,
     within_limits,
 )
@@ -97,12 +98,8 @@ class JuelExpression:
         try:
             value = self._node(variables)
             return value if value is None or value is True or value is False else within_limits(value)
-        except ExpressionError as error:
-            raise ExpressionError(f"{excerpt(self.text)}: {error}") from None
-        except RecursionError:
-            raise ExpressionError(f"{excerpt(self.text)}: a value is nested too deeply") from None
-        except OverflowError:
-            raise ExpressionError(f"{excerpt(self.text)}: a number grew too large") from None
+        except Exception as error:  # noqa: BLE001 - every failure is one of the expression
+            raise evaluation_error(excerpt(self.text), error) from None
 
     def names(self) -> frozenset[str]:
         """Return the names of the variables that the expression reads."""

@@ -18,6 +18,7 @@ from services.task_orchestrator.languages.base import (
     Json,
     Variables,
     describe,
+    evaluation_error,
     within_limits,
 )
 from services.task_orchestrator.languages.native_grammar import (
@@ -51,8 +52,8 @@ class Expression:
         """Return its value; raise `ExpressionError` if a variable is missing or has the wrong type."""
         try:
             return within_limits(_evaluate(self._tree, variables))
-        except ExpressionError as error:
-            raise ExpressionError(f"`{self.text}`: {error}") from None
+        except Exception as error:  # noqa: BLE001 - every failure is one of the expression
+            raise evaluation_error(f"`{self.text}`", error) from None
 
     def names(self) -> frozenset[str]:
         """Return the names of the variables that it reads."""

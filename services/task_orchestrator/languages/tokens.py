@@ -1,8 +1,9 @@
 """Tokens: what the parsers of JUEL and FEEL share, which is a lazy tokenizer with limits and positions."""
 
 import re
+import sys
 
-from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.languages.base import ExpressionError, check_text
 
 MAX_CHARACTERS = 10_000
 MAX_TOKENS = 2000
@@ -13,7 +14,11 @@ MAX_QUOTED = 60
 """Characters of an expression that an error quotes."""
 
 _ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}
-_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.DOTALL)
+_LITERAL = frozenset("\"'\\/")
+_ESCAPE = re.compile(
+    r"\\(u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{6}|.)",
+    re.DOTALL,
+)
 
 
 def excerpt(text: str) -> str:
@@ -95,15 +100,29 @@ class Tokens:
         self._depth -= 1
 
 
-def unquote(literal: str) -> str:
-    """Return the text of a string literal in single or double quotes with the escapes of JSON."""
+def unquote(literal: str, *, keeps_unknown: bool = False) -> str:
+    """Return the text of a string literal in single or double quotes with the escapes of JSON.
+
+    With `keeps_unknown` the backslash of any other escape is kept, as FEEL does with `"\\d"`. Raises
+    `ExpressionError` for half of a surrogate pair.
+    """
     inner = literal[1:-1]
     if "\\" not in inner:
         return inner
-    return _ESCAPE.sub(lambda match: _unescape(match.group(1)), inner)
+    unquoted = _ESCAPE.sub(lambda match: _unescape(match.group(1), keeps_unknown=keeps_unknown), inner)
+    check_text(unquoted)
+    return unquoted
 
 
-def _unescape(escape: str) -> str:
-    if len(escape) == 5:
-        return chr(int(escape[1:], 16))
+def _unescape(escape: str, *, keeps_unknown: bool) -> str:
+    if len(escape) == 11:
+        high, low = int(escape[1:5], 16), int(escape[7:], 16)
+        return chr(0x10000 + ((high - 0xD800) << 10) + low - 0xDC00)
+    if len(escape) > 1:
+        code = int(escape[1:], 16)
+        if code > sys.maxunicode:
+            raise ExpressionError(f"there is no character \\{escape}")
+        return chr(code)
+    if keeps_unknown and escape not in _ESCAPES and escape not in _LITERAL:
+        return f"\\{escape}"
     return _ESCAPES.get(escape, escape)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -104,3 +105,24 @@ def test_the_languages_agree_on_arithmetic_comparisons_and_conditions(written: W
     values.append(read_feel("=" + written.feel).value(VARIABLES))
     assert values[0] == values[1] == values[2]
     assert len({isinstance(value, bool) for value in values}) == 1
+
+
+class Failing(dict[str, object]):
+    """Variables of which each read fails as a defect of a function or operator would."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(a=1)
+        self.error = error
+
+    def __getitem__(self, name: str) -> object:
+        raise self.error
+
+
+ERRORS = [ValueError("empty"), TypeError("naive"), UnicodeError("half"), RecursionError(), AssertionError()]
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_whatever_python_raises_is_an_error_of_the_expression(error: Exception) -> None:
+    for expression in (read("a + 1"), read_juel("${a + 1}"), read_feel("a + 1")):
+        with pytest.raises(ExpressionError, match=r"`.*a \+ 1.*`: "):
+            expression.value(Failing(error))
