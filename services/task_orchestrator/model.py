@@ -179,9 +179,10 @@ class StandardLoop:
 class MultiInstance:
     """Runs an activity once an item of `collection`, or `cardinality` times.
 
-    Each instance has the variables `loopCounter` (from 0) and `item_variable`; the body has `nrOfInstances`,
-    `nrOfActiveInstances` and `nrOfCompletedInstances`. When `completion` becomes true after an instance,
-    the others are cancelled. `output_collection` gets `output_item` of each instance, in their order.
+    Each instance has the variables `loopCounter` (from `first`) and `item_variable`; the body has
+    `nrOfInstances`, `nrOfActiveInstances` and `nrOfCompletedInstances`. When `completion` becomes true after
+    an instance, the others are cancelled. `output_collection` gets `output_item` of each instance, in their
+    order.
     """
 
     sequential: bool
@@ -191,6 +192,7 @@ class MultiInstance:
     completion: Expression | None = None
     output_collection: str | None = None
     output_item: Value | None = None
+    first: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +200,8 @@ class Call:
     """The process that a call activity runs: its latest version, a fixed one, or one with a version tag.
 
     Without `inputs` the process starts with no variables, or with all visible ones if `all_inputs`;
-    likewise at its end. `key` is its business key.
+    likewise at its end. With `in_order` each of `inputs` and `outputs` sees what those before it yield. `key`
+    is its business key.
     """
 
     process: Value
@@ -209,6 +212,7 @@ class Call:
     all_inputs: bool = False
     all_outputs: bool = False
     key: Value | None = None
+    in_order: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,7 @@ def leave(machine: Machine, token: Token, node: Node) -> None:
 def _begin(machine: Machine, token: Token, node: Node) -> None:
     if node.inputs:
         with machine.failures(token):
-            token.local.update(_evaluated(node.inputs, machine.variables(token)))
+            token.local.update(_mapped(node.inputs, machine.variables(token)))
     if node.activity is not None:
         open_work(machine, token)
     elif node.scope is not None:
@@ -145,7 +145,7 @@ def _call(machine: Machine, token: Token, call: Call) -> None:
             given: dict[str, Any] = {}
             if call.all_inputs:
                 given = {name: variables[name] for name in variables if not parameters or name in parameters}
-            given.update(_evaluated(call.inputs, variables))
+            given.update((_mapped if call.in_order else _evaluated)(call.inputs, variables))
             given = plan.definition.arguments(given)
             key = None if call.key is None else call.key.value(variables)
     except Problem as problem:
@@ -223,20 +223,30 @@ def _evaluated(assignments: tuple[Assignment, ...], variables: Variables) -> dic
     return {each.target: each.value.value(variables) for each in assignments}
 
 
+def _mapped(assignments: tuple[Assignment, ...], variables: Variables) -> dict[str, Json]:
+    """Return what mappings yield, in their order: each sees the values of those before it."""
+    values: dict[str, Json] = {}
+    visible = ChainMap(values, variables)  # type: ignore[arg-type]  # only the first is written to
+    for each in assignments:
+        values[each.target] = each.value.value(visible)
+    return values
+
+
 def _pass_results(machine: Machine, token: Token, node: Node) -> None:
     results = token.results
     if results is None and not node.outputs and not node.data_outputs:
         return
-    results = results or {}
+    results = unmapped = results or {}
     if node.call is not None:
+        evaluate = _mapped if node.call.in_order else _evaluated
         with machine.failures(token):
-            mapped = _evaluated(node.call.outputs, results)
-        results = {**results, **mapped} if node.call.all_outputs else mapped
+            returned = evaluate(node.call.outputs, results)
+        results = {**results, **returned} if node.call.all_outputs else returned
     values = results
     if node.outputs:
         with machine.failures(token):
-            values = _evaluated(node.outputs, ChainMap(results, machine.variables(token)))
-    set_results(machine, token, node, values)
+            values = _mapped(node.outputs, ChainMap(results, machine.variables(token)))
+    set_results(machine, token, node, values, unmapped=unmapped)
     frame = machine.frame_of(token)
     for association in node.data_outputs:
         owner = machine.data_owner(frame, association.data)
@@ -244,12 +254,33 @@ def _pass_results(machine: Machine, token: Token, node: Node) -> None:
     token.results = None
 
 
-def set_results(machine: Machine, token: Token, node: Node, values: Mapping[str, Any]) -> None:
-    """Set the variables that an activity yields."""
-    if token.body is not None and has_output_collection(node):
-        token.local.update(values)
-    else:
+def set_results(
+    machine: Machine,
+    token: Token,
+    node: Node,
+    values: Mapping[str, Any],
+    *,
+    unmapped: Mapping[str, Any] | None = None,
+) -> None:
+    """Set the variables that an activity yields: `values`, made from the results `unmapped`.
+
+    An instance of a loop sees both in the output of its collection and in the condition of the loop. With an
+    output collection its results stay local; what a mapping names and the output does not read is set
+    outside.
+    """
+    if token.body is None:
         machine.set_variables(machine.frame_of(token), values)
+        return
+    outside = values
+    if has_output_collection(node):
+        assert isinstance(node.loop, MultiInstance)  # noqa: S101 - only it has one
+        is_mapped = node.outputs or (node.call is not None and node.call.outputs)
+        read = None if node.loop.output_item is None else node.loop.output_item.expression
+        kept = frozenset() if read is None else read.names()
+        names = {*values} - kept - {*token.local} if is_mapped else set()
+        outside = {name: values[name] for name in names}
+    token.local.update({**(unmapped or {}), **values})
+    machine.set_variables(machine.frame_of(token), outside)
 
 
 # Loops
@@ -314,7 +345,9 @@ def _start_instance(machine: Machine, body: Token, local: dict[str, Json]) -> No
     assert body.loop is not None  # noqa: S101 - as `_start_loop` set
     instance = machine.add_token(machine.frame_of(body), body.node)
     instance.body, instance.index = body.id, body.loop.started
-    instance.local = {**local, "loopCounter": body.loop.started}
+    loop = machine.node(body).loop
+    first = loop.first if isinstance(loop, MultiInstance) else 0
+    instance.local = {**local, "loopCounter": body.loop.started + first}
     body.inner[instance.id] = None
     body.loop.started += 1
 

@@ -200,6 +200,7 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
         else None,
         output_collection=output,
         output_item=output_item,
+        first=items.first,
     )
 
 

@@ -73,6 +73,8 @@ class Items:
     item_variable: str | None = None
     output_collection: str | None = None
     output_item: Value | None = None
+    first: int = 0
+    """The `loopCounter` of the first instance."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,6 +188,7 @@ class Zeebe:
             outputs=outputs,
             all_inputs=flag(called, "propagateAllParentVariables", default=True),
             all_outputs=flag(called, "propagateAllChildVariables", default=True) and not outputs,
+            in_order=True,
         )
 
     def evaluated(
@@ -202,7 +203,7 @@ class Zeebe:
         """Return what `loopCharacteristics` names."""
         extension = next(_named(loop, "loopCharacteristics"), None)
         if extension is None:
-            return Items()
+            return Items(first=1)
         collection, item = extension.get("inputCollection"), extension.get("inputElement")
         output, output_item = extension.get("outputCollection"), extension.get("outputElement")
         for name in (item, output):
@@ -213,6 +214,7 @@ class Zeebe:
             item or None,
             output or None,
             attempt(loop, lambda: self.collection(output_item), None, found) if output_item else None,
+            first=1,
         )
 
     def script(self, element: etree._Element, found: Findings) -> Script:

@@ -2,6 +2,8 @@
 
 import pytest
 
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.model import (
     FormBinding,
     FormReference,
@@ -9,8 +11,9 @@ from services.task_orchestrator.model import (
     MultiInstance,
     TimerEvent,
 )
-from tests.unit.task_orchestrator.drawing import end, flow, gateway, path, start
+from tests.unit.task_orchestrator.drawing import NOW, end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node, read, warnings
+from tests.unit.task_orchestrator.process_driver import OneDefinition
 
 
 def test_a_job_is_a_task_with_its_type_headers_and_inputs() -> None:
@@ -260,3 +263,50 @@ def test_a_mapping_may_use_words_that_our_language_reserves() -> None:
         "from": {"class": 1},
         "to-address": 1,
     }
+
+
+MAPPINGS = {
+    "none": ("", "=r", {"results": [10, 20]}),
+    "the result itself": ('<zeebe:output source="=r" target="r"/>', "=r", {"results": [10, 20]}),
+    "of another result": (
+        '<zeebe:output source="=q" target="other"/>',
+        "=r",
+        {"results": [10, 20], "other": 2},
+    ),
+    "renamed": ('<zeebe:output source="=r" target="got"/>', "=got", {"results": [10, 20]}),
+    "nested": ('<zeebe:output source="=r" target="a.b"/>', "=a.b + q", {"results": [11, 22]}),
+    "in order": (
+        '<zeebe:output source="=q" target="a"/><zeebe:output source="=a + 1" target="b"/>',
+        "={b: b, at: loopCounter, item: item}",
+        {"results": [{"b": 2, "at": 1, "item": "x"}, {"b": 3, "at": 2, "item": "y"}], "a": 2},
+    ),
+}
+
+
+@pytest.mark.parametrize("sequential", ["true", "false"])
+@pytest.mark.parametrize("name", MAPPINGS)
+@pytest.mark.parametrize("kind", ["serviceTask", "subProcess", "callActivity"])
+def test_a_loop_collects_its_output_with_any_mapping(kind: str, name: str, sequential: str) -> None:
+    mapping, output, expected = MAPPINGS[name]
+    characteristics = (
+        f'<bpmn:multiInstanceLoopCharacteristics isSequential="{sequential}"><bpmn:extensionElements>'
+        '<zeebe:loopCharacteristics inputCollection="=items" inputElement="item" '
+        f'outputCollection="results" outputElement="{output}"/>'
+        "</bpmn:extensionElements></bpmn:multiInstanceLoopCharacteristics>"
+    )
+    job = extended("serviceTask", '<zeebe:taskDefinition type="pick"/>', name="job")
+    inner = start("first") + job + path("first", "job") if kind == "subProcess" else ""
+    extensions = {
+        "serviceTask": '<zeebe:taskDefinition type="pick"/>',
+        "subProcess": "",
+        "callActivity": '<zeebe:calledElement processId="called" propagateAllChildVariables="true"/>',
+    }[kind]
+    mapped = f"<zeebe:ioMapping>{mapping}</zeebe:ioMapping>" if mapping else ""
+    plan = Plan(read(between(extended(kind, extensions + mapped, inner=characteristics + inner))))
+    called = Plan(read(between(job, "job")))
+    run = Run.start(plan, {"items": ["x", "y"]}, NOW, OneDefinition(called))
+    for count in (1, 2):
+        token = min(run.open_visits(), key=int)
+        run.complete(token, {"r": 10 * count, "q": count}, NOW)
+    assert run.completed
+    assert run.variables() == {"items": ["x", "y"], **expected}
