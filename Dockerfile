@@ -61,6 +61,7 @@ COPY --from=install /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
+    PYTHONSAFEPATH=1 \
     HANDOVER_HOST=0.0.0.0 \
     HANDOVER_DATA_DIR=/data \
     HANDOVER_LOG_FORMAT=json

@@ -100,7 +100,7 @@ def podman(place: Path) -> Engine:
         call(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES.split()], environment)
     compose = COMPOSE_PLACE / "bin/podman-compose"
     if not compose.exists():
-        call([sys.executable, "-m", "venv", str(COMPOSE_PLACE)], dict(os.environ))
+        call([sys.executable, "-P", "-m", "venv", str(COMPOSE_PLACE)], dict(os.environ))
         call([str(COMPOSE_PLACE / "bin/pip"), "install", "-q", "podman-compose"], dict(os.environ))
     settings = place / "containers.conf"
     with_systemd = Path("/run/systemd/private").exists()
@@ -168,7 +168,7 @@ def build(engine: Engine, place: Path) -> None:
 def of_pip() -> dict[str, str]:
     """Return how pip reaches its index here, as far as a container can use it."""
     listed = subprocess.run(
-        [sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-m", "pip", "config", "list"], capture_output=True, text=True, check=False
     ).stdout
     found: dict[str, str] = {}
     for line in listed.splitlines():

@@ -17,6 +17,7 @@ from contextlib import suppress
 from typing import Any, ParamSpec, TypeVar
 
 from handover.errors import HandoverError
+from handover.python_processes import code_command
 
 DEFAULT_TIMEOUT_S = 60.0
 _CHILD = "from handover.offload import _main; _main()"
@@ -52,9 +53,7 @@ class Offload:
 
     async def _answer(self, request: bytes, name: str) -> bytes:
         process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-c",
-            _CHILD,
+            *code_command(_CHILD),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)},

@@ -120,7 +120,7 @@ def _install_node() -> None:
     uv = Path(sys.executable).with_name("uv")
     installer = [str(uv), "pip", "install", "--quiet", "--python", sys.executable]
     if not uv.exists():
-        installer = [sys.executable, "-m", "pip", "install", "--quiet"]
+        installer = [sys.executable, "-P", "-m", "pip", "install", "--quiet"]
     subprocess.run([*installer, "--require-hashes", "-r", str(LOCK)], check=True)  # noqa: S603
 
 

@@ -6,7 +6,6 @@ It is the same program that the demonstration starts. It ends with this server.
 import asyncio
 import os
 import re
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final, Self
@@ -15,6 +14,7 @@ import httpx
 
 from handover.errors import Problem, UsageError
 from handover.messages import message
+from handover.python_processes import module_command
 from handover.retry import Backoff
 from handover.security.glove_token import site_glove_token
 from handover.security.service_access import ServiceAccess
@@ -180,7 +180,7 @@ class SimulatedOperator:
     def _command(self) -> Sequence[str]:
         settings = self._settings
         return [
-            sys.executable, "-m", "glove_sdk_bridge", "simulate",
+            *module_command("glove_sdk_bridge"), "simulate",
             "--host", settings.glove_server_host,
             "--port", str(settings.glove_port),
             "--controller", settings.service_urls[CONTROLLER],

@@ -19,6 +19,7 @@ from handover.cli.obstacles import obstacle
 from handover.cli.progress import ProgressPrinter, Say
 from handover.cli.services import service_named, wanted
 from handover.errors import UsageError
+from handover.python_processes import module_command
 from handover.settings import Settings
 from handover.tls_trust import client_context
 
@@ -139,4 +140,4 @@ def _program() -> str:
 
 
 def _operator() -> list[str]:
-    return [sys.executable, "-m", "glove_sdk_bridge", *bridge_arguments(["simulate", "--glove", GLOVE])]
+    return module_command("glove_sdk_bridge", *bridge_arguments(["simulate", "--glove", GLOVE]))

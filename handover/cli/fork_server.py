@@ -1,8 +1,8 @@
 """Runs modules as processes that are forked from a process with the libraries already imported (Linux).
 
 A service spends most of its start on imports, and a cell has a dozen services. The server imports the common
-libraries once and starts no thread; each process imports its own module and runs it as `python -m` does, with
-its own environment, folder and standard streams, in a session of its own.
+libraries once and starts no thread; each process imports its own module and runs it as `python -P -m` does,
+with its own environment, folder and standard streams, in a session of its own.
 
 Protocol (SOCK_SEQPACKET): a request is a JSON object with three file descriptors: standard input, output (for
 errors too) and the status pipe. To the pipe the server writes the process id and, at the end of the process,
@@ -25,6 +25,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
+
+from handover.python_processes import module_command
 
 PRELOADED: Final = (
     "croniter",
@@ -145,9 +147,7 @@ def _name(accepted: dict[str, Any]) -> None:
     with suppress(ModuleNotFoundError):
         import setproctitle  # noqa: PLC0415 - not on other systems
 
-        setproctitle.setproctitle(
-            " ".join((sys.executable, "-m", accepted["module"], *accepted["arguments"]))
-        )
+        setproctitle.setproctitle(" ".join(module_command(accepted["module"], *accepted["arguments"])))
     Path("/proc/self/comm").write_text(accepted["module"].rpartition(".")[2])
 
 
@@ -176,7 +176,7 @@ def main() -> None:
     requests.detach()  # it is closed already
     _name(accepted)
     added = accepted["environment"].get("PYTHONPATH", "")
-    sys.path[:1] = [accepted["folder"], *filter(None, added.split(os.pathsep))]
+    sys.path[:0] = filter(None, added.split(os.pathsep))
     sys.argv = [accepted["module"], *accepted["arguments"]]
     runpy.run_module(accepted["module"], run_name="__main__", alter_sys=True)
 

@@ -8,7 +8,6 @@ import contextlib
 import os
 import shutil
 import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from handover.extensions import Service
 from handover.log_files import LOG_FILE, open_log, rotate
 from handover.outbound_policy import is_loopback
 from handover.ports import held
+from handover.python_processes import module_command
 from handover.retry import Backoff
 from handover.settings import LIFELINE, RESTARTED, Settings
 from handover.tls_trust import client_context, handshake_fault
@@ -96,7 +96,7 @@ class Launcher:
             await self._hold_ports()
             self._starter.open()
             for service in self._services:
-                await self.add(service.name, [sys.executable, "-m", service.module], service.url())
+                await self.add(service.name, module_command(service.module), service.url())
             await self._all_ready()
         except BaseException:
             await self.stop()

@@ -11,10 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Protocol
 
+from handover.python_processes import module_command
+
 if sys.platform == "linux":
     from handover.cli import fork_server
 
-_MODULE_COMMAND = (sys.executable, "-m")
+_MODULE_COMMAND = module_command("")[:-1]
 
 
 class Process(Protocol):
@@ -126,7 +128,7 @@ class ProcessStarter:
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._server = subprocess.Popen(  # noqa: S603 - our own module
-                [*_MODULE_COMMAND, fork_server.__name__, str(theirs.fileno())],
+                module_command(fork_server.__name__, str(theirs.fileno())),
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -148,9 +150,9 @@ class ProcessStarter:
         self, command: Sequence[str], environment: Mapping[str, str], output: IO[bytes]
     ) -> Process:
         """Start `command`; its output and errors go to `output`."""
-        if self._requests is not None and tuple(command[:2]) == _MODULE_COMMAND:
+        if self._requests is not None and list(command[: len(_MODULE_COMMAND)]) == _MODULE_COMMAND:
             with contextlib.suppress(OSError):
-                return await self._fork(self._requests, command[2:], environment, output)
+                return await self._fork(self._requests, command[len(_MODULE_COMMAND) :], environment, output)
             self._requests.close()
             self._requests = None
         return await asyncio.create_subprocess_exec(

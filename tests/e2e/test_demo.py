@@ -13,6 +13,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.kit.namesakes import leave_namesakes_in
 from tests.kit.ports import next_free_port
 from tests.kit.sockets import listening_sockets
 from tests.kit.waiting import scaled
@@ -37,12 +38,13 @@ Start = Callable[..., subprocess.Popen[str]]
 
 @pytest.fixture
 def handover(cell: Any) -> Iterator[Start]:
-    """Start the command line as a person would; whatever still runs at the end is stopped."""
+    """Start the command line as a person would, in a folder of theirs; what still runs is stopped."""
     started: list[subprocess.Popen[str]] = []
+    leave_namesakes_in(cell.data_dir)
 
     def start(*words: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "handover.cli", *words],
+            [Path(sys.executable).with_name("handover"), *words],
             env=cell.environment,
             cwd=cell.data_dir,
             stdin=subprocess.DEVNULL,
@@ -69,7 +71,8 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
     """The processes that a running command has started, by the folder of the service."""
     found = {}
     for child in psutil.Process(process.pid).children(recursive=True):
-        module = " ".join(child.cmdline()).split()[2]
+        words = " ".join(child.cmdline()).split()
+        module = words[words.index("-m") + 1]
         found[module.rsplit(".", 1)[-1]] = child
     found.pop("fork_server", None)
     return found

@@ -16,6 +16,7 @@ import httpx
 import orjson
 import pytest
 
+from handover.python_processes import module_command
 from tests.kit import processes
 from tests.kit.cell import Cell
 from tests.kit.other_broker.running import context_link
@@ -163,7 +164,7 @@ def test_a_process_of_a_mes_runs_in_the_order_of_the_paper(
     cell.start("gesture_controller")
     glove = ["simulate", "--port", str(cell.ports["glove"]), "--controller", cell.url("gesture_controller")]
     operator = processes.spawn(
-        [*processes.module_command("glove_sdk_bridge"), *glove],
+        [*module_command("glove_sdk_bridge"), *glove],
         {**cell.environment, "PYTHONPATH": str(REPOSITORY)},
         cell.data_dir / "operator.log",
         cell.data_dir,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from handover.python_processes import module_command
 from tests.kit import processes
 from tests.kit.cell import TOP_LEVEL, Cell, new_cell
 from tests.kit.other_broker import running
@@ -52,7 +53,7 @@ class ClockedCell(Cell):
             return
         module = service if service in TOP_LEVEL else f"services.{service}"
         self.processes[service] = processes.spawn(
-            processes.module_command(module), self.environment, self._log_file(service), self.data_dir
+            module_command(module), self.environment, self._log_file(service), self.data_dir
         )
 
 

@@ -17,6 +17,7 @@ from typing import Protocol
 import httpx
 
 from handover.cli import fork_server
+from handover.python_processes import module_command
 from tests.kit import lifeline
 from tests.kit.private_network import is_private
 from tests.kit.waiting import scaled, wait_for
@@ -103,11 +104,6 @@ def _stop_fork_server(server: subprocess.Popen[bytes], connection: socket.socket
 def clean_environment() -> dict[str, str]:
     """Return the environment without settings of Handover, which a developer's shell may contain."""
     return {name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")}
-
-
-def module_command(module: str) -> list[str]:
-    """Return the command that runs a module with this interpreter."""
-    return [sys.executable, "-m", module]
 
 
 def spawn(

@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
+from handover.python_processes import safe_path_in_workers
 from services.trajectory_tool.case_study.trial import Mode, Outcome, Trial
 
 
@@ -24,7 +25,7 @@ def perform_all(
 ) -> Iterator[Outcome]:
     """Yield the outcomes in the order of seeds, things and modes."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with safe_path_in_workers(), ProcessPoolExecutor(jobs, mp_context=context) as pool:
         trials = [
             pool.submit(perform, thing, mode, seed, recordings)
             for seed, thing, mode in product(seeds, things, modes)

@@ -3,12 +3,12 @@
 import asyncio
 import os
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
 
+from handover.python_processes import module_command
 from handover.telemetry import get_logger
 from services.trajectory_tool.trajectory import Limits, Setpoint
 from services.trajectory_tool.universal_robots.exchange import ExchangeParameters
@@ -113,8 +113,8 @@ class ExchangeProcess:
             max_rad_s2=tuple(RECOVERY_ACCELERATION * limit for limit in self._limits.acceleration),
             memory=memory.descriptor,
         )
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "services.trajectory_tool.universal_robots.exchange"],
+        self._process = subprocess.Popen(  # noqa: S603 - our own module
+            module_command("services.trajectory_tool.universal_robots.exchange"),
             stdin=subprocess.PIPE,
             bufsize=0,
             pass_fds=[memory.descriptor],

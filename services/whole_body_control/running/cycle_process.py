@@ -14,7 +14,6 @@ import asyncio
 import os
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -24,6 +23,7 @@ import yaml
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.python_processes import module_command
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from services.whole_body_control.metrics import CYCLE_ENDS, CYCLE_RUNS
@@ -88,7 +88,7 @@ class CycleProcess:
         environment = {name: value for name, value in os.environ.items() if name != LIFELINE}
         with self._log.open("ab") as output:
             self._child = subprocess.Popen(  # noqa: S603 - our own module
-                [sys.executable, "-m", MODULE, str(self._deployment)],
+                module_command(MODULE, str(self._deployment)),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,

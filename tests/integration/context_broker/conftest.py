@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
+from handover.python_processes import module_command
 from tests.kit import processes
 from tests.kit.context_sources import ScriptedSource
 from tests.kit.databases import DATABASE
@@ -55,7 +56,7 @@ class BrokerProcess:
         module, log = "services.context_broker", (self.log_dir or self.data_dir) / "log"
         if self.is_forked:
             return processes.spawn_module(module, environment | self.extra, log, self.data_dir)
-        command = processes.module_command(module)
+        command = module_command(module)
         return processes.spawn(command, environment | self.extra, log, self.data_dir)
 
     def start(self) -> "BrokerProcess":

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from datamodels.contexts import HANDOVER_URL
 from handover.broker_copy.copying import CopyReport, copy_broker, place_at
 from handover.notifications import KEY_HEADER
+from handover.python_processes import module_command
 from handover.security.permissions import Role
 from handover.settings import Settings
 from tests.kit import processes
@@ -75,7 +76,7 @@ def strict_broker(tmp_path: Path) -> Iterator[Callable[[], tuple[str, OtherBroke
 def command(folder: Path, *words: str) -> subprocess.Popen[str]:
     """Start `handover broker copy`."""
     return subprocess.Popen(
-        [*processes.module_command("handover.cli"), "broker", "copy", *words],
+        [*module_command("handover.cli"), "broker", "copy", *words],
         env=processes.clean_environment() | {"HANDOVER_DATA_DIR": str(folder)},
         cwd=folder,
         stdin=subprocess.DEVNULL,

@@ -10,8 +10,8 @@ import pytest
 
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.broker_abilities import ABILITIES, FILE, TYPE, find_abilities
+from handover.python_processes import module_command
 from handover.settings import Settings
-from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.other_broker.running import orion_like
 from tests.kit.refusing_proxy import RefusingProxy, refusing_proxy
@@ -97,7 +97,7 @@ def test_the_doctor_the_page_and_the_metrics_say_it(proxy: RefusingProxy, tmp_pa
 
         wait_for(lambda: len(metrics()) == len(ABILITIES))
         assert {name for name, is_there in metrics().items() if float(is_there) == 0} == MISSING
-        command = [*processes.module_command("handover.cli"), "doctor"]
+        command = [*module_command("handover.cli"), "doctor"]
         run = subprocess.run(
             command, env=cell.environment, cwd=folder, capture_output=True, text=True, check=False
         )

@@ -13,6 +13,7 @@ from handover.database import connect
 from handover.errors import UsageError
 from handover.finished_tasks import FinishedTasks
 from handover.folder_lock import hold
+from handover.python_processes import module_command
 from handover.settings import Settings
 from tests.kit import processes
 from tests.kit.cell import SERVICES, TOP_LEVEL, Cell
@@ -98,7 +99,7 @@ def test_two_services_of_different_names_that_own_one_database_exclude_each_othe
 def test_programs_that_read_work_beside_a_service(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     check = subprocess.run(
-        [*processes.module_command("handover.cli"), "check"],
+        [*module_command("handover.cli"), "check"],
         env=cell.environment,
         cwd=cell.data_dir,
         capture_output=True,

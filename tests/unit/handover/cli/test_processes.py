@@ -11,6 +11,8 @@ import psutil
 import pytest
 
 from handover.cli.processes import ForkedProcess, Process, ProcessStarter
+from handover.python_processes import module_command
+from tests.kit.namesakes import leave_namesakes_in
 from tests.kit.processes import clean_environment
 from tests.kit.waiting import scaled, until
 
@@ -28,8 +30,10 @@ sys.exit(7)
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working directory, with a module."""
-    (tmp_path / "some_service.py").write_text(SCRIPT)
+    """The working directory of a user: a module in `modules`, and files with the names of ours."""
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "some_service.py").write_text(SCRIPT)
+    leave_namesakes_in(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -43,9 +47,14 @@ async def starter(folder: Path) -> AsyncIterator[ProcessStarter]:
 
 
 async def start(starter: ProcessStarter, *words: str, folder: Path) -> Process:
-    environment = {**clean_environment(), "GIVEN": "a setting", "PYTHONUNBUFFERED": "1"}
+    environment = {
+        **clean_environment(),
+        "GIVEN": "a setting",
+        "PYTHONUNBUFFERED": "1",
+        "PYTHONPATH": str(folder / "modules"),
+    }
     with (folder / "log").open("ab") as log:
-        return await starter.start([sys.executable, "-m", "some_service", *words], environment, log)
+        return await starter.start(module_command("some_service", *words), environment, log)
 
 
 async def wait(process: Process) -> int:
@@ -81,7 +90,7 @@ async def test_a_module_gets_its_arguments_environment_session_and_name(
     assert isinstance(process, ForkedProcess)
     await wait_for_words(folder / "log", "__main__")
     assert (folder / "log").read_text() == "['stay'] a setting True __main__\n"
-    assert shown(process) == [sys.executable, "-m", "some_service", "stay"]
+    assert shown(process) == module_command("some_service", "stay")
     assert psutil.Process(process.pid).name() == "some_service"
     assert process.returncode is None
     process.terminate()
@@ -92,7 +101,7 @@ async def test_a_module_gets_its_arguments_environment_session_and_name(
 
 async def test_the_exit_status_is_that_of_the_module(starter: ProcessStarter, folder: Path) -> None:
     assert await wait(await start(starter, folder=folder)) == 7
-    missing = [sys.executable, "-m", "there_is_no_such_module"]
+    missing = module_command("there_is_no_such_module")
     with (folder / "log").open("ab") as log:
         assert await wait(await starter.start(missing, clean_environment(), log)) == 1
     assert "No module named there_is_no_such_module" in (folder / "log").read_text()
