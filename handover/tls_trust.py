@@ -4,12 +4,15 @@ All clients verify the certificate and the host name. Besides the authorities of
 of HANDOVER_TLS_AUTHORITY, for example the one that `handover secure` makes.
 """
 
+import socket
 import ssl
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
+PROBE_TIMEOUT_S: Final = 5.0
 SETTING: Final = "HANDOVER_TLS_AUTHORITY"
 
 _UNKNOWN_AUTHORITY: Final = (
@@ -78,6 +81,24 @@ def handshake_fault(error: BaseException, where: str) -> str | None:
             f"{where} does not speak TLS; use http:// instead of https://, or give that server a certificate"
         )
     return f"the TLS handshake with {where} failed: {(found.reason or str(found)).replace('_', ' ').lower()}"
+
+
+def speaks_tls(url: str) -> bool:
+    """Return whether the server of a plain `url` is there and speaks TLS; nothing is sent to it."""
+    parts = urlsplit(url)
+    if parts.scheme not in {"http", "ws"} or parts.hostname is None:
+        return False
+    anyone = ssl.create_default_context()
+    anyone.check_hostname = False
+    anyone.verify_mode = ssl.CERT_NONE  # the question is the protocol, not who it is
+    try:
+        with (
+            socket.create_connection((parts.hostname, parts.port or 80), PROBE_TIMEOUT_S) as connection,
+            anyone.wrap_socket(connection, server_hostname=parts.hostname),
+        ):
+            return True
+    except OSError:  # an ssl.SSLError is one
+        return False
 
 
 def _ssl_error_in(error: BaseException) -> ssl.SSLError | None:

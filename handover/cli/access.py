@@ -1,7 +1,7 @@
 """The credentials of the command line: the token of the service `cli`, or `HANDOVER_SERVICE_TOKEN`."""
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from typing import Any, Final
 
 import httpx
@@ -9,7 +9,7 @@ import httpx
 from handover.errors import UsageError
 from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.settings import Settings
-from handover.tls_trust import client_context, handshake_fault
+from handover.tls_trust import client_context, handshake_fault, speaks_tls
 
 NAME: Final = "cli"
 
@@ -44,28 +44,52 @@ def access_headers(settings: Settings) -> dict[str, str]:
         raise UsageError(str(error)) from None
 
 
+def _reason(name: str, answer: httpx.Response) -> str:
+    try:
+        return str(answer.json()["detail"])
+    except (ValueError, KeyError, TypeError):
+        return f"the {name} answered {answer.status_code}"
+
+
 def ask_service(
-    name: str, settings: Settings, method: str, url: str, path: str, **request: Any
+    name: str,
+    settings: Settings,
+    method: str,
+    url: str,
+    path: str,
+    *,
+    refusal: Callable[[httpx.Response], str] | None = None,
+    **request: Any,
 ) -> httpx.Response:
-    """Send a request to the service `name` at `url`; raise `UsageError` if it is away or refuses."""
+    """Send a request to the service `name` at `url`; raise `UsageError` if it is away or refuses.
+
+    `refusal` returns the text for an answer that is an error; by default its `detail`.
+    """
+    headers = {**request.pop("headers", {}), **access_headers(settings)}
     try:
         answer = httpx.request(
             method,
             f"{url}{path}",
-            headers=access_headers(settings),
+            headers=headers,
             timeout=30,
             trust_env=False,
             verify=client_context(*settings.ca_files),
             **request,
         )
     except httpx.TransportError as error:
-        raise UsageError(
-            handshake_fault(error, url) or f"the {name} does not answer at {url}; start it with: handover up"
-        ) from None
+        raise no_answer(name, url, error) from None
     if answer.is_success:
         return answer
-    try:
-        reason = str(answer.json()["detail"])
-    except (ValueError, KeyError, TypeError):
-        reason = f"the {name} answered {answer.status_code}"
-    raise UsageError(reason)
+    raise UsageError(refusal(answer) if refusal else _reason(name, answer))
+
+
+def no_answer(name: str, url: str, error: Exception) -> UsageError:
+    """Return why the service `name` was not reached at `url`, and the way out."""
+    fault = handshake_fault(error, url)
+    if fault is None and speaks_tls(url):
+        fault = (
+            f"the {name} at {url} speaks TLS, and the settings here have no certificate; run this command in "
+            "the folder of the cell, whose .env has them, or set HANDOVER_TLS_CERTIFICATE and "
+            "HANDOVER_TLS_AUTHORITY as there (`handover settings` prints them)"
+        )
+    return UsageError(fault or f"the {name} does not answer at {url}; start it with: handover up")

@@ -11,6 +11,7 @@ import httpx
 import typer
 
 from handover.cli.access import ask_service
+from handover.cli.output import AsJson, print_json
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from services.human_state.settings import HumanStateSettings
@@ -27,9 +28,13 @@ Recording = Annotated[str, typer.Argument(help="The id of the recording: R- and 
 
 
 @app.command()
-def people() -> None:
+def people(as_json: AsJson = False) -> None:
     """List the persons with what they allow and how their sensors do."""
-    for one in _ask("GET", "/people").json():
+    listed = _ask("GET", "/people").json()
+    if as_json:
+        print_json(listed)
+        return
+    for one in listed:
         print(f"{one['person']:<24} {one['pseudonym']:<14} {', '.join(one['purposes']) or 'no consent'}")
         for sensor in one["sensors"]:
             state = sensor["fault"] or sensor["link"] or "not running"
@@ -77,9 +82,13 @@ def record(
 
 
 @app.command()
-def recordings(person: Person) -> None:
+def recordings(person: Person, as_json: AsJson = False) -> None:
     """List the recordings of a person, newest first."""
-    for one in _ask("GET", f"/people/{person}/recordings").json():
+    listed = _ask("GET", f"/people/{person}/recordings").json()
+    if as_json:
+        print_json(listed)
+        return
+    for one in listed:
         size = "" if one["size"] is None else f"{one['size']:,} bytes"
         print(f"{one['id']}  {one['started']:<28} {one['state']:<12} {size:<18} {one['label']}".rstrip())
 

@@ -37,7 +37,10 @@ def check(
     live: Annotated[bool, typer.Option("--live", help="Also check the graph: types, peers, QoS.")] = False,
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
-    """Print the effect of a mapping, or its faults with their positions."""
+    """Print the effect of a mapping, or its faults with their positions.
+
+    With --live, exit code 1 if the present graph keeps a rule from working.
+    """
     from ros_fiware_bridge import mapping  # noqa: PLC0415 - only this command needs it
     from ros_fiware_bridge.inspection import description  # noqa: PLC0415
     from ros_fiware_bridge.rules import plan  # noqa: PLC0415
@@ -50,13 +53,16 @@ def check(
             print(line)
         return
 
-    async def look(graph: Any) -> list[str]:
+    async def look(graph: Any) -> tuple[list[str], list[str]]:
         types = {topic.name: topic.type_names for topic in graph.topics()}
         made = plan.make(document, store, settings.factory, lambda topic: types.get(topic, ()))
-        return [*description.lines(made), *description.problems(made, graph)]
+        return list(description.lines(made)), list(description.problems(made, graph))
 
-    for line in asyncio.run(_on_the_graph(settings, store, wait_s, look)):
+    effect, problems = asyncio.run(_on_the_graph(settings, store, wait_s, look))
+    for line in (*effect, *problems):
         print(line)
+    if problems:
+        raise typer.Exit(1)
 
 
 @app.command()

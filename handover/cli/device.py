@@ -1,6 +1,7 @@
 """`handover device`: register devices and robots, list them, make tokens, simulate them."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,6 +10,7 @@ import typer
 import yaml
 
 from handover.cli.access import ask_service
+from handover.cli.output import AsJson, print_json
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.tls_trust import client_context
@@ -38,16 +40,22 @@ def add(
 
 
 @app.command("list")
-def list_devices() -> None:
+def list_devices(as_json: AsJson = False) -> None:
     """List the devices with their state."""
+    devices = list(_devices())
+    if as_json:
+        print_json(devices)
+        return
+    for one in devices:
+        state = (one["state"] or "connected") if one["connected"] else "away"
+        values = ", ".join(f"{name} {value['value']:g}" for name, value in list(one["values"].items())[:4])
+        print(f"{one['name']:<24} {one['kind']:<12} {state:<14} {values}")
+
+
+def _devices() -> Iterator[dict[str, Any]]:
     after = ""
     while page := _ask("GET", "/devices", params={"after": after, "limit": 500}).json():
-        for one in page:
-            state = (one["state"] or "connected") if one["connected"] else "away"
-            values = ", ".join(
-                f"{name} {value['value']:g}" for name, value in list(one["values"].items())[:4]
-            )
-            print(f"{one['name']:<24} {one['kind']:<12} {state:<14} {values}")
+        yield from page
         after = page[-1]["name"]
 
 

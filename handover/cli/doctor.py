@@ -4,10 +4,13 @@ import asyncio
 import importlib.util
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import httpx
 
 from handover.broker import BrokerClient
 from handover.broker_abilities import ABILITIES, FoundAbilities, find_abilities
@@ -15,8 +18,12 @@ from handover.cli.access import cli_access
 from handover.cli.launcher import require_space
 from handover.cli.services import has_own_broker, wanted
 from handover.errors import HandoverError, UsageError
-from handover.ports import hold, reserved_ports, unreserved
+from handover.extensions import Service
+from handover.ports import PortLeaving, hold, reserved_ports, unreserved
 from handover.settings import Settings
+from handover.tls_trust import client_context
+
+DOCKER_TIMEOUT_S = 20.0
 
 OPTIONAL_PROGRAMS = {
     "chromium": "needed only to test the pages",
@@ -50,25 +57,52 @@ def _python() -> Iterator[Finding]:
 
 
 def _disk(settings: Settings) -> Iterator[Finding]:
+    folder = settings.data_dir.absolute()
+    if not folder.exists():
+        parent = next(each for each in folder.parents if each.exists())
+        is_possible = parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)
+        words = f"{folder} does not exist; " + (
+            "the first service makes it" if is_possible else f"{parent} is not writable; choose another"
+        )
+        yield Finding("data directory", is_possible, words)
+        return
     try:
-        require_space(settings.data_dir)
+        require_space(folder)
     except UsageError as error:
         yield Finding("data directory", False, str(error))
     else:
-        free_gib = shutil.disk_usage(settings.data_dir).free / 2**30
-        yield Finding("data directory", True, f"{settings.data_dir.absolute()}, {free_gib:.0f} GiB free")
+        free_gib = shutil.disk_usage(folder).free / 2**30
+        yield Finding("data directory", True, f"{folder}, {free_gib:.0f} GiB free")
 
 
 def _ports() -> Iterator[Finding]:
     for service in wanted():
+        is_running: bool | None = None
         for host, port, setting in service.listens():
             try:
                 hold(host, port, setting).close()
             except UsageError as error:
-                yield Finding(service.name, False, f"{error} (or it is running already)", needed=False)
+                is_running = _is_running(service) if is_running is None else is_running
+                words = f"it runs, port {port}" if is_running else str(error)
+                is_lasting = not isinstance(error, PortLeaving)
+                yield Finding(service.name, is_running, words, needed=is_lasting)
             else:
                 yield Finding(service.name, True, f"port {port} is free")
     yield from _reserved({port for service in wanted() for _, port, _ in service.listens()})
+
+
+def _is_running(service: Service) -> bool:
+    """Return whether a service of ours answers at its address, and no other program."""
+    try:
+        answer = httpx.get(
+            f"{service.url()}/healthz",
+            timeout=10,
+            trust_env=False,
+            verify=client_context(*service.settings.load().ca_files),
+        )
+        return bool(answer.is_success and answer.json() == {"status": "ok"})
+    except (httpx.TransportError, ValueError):
+        return False
 
 
 def _reserved(ports: set[int]) -> Iterator[Finding]:
@@ -117,10 +151,32 @@ def _serial() -> Iterator[Finding]:
     for port in ports:
         usable = os.access(port, os.R_OK | os.W_OK)
         mend = "usable" if usable else "no permission; add yourself to the group dialout and log in again"
-        yield Finding(f"serial port {port}", usable, mend, needed=False)
+        yield Finding(f"serial port {port}", usable, mend)
 
 
 def _programs() -> Iterator[Finding]:
     for program, purpose in OPTIONAL_PROGRAMS.items():
         there = shutil.which(program)
-        yield Finding(program, there is not None, there or purpose, needed=False)
+        fault = _docker_fault(there) if program == "docker" and there else None
+        yield Finding(program, there is not None and fault is None, fault or there or purpose, needed=False)
+
+
+def _docker_fault(program: str) -> str | None:
+    """Return why containers cannot run although the client is installed."""
+    try:
+        asked = subprocess.run(  # noqa: S603 - found in the path
+            [program, "version", "--format", "{{.Server.Version}}"],
+            capture_output=True,
+            text=True,
+            timeout=DOCKER_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        reason = f"no answer within {DOCKER_TIMEOUT_S:.0f} s"
+    except OSError as error:
+        reason = str(error)
+    else:
+        if asked.returncode == 0 and asked.stdout.strip():
+            return None
+        reason = (asked.stderr.strip().splitlines() or ["no answer"])[-1]
+    return f"{program} is installed, and its engine does not answer ({reason}); start it for containers"

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from handover.cli.output import AsJson, print_json
 from handover.errors import UsageError
 
 app = typer.Typer(help="Humanoids: their models, walking and throwing in simulation.", no_args_is_help=True)
@@ -17,18 +18,35 @@ Name = Annotated[str, typer.Option("--robot", help="The humanoid; see `handover 
 
 
 @app.command("list")
-def list_humanoids() -> None:
+def list_humanoids(as_json: AsJson = False) -> None:
     """List the humanoids, ours and those of other packages."""
     robots = _imported()
+    listed: list[dict[str, Any]] = []
     for name in robots.HUMANOIDS.names():
         try:
             humanoid = robots.humanoid(name)
         except UsageError as error:
-            print(f"{name:<12} not usable: {error}")
+            listed.append({"name": name, "fault": str(error)})
+            continue
+        listed.append(
+            {
+                "name": name,
+                "joints": len(humanoid.joints),
+                "massKg": float(humanoid.mass_kg),
+                "chains": list(humanoid.chains),
+                "hands": list(humanoid.grips),
+            }
+        )
+    if as_json:
+        print_json(listed)
+        return
+    for one in listed:
+        if "fault" in one:
+            print(f"{one['name']:<12} not usable: {one['fault']}")
             continue
         print(
-            f"{name:<12} {len(humanoid.joints)} joints, {humanoid.mass_kg:.1f} kg; "
-            f"chains: {', '.join(humanoid.chains)}; hands: {', '.join(humanoid.grips) or 'none'}"
+            f"{one['name']:<12} {one['joints']} joints, {one['massKg']:.1f} kg; "
+            f"chains: {', '.join(one['chains'])}; hands: {', '.join(one['hands']) or 'none'}"
         )
 
 

@@ -4,6 +4,8 @@ import asyncio
 import os
 import runpy
 import sys
+from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,12 +25,14 @@ from handover.cli import (
     secrets,
     secure,
     specification,
+    task,
 )
 from handover.cli.check import BROKER, check_database, databases, faults_of_keys
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_arguments, change_token
 from handover.cli.launcher import Launcher
+from handover.cli.output import AsJson, print_json
 from handover.cli.services import (
     OPTIONAL_SERVICES,
     SERVICES,
@@ -48,10 +52,11 @@ from handover.telemetry import log_to_stderr
 app = typer.Typer(
     help="People and robots hand work to each other.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 app.add_typer(process.app, name="process")
+app.add_typer(task.app, name="task")
 app.add_typer(bridge.app, name="bridge")
 app.add_typer(broker.app, name="broker")
 app.add_typer(specification.app, name="specification")
@@ -66,6 +71,22 @@ app.add_typer(body.app, name="body")
 app.add_typer(humanoid.app, name="humanoid")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        say(f"handover {version('handover')}")
+        raise typer.Exit
+
+
+@app.callback()
+def handover(
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """People and robots hand work to each other."""
 
 
 @app.command()
@@ -87,6 +108,7 @@ def demo(
 @app.command()
 def case(  # noqa: PLR0917 - options of a command
     name: Annotated[str | None, typer.Argument(help="The case; without it the cases are listed.")] = None,
+    as_json: AsJson = False,
     once: Annotated[
         bool, typer.Option("--once", help="End after the trial, with exit code 0 if the machine did right.")
     ] = False,
@@ -120,6 +142,9 @@ def case(  # noqa: PLR0917 - options of a command
     )
 
     if name is None:
+        if as_json:
+            print_json([{"name": each.name, "summary": each.summary} for each in known_cases()])
+            return
         for each in known_cases():
             say(f"{each.name:<14} {each.summary}")
         return
@@ -199,9 +224,12 @@ def glove(context: typer.Context) -> None:
 
 
 @app.command()
-def settings() -> None:
+def settings(as_json: AsJson = False) -> None:
     """Print every setting with its value and source."""
     known = list(origins([service.settings for service in all_services()]))
+    if as_json:
+        print_json([asdict(setting) for setting in known])
+        return
     width = max(len(setting.name) for setting in known)
     for setting in known:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")
@@ -215,15 +243,21 @@ def check(
         typer.Option(help="Create the marks of sound databases again, after you replaced a file yourself."),
     ] = False,
 ) -> None:
-    """Check all databases, keys and tokens in the data directory completely; exit with 1 if one is damaged.
+    """Check all databases, keys and tokens in the data directory completely.
 
-    What cannot be read, on a full disk for example, is named; it is not damaged.
+    Exit code 0: all are sound; 1: one is damaged, others can read it, or it could not be checked; 2: there is
+    no data directory. What cannot be read, on a full disk for example, is named; it is not damaged.
     """
     folder = _settings(data_dir).data_dir
+    if not folder.is_dir():
+        raise UsageError(
+            f"there is no data directory {folder.absolute()}; name that of the cell with --data-dir, or run "
+            "this command in the folder of the cell"
+        )
     found = databases(folder)
     if not found:
         say(f"there is no database in {folder.absolute()}")
-    is_damaged = False
+    is_damaged = is_unknown = False
     for path in found:
         if restamp and path.name != BROKER:
             renew_marks(path)
@@ -231,6 +265,7 @@ def check(
         is_damaged = is_damaged or bool(result.faults)
         for fault in result.faults:
             say(f"damaged  {fault}")
+        is_unknown = is_unknown or result.unreadable is not None
         if result.unreadable:
             say(f"unknown  {path}: {result.unreadable}")
         elif not result.faults:
@@ -238,22 +273,31 @@ def check(
     key_faults = faults_of_keys()
     for fault in key_faults:
         say(f"damaged  {fault}")
-    for line in open_files(folder):
+    readable = list(open_files(folder))
+    for line in readable:
         say(f"open     {line}")
     if (owner := owner_of(folder)) is not None:
         say(f"accepted {owner}")
     if is_damaged:
         say(f"remedy: {REMEDY}")
-    if is_damaged or key_faults:
+    if is_damaged or is_unknown or key_faults or readable:
         raise typer.Exit(1)
 
 
 @app.command()
-def doctor(data_dir: DataDir = None) -> None:
-    """Check this machine and a broker that is not ours; print the remedy for each missing part."""
+def doctor(data_dir: DataDir = None, as_json: AsJson = False) -> None:
+    """Check this machine and a broker that is not ours; print the remedy for each missing part.
+
+    `wrong` is what keeps a part of Handover from working, then the exit code is 1; what is `missing` is
+    optional.
+    """
     findings = examine(_settings(data_dir))
-    for finding in findings:
-        say(f"{'ok     ' if finding.ok else 'missing'}  {finding.about}: {finding.words}")
+    if as_json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        for finding in findings:
+            level = "ok" if finding.ok else "wrong" if finding.needed else "missing"
+            say(f"{level:<7}  {finding.about}: {finding.words}")
     if not all(finding.ok or not finding.needed for finding in findings):
         raise typer.Exit(1)
 

@@ -1,7 +1,6 @@
 """`handover process`: deploy BPMN files; start, list, show, cancel processes; mend what cannot continue."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,12 +9,12 @@ import orjson
 import typer
 import yaml
 
-from handover.cli.access import access_headers
+from handover.cli.access import ask_service
 from handover.cli.exporters import EXPORTERS, Exporter
+from handover.cli.output import AsJson, print_json
 from handover.cli.services import service_named
 from handover.errors import UsageError
 from handover.settings import Settings
-from handover.tls_trust import client_context, handshake_fault
 
 app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, mend.", no_args_is_help=True)
 
@@ -37,7 +36,7 @@ def deploy(
             {"name": file.name, "content": content.decode(errors="replace")}
             for file, content in contents.items()
         ]
-        answer = _ask("POST", "/deployments", json={"files": named})
+        answer = ask("POST", "/deployments", json={"files": named})
         for definition in answer["definitions"]:
             print(f"{definition['name']} version {definition['version']} deployed")
         for form in answer["forms"]:
@@ -47,7 +46,7 @@ def deploy(
         _print_warnings(answer["warnings"])
         return
     bpmn = contents[files[0]]
-    answer = _ask("POST", "/definitions", content=bpmn, headers={"Content-Type": "application/xml"})
+    answer = ask("POST", "/definitions", content=bpmn, headers={"Content-Type": "application/xml"})
     for definition in answer["definitions"]:
         print(f"{definition['name']} version {definition['version']} deployed")
     _print_warnings(answer["warnings"])
@@ -78,26 +77,47 @@ def start(
 ) -> None:
     """Start a process."""
     given = dict(parse_parameter(parameter) for parameter in parameters or [])
-    answer = _ask("POST", "/processes", json={"definition": definition, "parameters": given})
+    answer = ask("POST", "/processes", json={"definition": definition, "parameters": given})
     print(f"{answer['id']} started")
 
 
 @app.command("list")
-def list_processes() -> None:
-    """List the process definitions and the processes."""
-    for definition in _ask("GET", "/definitions"):
+def list_processes(
+    limit: Annotated[
+        int, typer.Option("--limit", min=1, max=1000, help="How many processes, the latest first.")
+    ] = 100,
+    as_json: AsJson = False,
+) -> None:
+    """List the process definitions and the processes: status, version and the elements that wait."""
+    definitions = ask("GET", "/definitions")
+    page = _ask_page("GET", "/processes", params={"limit": limit})
+    processes = page.json()
+    if as_json:
+        print_json({"definitions": definitions, "processes": processes})
+        return
+    for definition in definitions:
         print(f"definition  {definition['name']:<24} version {definition['version']}")
-    for process in _ask("GET", "/processes"):
-        print(f"process     {process['id']:<56} {process['status']}")
+    for process in processes:
+        waits = f", waits at {', '.join(process['waiting'])}" if process["waiting"] else ""
+        of = f"{process['definition']} version {process['version']}"
+        print(f"process     {process['id']:<40} {_status(process):<11} {of}{waits}")
         for incident in process["incidents"]:
             where = f"token {incident['token']} at {incident['name']}"
             print(f"  incident  {where}: {incident['reason']}")
+    if "next" in page.links:
+        print(f"the latest {limit} processes are listed; --limit lists more, up to 1000", file=sys.stderr)
+
+
+def _status(process: dict[str, Any]) -> str:
+    """Return the status; a cancelled process has `failed` and a reason that says it."""
+    is_cancelled = process["status"] == "failed" and str(process["reason"]).startswith("cancelled")
+    return "cancelled" if is_cancelled else str(process["status"])
 
 
 @app.command()
 def show(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
-    """Show a process with all details."""
-    print(orjson.dumps(_ask("GET", f"/processes/{process}"), option=orjson.OPT_INDENT_2).decode())
+    """Show a process with all details, as JSON."""
+    print_json(ask("GET", f"/processes/{process}"))
 
 
 @app.command()
@@ -112,7 +132,7 @@ def export(
 ) -> None:
     """Write the history of a process to a file."""
     exporter: Exporter = EXPORTERS.load(form)
-    content = exporter(_ask("GET", f"/processes/{process}"))
+    content = exporter(ask("GET", f"/processes/{process}"))
     if output is None:
         sys.stdout.buffer.write(content)
         return
@@ -128,7 +148,7 @@ def cancel(
     by: Annotated[str | None, typer.Option("--by", help="Who cancels it.")] = None,
 ) -> None:
     """Cancel a process and its Tasks."""
-    _ask("POST", f"/processes/{process}/cancel", json={"by": by})
+    ask("POST", f"/processes/{process}/cancel", json={"by": by})
     print(f"{process} is cancelled")
 
 
@@ -174,7 +194,7 @@ def release(
     why: Why = None,
 ) -> None:
     """Release what is reserved for a part of a process; the next activity of it reserves again."""
-    _ask("POST", f"/processes/{process}/reservations/{reservation}/release", json={"by": by, "why": why})
+    ask("POST", f"/processes/{process}/reservations/{reservation}/release", json={"by": by, "why": why})
     print(f"{process} has released {reservation}")
 
 
@@ -199,7 +219,10 @@ def migrate(
     variables: Variables = None,
     dry: Annotated[bool, typer.Option("--dry", help="Only show what differs.")] = False,
 ) -> None:
-    """Continue a process, or all of a version, in another version of the definition; open Tasks stay."""
+    """Continue a process, or all of a version, in another version of the definition; open Tasks stay.
+
+    Exit code 1 if a process cannot be migrated, also with --dry.
+    """
     body: dict[str, Any] = {
         "by": by,
         "why": why,
@@ -209,15 +232,23 @@ def migrate(
     }
     query = {"dry": dry}
     if process is not None:
-        _print_migration(_ask("POST", f"/processes/{process}/migration", json=body, params=query))
+        report = ask("POST", f"/processes/{process}/migration", json=body, params=query)
+        _print_migrations([report])
         return
     if definition is None or source is None:
         raise UsageError("name a process, or a definition and a version: --definition NAME --from VERSION")
     body["source"] = source
-    answer = _ask("POST", f"/definitions/{definition}/migration", json=body, params=query)
-    for report in answer["processes"]:
-        _print_migration(report)
+    answer = ask("POST", f"/definitions/{definition}/migration", json=body, params=query)
     print(f"{answer['migrated']} migrated, {answer['refused']} not possible")
+    _print_migrations(answer["processes"])
+
+
+def _print_migrations(reports: list[dict[str, Any]]) -> None:
+    """Print what became of each process; end with 1 if one cannot be migrated."""
+    for report in reports:
+        _print_migration(report)
+    if not all(report["possible"] for report in reports):
+        raise typer.Exit(1)
 
 
 def _print_migration(report: dict[str, Any]) -> None:
@@ -260,11 +291,11 @@ def resume(
 def _pause(what: str, by: str, process: str | None, definition: str | None, why: str | None) -> None:
     body = {"by": by, "why": why}
     if process is not None:
-        answer = _ask("POST", f"/processes/{process}/{what}", json=body)
+        answer = ask("POST", f"/processes/{process}/{what}", json=body)
         print(f"{answer['id']} is {answer['status']}")
         return
     query = {} if definition is None else {"definition": definition}
-    answer = _ask("POST", f"/{what}", json=body, params=query)
+    answer = ask("POST", f"/{what}", json=body, params=query)
     print("\n".join(answer["processes"]) or "no process runs")
 
 
@@ -278,7 +309,7 @@ def message(
     """Send a message to the process that waits for it, or that it starts."""
     given = dict(parse_parameter(each) for each in variables or [])
     body = {"name": name, "key": key, "process": process, "variables": given}
-    answer = _ask("POST", "/messages", json=body)
+    answer = ask("POST", "/messages", json=body)
     print(f"{answer['outcome']}{': ' + answer['process'] if answer['process'] else ''}")
 
 
@@ -288,7 +319,7 @@ def signal(
 ) -> None:
     """Send a signal to all processes that wait for it."""
     given = dict(parse_parameter(each) for each in variables or [])
-    answer = _ask("POST", "/signals", json={"name": name, "variables": given})
+    answer = ask("POST", "/signals", json={"name": name, "variables": given})
     print("\n".join(answer["processes"]) or "no process waits for it")
 
 
@@ -297,7 +328,7 @@ def show_mapping(
     version: Annotated[int | None, typer.Option("--version", help="An earlier version.")] = None,
 ) -> None:
     """Write the mapping from names in process files to performers, as YAML."""
-    table = _ask("GET", "/mapping", params={} if version is None else {"version": version})
+    table = ask("GET", "/mapping", params={} if version is None else {"version": version})
     print(yaml.safe_dump(table, sort_keys=False, allow_unicode=True), end="")
 
 
@@ -314,7 +345,7 @@ def set_mapping(
         raise UsageError(f"{file} is no YAML: {error}") from None
     if not isinstance(given, dict) or not isinstance(given.get("entries"), list):
         raise UsageError(f"{file} has no list `entries`; see docs/how-to/processes.md")
-    table = _ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
+    table = ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
     print(f"mapping version {table['version']}: {len(table['entries'])} entries")
 
 
@@ -323,9 +354,13 @@ def list_offers(
     status: Annotated[
         str, typer.Option("--status", help="open, accepted, rejected, superseded or withdrawn.")
     ] = "open",
+    as_json: AsJson = False,
 ) -> None:
     """List the offers of a status, the latest first."""
-    found = _ask("GET", "/offers", params={"status": status})
+    found = ask("GET", "/offers", params={"status": status})
+    if as_json:
+        print_json(found)
+        return
     for offer in found:
         print(f"{offer['id']}  {offer['type']:<22} {offer['name']}")
         for fault in offer["faults"]:
@@ -340,7 +375,7 @@ Offer = Annotated[str, typer.Argument(help="The id of the offer, as `offers list
 @offers.command("show")
 def show_offer(offer: Offer) -> None:
     """Show what an offer would change, and who would get the work."""
-    view = _ask("GET", f"/offers/{offer}")
+    view = ask("GET", f"/offers/{offer}")
     print(f"{view['name']} ({view['type']}, {view['status']}) of {view['entity']}")
     for definition in view["definitions"]:
         print(f"becomes version {definition['version']} of {definition['title']}")
@@ -356,14 +391,14 @@ def show_offer(offer: Offer) -> None:
 @offers.command("accept")
 def accept_offer(offer: Offer, by: By, why: Why = None) -> None:
     """Deploy a process, or put another definition in force."""
-    view = _ask("POST", f"/offers/{offer}/accept", json={"by": by, "why": why})
+    view = ask("POST", f"/offers/{offer}/accept", json={"by": by, "why": why})
     print(f"{view['name']} is accepted")
 
 
 @offers.command("reject")
 def reject_offer(offer: Offer, by: By, why: Why = None) -> None:
     """Reject an offer; the same content is not offered again."""
-    view = _ask("POST", f"/offers/{offer}/reject", json={"by": by, "why": why})
+    view = ask("POST", f"/offers/{offer}/reject", json={"by": by, "why": why})
     print(f"{view['name']} is rejected")
 
 
@@ -372,30 +407,19 @@ def _mend(
 ) -> None:
     given = dict(parse_parameter(each) for each in variables or [])
     body = {"by": by, "why": why, "variables": given, **others}
-    answer = _ask("POST", f"/processes/{process}/{what}", json=body)
+    answer = ask("POST", f"/processes/{process}/{what}", json=body)
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
 
 
-def _ask(method: str, path: str, *, headers: Mapping[str, str] | None = None, **content: Any) -> Any:
-    orchestrator = service_named("task-orchestrator").url()
-    try:
-        answer = httpx.request(
-            method,
-            f"{orchestrator}{path}",
-            headers={**(headers or {}), **access_headers(Settings.load())},
-            timeout=30,
-            trust_env=False,
-            verify=client_context(*Settings.load().ca_files),
-            **content,
-        )
-    except httpx.TransportError as error:
-        raise UsageError(
-            handshake_fault(error, orchestrator)
-            or f"the task orchestrator does not answer at {orchestrator}; start it with: handover up"
-        ) from None
-    if answer.is_success:
-        return answer.json() if answer.content else None
-    raise UsageError(_refusal(answer))
+def ask(method: str, path: str, **request: Any) -> Any:
+    """Return the content of the answer of the task orchestrator. Raises `UsageError`."""
+    answer = _ask_page(method, path, **request)
+    return answer.json() if answer.content else None
+
+
+def _ask_page(method: str, path: str, **request: Any) -> httpx.Response:
+    url = service_named("task-orchestrator").url()
+    return ask_service("task orchestrator", Settings.load(), method, url, path, refusal=_refusal, **request)
 
 
 def _refusal(answer: httpx.Response) -> str:

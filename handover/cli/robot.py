@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from handover.cli import case_study, robot_limits, robot_simulation
+from handover.cli.output import AsJson, print_json
 from handover.cli.robot_shapes import print_comparison, print_shapes
 from handover.cli.robot_task import perform
 from handover.errors import UsageError
@@ -68,15 +69,23 @@ def add(  # noqa: PLR0917 - options of a command
 
 
 @app.command("list")
-def list_robots(data_dir: DataDir = None) -> None:
+def list_robots(data_dir: DataDir = None, as_json: AsJson = False) -> None:
     """List the robots that HANDOVER_ROBOT_MODEL and cell files can name."""
     from services.trajectory_tool.robots import ROBOTS  # noqa: PLC0415 - only this command needs it
     from services.trajectory_tool.robots.folder import FILE, robots_folder  # noqa: PLC0415
 
-    for name in ROBOTS.names():
-        print(f"{name:<24} {'of Handover' if name in ROBOTS.own else 'of a package'}")
-    for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}")):
-        print(f"{path.parent.name:<24} {path.parent}")
+    robots = [
+        *((name, "of Handover" if name in ROBOTS.own else "of a package") for name in ROBOTS.names()),
+        *(
+            (path.parent.name, str(path.parent))
+            for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}"))
+        ),
+    ]
+    if as_json:
+        print_json([{"name": name, "source": source} for name, source in robots])
+        return
+    for name, source in robots:
+        print(f"{name:<24} {source}")
 
 
 @app.command()

@@ -10,11 +10,14 @@ from typing import Annotated, Any
 import httpx
 import typer
 from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
 
-from handover.cli.access import cli_access
+from handover.cli.access import cli_access, no_answer
 from handover.errors import UsageError
 from handover.settings import Settings
 from handover.tls_trust import client_context, tls_of
+
+TOOL = "trajectory tool"
 
 Robot = Annotated[str, typer.Argument(help="The name of the robot, for example ur10-1.")]
 Url = Annotated[str | None, typer.Option("--url", help="The trajectory tool, else that of the settings.")]
@@ -127,7 +130,7 @@ async def _send_measured(base: str, name: str, places: list[str], seconds: float
         ) as client:
             written = (await client.get(f"{base}/cell/scene")).raise_for_status().json()
     except httpx.HTTPError as error:
-        raise UsageError(f"{base} does not answer: {error}; start the trajectory tool") from None
+        raise no_answer(TOOL, base, error) from None
     scene = Scene.model_validate({key: each for key, each in written.items() if key not in VIEW_ONLY})
     if name not in scene.people_sensors:
         known = ", ".join(scene.people_sensors) or "none"
@@ -170,6 +173,6 @@ async def _send(url: str, report: Callable[[], dict[str, Any]], seconds: float, 
                 if time.monotonic() >= ends_s:
                     break
                 await asyncio.sleep(period_s)
-    except OSError as error:
-        raise UsageError(f"{url} does not answer: {error}; start the trajectory tool") from None
+    except (OSError, WebSocketException) as error:
+        raise no_answer(TOOL, url, error) from None
     print(f"accepted by {url}")

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+import yaml
 
+from handover.cli.output import AsJson, print_json
 from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
@@ -48,13 +50,17 @@ def take_in(
 
 
 @app.command("list")
-def every(url: Url = None) -> None:
-    """Print all definitions as a file that can be imported."""
+def every(url: Url = None, as_json: AsJson = False) -> None:
+    """Print all definitions as a file that can be imported, in YAML or JSON."""
     from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
     from services.gesture_controller.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "read") as engine:
-        print(file.written(table.every(engine)), end="")
+        text = file.written(table.every(engine))
+    if as_json:
+        print_json(yaml.safe_load(text))
+    else:
+        print(text, end="")
 
 
 @app.command("table")

@@ -104,7 +104,8 @@ async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Ha
     assert code == 0, wrong
     assert "no node" not in live
     file.write_text(scaffold.replace("qos: sensor_data", "qos: default"))
-    _, unmatched, _ = await handover("check", "cell.yaml", "--live", *LOOK)
+    code, unmatched, _ = await handover("check", "cell.yaml", "--live", *LOOK)
+    assert code == 1
     assert (
         "/robot will not be received: the reader wants reliable, the writer offers best_effort" in unmatched
     )
@@ -141,7 +142,7 @@ async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover
     (own_shop.cell.data_dir / "calls.yaml").write_text(CALLS)
     with genuine(own_shop.domain, "0" * 64):
         code, live, wrong = await handover("check", "calls.yaml", "--live", *LOOK)
-    assert code == 0, wrong
+    assert code == 1, wrong
     assert "trigger: /trigger: a node serves std_srvs/srv/Trigger with the type hash RIHS01_0000" in live
     assert "other: /other has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger" in live
     assert "absent: no node serves /absent now" in live

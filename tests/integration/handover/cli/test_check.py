@@ -16,9 +16,9 @@ from services.context_broker.storage.history_archive import HistoryRow
 from services.context_broker.storage.journal import Journal
 
 
-def checked(folder: Path) -> subprocess.CompletedProcess[str]:
+def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(folder)],
+        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(folder), *options],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -30,6 +30,7 @@ def checked(folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def data_dir(tmp_path: Path) -> Path:
     """What a broker and an orchestrator have left."""
+    tmp_path.chmod(0o700)
     journal = Journal(SqliteDatabase(tmp_path / "broker.db"))
     journal.open()
     for place in range(1, 50):
@@ -38,6 +39,8 @@ def data_dir(tmp_path: Path) -> Path:
         journal.commit(Entries(entities={place: EntityRow("", f"urn:{place}", body)}, history=[row]))
     journal.close()
     connect(f"sqlite:///{tmp_path / 'orchestrator.db'}").dispose()
+    for file in tmp_path.iterdir():
+        file.chmod(0o600)
     return tmp_path
 
 
@@ -54,7 +57,7 @@ def test_sound_data_are_found_sound_also_while_a_broker_uses_them(data_dir: Path
             journal.open()
         reported = checked(data_dir)
         assert reported.returncode == 0, reported.stdout
-        assert [line for line in reported.stdout.splitlines() if not line.startswith("open ")] == [
+        assert reported.stdout.splitlines() == [
             f"ok       {data_dir / 'broker.db'}",
             f"ok       {data_dir / 'orchestrator.db'}",
         ]
@@ -102,6 +105,29 @@ def test_damage_is_listed_with_the_remedy(data_dir: Path, harm: Callable[[Path],
 
 
 def test_an_empty_folder_has_nothing_to_check(tmp_path: Path) -> None:
+    tmp_path.chmod(0o700)
     reported: Any = checked(tmp_path)
     assert reported.returncode == 0
     assert "there is no database in" in reported.stdout
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+    reported = checked(tmp_path, "--data-dir", str(tmp_path / "elsewhere"))
+    assert reported.returncode == 2
+    assert f"there is no data directory {tmp_path / 'elsewhere'}" in reported.stderr
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_what_could_not_be_checked_is_no_success(data_dir: Path) -> None:
+    (data_dir / "orchestrator.db").unlink()
+    (data_dir / "orchestrator.db").mkdir()
+    reported = checked(data_dir)
+    assert reported.returncode == 1, reported.stdout + reported.stderr
+    assert "orchestrator.db" in reported.stdout
+
+
+def test_what_others_can_read_is_no_success(data_dir: Path) -> None:
+    (data_dir / "broker.db").chmod(0o644)
+    reported = checked(data_dir)
+    assert reported.returncode == 1
+    assert "broker.db can be read by others" in reported.stdout

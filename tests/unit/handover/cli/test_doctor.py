@@ -1,5 +1,7 @@
-"""The doctor says which ports outgoing connections may get, and how to reserve them."""
+"""The doctor says what is wrong with the machine, and the way out."""
 
+import os
+import socket
 from pathlib import Path
 
 import pytest
@@ -30,3 +32,50 @@ def test_ports_that_are_not_reserved_are_named_with_the_command(
     assert "1026" not in words
     (tmp_path / "ip_local_reserved_ports").write_text("40000-40001,54000-54400\n")
     assert finding(tmp_path) == (True, "no outgoing connection can get one of ours")
+
+
+def examined(tmp_path: Path, about: str) -> list[tuple[bool, bool, str]]:
+    return [
+        (one.ok, one.needed, one.words)
+        for one in examine(Settings.load(data_dir=tmp_path))
+        if one.about == about
+    ]
+
+
+def test_the_port_of_another_program_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        monkeypatch.setenv("HANDOVER_STUDY_PORT", str(port))
+        monkeypatch.setenv("HANDOVER_STUDY_URL", "http://127.0.0.1:1")  # nothing answers there
+        ((ok, needed, words),) = examined(tmp_path, "study")
+    assert not ok
+    assert needed
+    assert str(port) in words
+
+
+def test_a_client_of_docker_without_its_engine_is_not_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "docker"
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    for script, is_well in (
+        ("echo Cannot connect to the Docker daemon >&2; exit 1", False),
+        ("echo; exit 0", False),
+        ("echo 27.1", True),
+    ):
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+        ((ok, needed, words),) = examined(tmp_path, "docker")
+        assert (ok, needed) == (is_well, False), words
+        assert is_well or "its engine does not answer" in words
+
+
+def test_a_folder_that_is_missing_is_not_made(tmp_path: Path) -> None:
+    ((ok, _, words),) = examined(tmp_path / "new" / "data", "data directory")
+    assert ok
+    assert "does not exist; the first service makes it" in words
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    ((ok, needed, words),) = examined(tmp_path / "file" / "data", "data directory")
+    assert not ok
+    assert needed
