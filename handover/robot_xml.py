@@ -14,6 +14,8 @@ from lxml import etree
 from handover.errors import UsageError
 
 _PACKAGE = "package://"
+_XACRO_DEFINITIONS = frozenset({"property", "macro", "arg"})
+_XACRO_VALUE = re.compile(r"\$[{(]")
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
@@ -24,12 +26,51 @@ def parse_robot_xml(text: str, what: str) -> Any:
         root = etree.fromstring(text.encode(), parser)
     except etree.XMLSyntaxError as error:
         raise UsageError(f"the {what} is not XML: {error}") from None
-    if any(each.prefix == "xacro" for each in root.iter()):
+    remove_namespace(root)
+    if not _drop_unused_xacro(root):
         raise UsageError(f"the {what} is a xacro file; expand it first: xacro FILE.xacro > FILE.urdf")
     if root.tag != "robot":
         hint = "; convert the SDF to a URDF first" if root.tag == "sdf" else ""
         raise UsageError(f"the root element of the {what} is <{root.tag}>, not <robot>{hint}")
     return root
+
+
+def remove_namespace(root: Any) -> None:
+    """Remove the namespace of the root from all elements that have it: readers of URDFs know none."""
+    if not str(root.tag).startswith("{"):
+        return
+    namespace = root.tag.partition("}")[0] + "}"
+    if "xacro" in namespace:
+        return
+    for element in root.iter(f"{namespace}*"):
+        element.tag = element.tag.removeprefix(namespace)
+    etree.cleanup_namespaces(root)
+
+
+def _drop_unused_xacro(root: Any) -> bool:
+    """Remove definitions of xacro that nothing uses; return False if the file has to be expanded.
+
+    Definitions alone do nothing. What uses them is an element of xacro, or `${…}` and `$(…)` in a value.
+    """
+    if _is_xacro(root):
+        return False
+    outermost = [each for each in root.iter("{*}*") if _is_xacro(each) and not _is_within_xacro(each)]
+    for element in outermost:
+        if etree.QName(element).localname not in _XACRO_DEFINITIONS:
+            return False
+        element.getparent().remove(element)
+    values = (
+        value for part in root.iter("link", "joint") for each in part.iter("*") for value in each.values()
+    )
+    return not outermost or not any(_XACRO_VALUE.search(value) for value in values)
+
+
+def _is_within_xacro(element: Any) -> bool:
+    return any(map(_is_xacro, element.iterancestors()))
+
+
+def _is_xacro(element: Any) -> bool:
+    return element.prefix == "xacro" or "xacro" in (etree.QName(element).namespace or "")
 
 
 def number_of(element: Any, attribute: str) -> float | None:

@@ -11,7 +11,7 @@ from lxml import etree
 
 from handover.errors import Problem
 from handover.messages import Message, message
-from handover.robot_xml import loop_faults, mesh_faults
+from handover.robot_xml import loop_faults, mesh_faults, remove_namespace
 from services.device_gateway.model.description import Joint
 
 MAX_URDF_BYTES: Final = 4 * 1024 * 1024
@@ -27,6 +27,7 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
         raise _refused(
             message("device.urdf_no_xml", "it is no XML: {error}", error=str(error)[:200])
         ) from None
+    remove_namespace(root)
     if root.tag != "robot":
         raise _refused(
             message(

@@ -14,7 +14,7 @@ from handover.errors import UsageError
 from services.trajectory_tool.onboarding.sources import find_mesh
 from services.trajectory_tool.onboarding.urdf import Finding
 from services.trajectory_tool.planning.arm import Array, convex, hull_of
-from services.trajectory_tool.planning.collision import MAX_MESH_BYTES, mesh_fault
+from services.trajectory_tool.planning.mesh_files import load_mesh
 
 ROUND_POINTS = 48
 """The points around a cylinder; a sphere has its square."""
@@ -43,7 +43,7 @@ def read_surfaces(root: Any, urdf: Path, findings: list[Finding]) -> dict[str, l
     """Return the surfaces of the links of a URDF that have some.
 
     They are the collision shapes. A link whose collision shapes are no meshes, but which is drawn by meshes,
-    has the latter: they are nearer to the real one. Raises `UsageError` for a mesh that is too large.
+    has the latter: they are nearer to the real one. Raises `UsageError` for a mesh that cannot be used.
     """
     surfaces: dict[str, list[Surface]] = {}
     for link in root.findall("link"):
@@ -58,7 +58,10 @@ def read_surfaces(root: Any, urdf: Path, findings: list[Finding]) -> dict[str, l
 
 
 def read_surface(shape: Any, urdf: Path, link: str, findings: list[Finding]) -> Surface | None:
-    """Return the surface of a collision or visual element; None, with a finding, for one without any."""
+    """Return the surface of a collision or visual element; None, with a finding, for one without any.
+
+    Raises `UsageError` for a mesh that is missing or cannot be used: without it a link touches nothing.
+    """
     origin = shape.find("origin")
     xyz, rpy = (vector_of(None if origin is None else origin.get(name), 0.0) for name in ("xyz", "rpy"))
     placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy.tolist()), xyz)
@@ -83,20 +86,17 @@ def _loaded(mesh: Any, urdf: Path, link: str, findings: list[Finding]) -> tuple[
     name = mesh.get("filename", "")
     file = find_mesh(name, urdf)
     if file is None:
-        findings.append(Finding("warning", link, f"the mesh {name} was not found"))
-        return None
-    if (size := file.stat().st_size) > MAX_MESH_BYTES:
         raise UsageError(
-            f'the mesh {file} of "{link}" has {size >> 20} MB; reduce it to {MAX_MESH_BYTES >> 20} MB at most'
+            f'the mesh {name} of "{link}" was not found; put it where the URDF names it, or name the folder '
+            "of its ROS package in ROS_PACKAGE_PATH"
         )
     try:
-        model = coal.MeshLoader().load(str(file), vector_of(mesh.get("scale"), 1.0))
-        points = np.asarray(model.vertices(), dtype=np.float64).reshape(-1, 3)
-        corners = [model.tri_indices(number) for number in range(model.num_tris)]
-    except (ValueError, RuntimeError) as error:
-        findings.append(Finding("warning", link, f"the mesh {file.name} cannot be read: {mesh_fault(error)}"))
-        return None
-    if len(points) < 4 or not corners or not np.isfinite(points).all():
+        model = load_mesh(file, vector_of(mesh.get("scale"), 1.0))
+    except UsageError as fault:
+        raise UsageError(f'"{link}": {fault}') from None
+    points = np.asarray(model.vertices(), dtype=np.float64).reshape(-1, 3)
+    corners = [model.tri_indices(number) for number in range(model.num_tris)]
+    if len(points) < 4 or not corners:
         findings.append(Finding("warning", link, f"the mesh {file.name} has no volume"))
         return None
     return model, points[[[one[0], one[1], one[2]] for one in corners]]

@@ -6,7 +6,7 @@ triangle, so the robot is never smaller than its mesh.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,9 @@ MIN_RADIUS_M, MIN_SIZE_M = 0.005, 0.01
 ROD_OF_LENGTH = 0.15
 """The radius of a link without any shape, as a share of its length."""
 MAX_SIZE_M = 20.0
+SIZES = ("radius", "length", "size")
+PLACEHOLDER_M, THIN_M = 1e-3, 1e-3
+"""A shape that is nowhere longer, and flat, is a placeholder; another flat one gets this thickness."""
 PIECE = "_shape_"
 PADDING_M = 1e-5
 """Plain shapes are larger by this much than what they contain, so that rounded numbers still do."""
@@ -45,27 +48,12 @@ def replace_meshes(examined: Examined, urdf: Path) -> dict[str, list[Piece]]:
     Returns the pieces of the links that had meshes.
     """
     pieces: dict[str, list[Piece]] = {}
+    faults: list[str] = []
     for link in examined.root.findall("link"):
-        name = link.get("name")
-        shapes = [one for one in link.findall("collision") if one.find("geometry") is not None]
-        by_visual = not shapes
-        for shape in shapes or [one for one in link.findall("visual") if one.find("geometry") is not None]:
-            _require_plausible(name, shape)
-            surface = read_surface(shape, urdf, name, examined.findings)
-            if surface is not None:
-                examined.surfaces.setdefault(name, []).append(surface)
-            if mesh_of(shape) is not None:
-                if surface is not None:
-                    pieces.setdefault(name, []).extend(pieces_of(surface.triangles))
-            elif by_visual:
-                _copy_as_collision(link, shape)
-        for one in (*link.findall("collision"), *link.findall("visual")):
-            if one.find("geometry") is None or mesh_of(one) is not None:
-                link.remove(one)
-        if by_visual and (name in pieces or link.find("collision") is not None):
-            examined.findings.append(
-                Finding("warning", name, "no collision geometry; its visual shapes are used")
-            )
+        _settle_sizes(link, examined.findings)
+        faults += _replace_in(link, urdf, examined, pieces)
+    if faults:
+        raise UsageError("\n".join(dict.fromkeys(faults)))
     write_pieces(examined.root, pieces)
     for link in examined.root.findall("link"):
         for shape in link.findall("collision"):
@@ -76,6 +64,34 @@ def replace_meshes(examined: Examined, urdf: Path) -> dict[str, list[Piece]]:
         )
     _add_rods(examined)
     return pieces
+
+
+def _replace_in(link: Any, urdf: Path, examined: Examined, pieces: dict[str, list[Piece]]) -> Iterator[str]:
+    """Take the meshes out of a link, and add what they become to `pieces`; yield why some cannot be used."""
+    name = link.get("name")
+    shapes = [one for one in link.findall("collision") if one.find("geometry") is not None]
+    by_visual = not shapes
+    for shape in shapes or [one for one in link.findall("visual") if one.find("geometry") is not None]:
+        _require_plausible(name, shape)
+        try:
+            surface = read_surface(shape, urdf, name, examined.findings)
+        except UsageError as fault:
+            yield str(fault)
+            continue
+        if surface is not None:
+            examined.surfaces.setdefault(name, []).append(surface)
+        if mesh_of(shape) is not None:
+            if surface is not None:
+                pieces.setdefault(name, []).extend(pieces_of(surface.triangles))
+        elif by_visual:
+            _copy_as_collision(link, shape)
+    for one in (*link.findall("collision"), *link.findall("visual")):
+        if one.find("geometry") is None or mesh_of(one) is not None:
+            link.remove(one)
+    if by_visual and (name in pieces or link.find("collision") is not None):
+        examined.findings.append(
+            Finding("warning", name, "no collision geometry; its visual shapes are used")
+        )
 
 
 def write_pieces(root: Any, pieces: Mapping[str, Sequence[Piece]]) -> None:
@@ -186,19 +202,48 @@ def _add_rods(examined: Examined) -> None:
         )
 
 
-def _require_plausible(link: str, shape: Any) -> None:
+def _settle_sizes(link: Any, findings: list[Finding]) -> None:
+    """Remove shapes without any extent, which are placeholders, and thicken flat ones."""
+    for shape in (*link.findall("collision"), *link.findall("visual")):
+        sizes = {
+            (plain, attribute): _sizes(plain.get(attribute))
+            for plain in _plain_shapes(shape)
+            for attribute in SIZES
+            if plain.get(attribute) is not None
+        }
+        values = [value for size in sizes.values() for value in size]
+        if 0.0 not in values or not all(value >= 0 for value in values):
+            continue
+        kind = shape.tag
+        if max(values) <= PLACEHOLDER_M:
+            link.remove(shape)
+            text = f"a {kind} without any extent is left out"
+        else:
+            for (plain, attribute), size in sizes.items():
+                plain.set(attribute, " ".join(f"{value or THIN_M:g}" for value in size))
+            text = f"a {kind} has a size of 0; {THIN_M:g} m is used"
+        findings.append(Finding("info", link.get("name"), text))
+
+
+def _plain_shapes(shape: Any) -> list[Any]:
     geometry = shape.find("geometry")
-    for element in geometry:
-        for attribute in ("radius", "length", "size"):
+    return [] if geometry is None else [one for one in geometry if one.tag != "mesh"]
+
+
+def _sizes(written: str) -> list[float]:
+    try:
+        return [float(part) for part in written.split()] or [math.nan]
+    except ValueError:
+        return [math.nan]
+
+
+def _require_plausible(link: str, shape: Any) -> None:
+    kind = "collision shape" if shape.tag == "collision" else "visual shape"
+    for element in _plain_shapes(shape):
+        for attribute in SIZES:
             written = element.get(attribute)
-            if written is None:
-                continue
-            try:
-                values = [float(part) for part in written.split()]
-            except ValueError:
-                values = [math.nan]
-            if not values or not all(0 < value <= MAX_SIZE_M for value in values):
+            if written is not None and not all(0 < value <= MAX_SIZE_M for value in _sizes(written)):
                 raise UsageError(
-                    f'a collision shape of "{link}" has {attribute}="{written}"; sizes are in m, above 0 and '
+                    f'a {kind} of "{link}" has {attribute}="{written}"; sizes are in m, above 0 and '
                     f"at most {MAX_SIZE_M:g}"
                 )

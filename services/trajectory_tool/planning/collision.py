@@ -6,7 +6,6 @@ requests for each margin; sets are made when they are first used.
 """
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,8 +28,8 @@ from services.trajectory_tool.obstacles import (
 )
 from services.trajectory_tool.planning.arm import Arm, Array, se3_of
 from services.trajectory_tool.planning.bounds import DistanceBounds
+from services.trajectory_tool.planning.mesh_files import load_mesh, mesh_fault
 
-MAX_MESH_BYTES = 20 * 1024 * 1024
 NAIVE_MAX_GEOMETRIES = 150
 """With more geometries, sweep and prune is faster than comparing all bounding boxes."""
 
@@ -241,24 +240,12 @@ def geometry_of(shape: Shape) -> Any:
 
 
 def _hull(file: Path, scale: tuple[float, float, float]) -> Any:
+    mesh = load_mesh(file, np.array(scale))
     try:
-        if (size := file.stat().st_size) > MAX_MESH_BYTES:
-            raise UsageError(
-                f"the mesh {file} has {size >> 20} MB; reduce it to {MAX_MESH_BYTES >> 20} MB at most"
-            )
-        mesh = coal.MeshLoader().load(str(file), np.array(scale))
         mesh.buildConvexHull(True, "Qt")
-    except OSError as error:
-        raise UsageError(f"the mesh {file} cannot be read: {error.strerror}") from None
     except (ValueError, RuntimeError) as error:
         raise UsageError(f"the mesh {file} cannot be used: {mesh_fault(error)}") from None
     return mesh.convex
-
-
-def mesh_fault(error: Exception) -> str:
-    """Return in one line what coal says about a mesh, without the place in its source."""
-    said = re.search(r"^message: (.+)$", str(error), re.MULTILINE)
-    return said[1] if said else str(error).partition("\n")[0]
 
 
 def _joined(arm: Arm, world: World) -> tuple[Any, list[str]]:

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from handover.errors import UsageError
 from handover.robot_xml import loop_faults, mesh_faults, parse_robot_xml, tree_faults
 
 
@@ -53,3 +54,39 @@ def test_meshes_from_elsewhere_are_named(mesh: str) -> None:
 )
 def test_meshes_of_the_robot_are_accepted(mesh: str) -> None:
     assert list(tree_faults(parse_robot_xml(robot([(0, 1)], mesh), "URDF"))) == []
+
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'<robot {XACRO}><link name="a"/></robot>',
+        f'<robot {XACRO}><xacro:property name="p" value="${{1 + 1}}"/><link name="a"/></robot>',
+        f'<robot {XACRO}><xacro:arg name="p" default="1"/><link name="a"/></robot>',
+        f'<robot {XACRO}><xacro:macro name="m" params="x"><link name="${{x}}"/><xacro:if value="1"/>'
+        '</xacro:macro><link name="a"/></robot>',
+        '<robot xmlns="http://drake.mit.edu"><link name="a"/></robot>',
+        '<robot xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"><link name="a"/></robot>',
+    ],
+)
+def test_definitions_and_namespaces_that_nothing_uses_are_left_out(text: str) -> None:
+    root = parse_robot_xml(text, "URDF")
+    assert [part.tag for part in root] == ["link"]
+    assert list(tree_faults(root)) == []
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        "<xacro:include filename='a.xacro'/>",
+        "<xacro:m/>",
+        "<link name='a'><xacro:property name='p' value='1'/><xacro:insert_block name='b'/></link>",
+        "<xacro:property name='p' value='1'/><link name='${p}'/>",
+        "<xacro:arg name='p' default='1'/><link name='a'><visual><mesh filename='$(arg p)'/></visual></link>",
+    ],
+)
+def test_what_xacro_has_to_expand_is_refused(inner: str) -> None:
+    with pytest.raises(UsageError, match="expand it first"):
+        parse_robot_xml(f"<robot {XACRO}>{inner}</robot>", "URDF")

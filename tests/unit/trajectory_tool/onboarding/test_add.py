@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from handover.cli.main import app
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import World
+from services.trajectory_tool.obstacles import Mesh, World
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.robots import ur5e
 from services.trajectory_tool.robots.folder import load_robot
@@ -27,8 +27,9 @@ if not is_available():
 from services.trajectory_tool.onboarding.add import Added, add_robot
 from services.trajectory_tool.onboarding.hulls import MAX_CORNERS, MAX_PIECES, enclosing, pieces_of
 from services.trajectory_tool.onboarding.shapes import Fitted, fit
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.collision import Collisions, link_of
+from services.trajectory_tool.planning.arm import Arm, corners_of
+from services.trajectory_tool.planning.collision import Collisions, geometry_of, link_of
+from services.trajectory_tool.planning.mesh_files import load_mesh
 from services.trajectory_tool.planning.planner import Planner
 
 UR5E = Path(ur5e.__file__).parent / "ur5e.urdf"
@@ -50,6 +51,10 @@ def joint(
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="0 0 0.3"/><axis xyz="{axis}"/>{inner}</joint>'
     )
+
+
+def mesh(file: str, scale: str = "1 1 1") -> str:
+    return f'<collision><geometry><mesh filename="{file}" scale="{scale}"/></geometry></collision>'
 
 
 def robot(*elements: str) -> str:
@@ -131,8 +136,20 @@ def checked_pairs(model: Any) -> set[tuple[str, str]]:
         ),
         ({"l3": link("l3", TUBE.replace("collision>", "visual>"))}, "l3: no collision geometry; its visual"),
         (
-            {"l3": link("l3", TUBE.replace("<cylinder", '<mesh filename="x.stl"/><c'))},
-            "mesh x.stl was not found",
+            {"l3": link("l3", TUBE + '<collision><geometry><box size="0 0 0"/></geometry></collision>')},
+            "info l3: a collision without any extent is left out",
+        ),
+        (
+            {
+                "l3": link(
+                    "l3", TUBE.replace('<cylinder radius="0.04" length="0.2"/>', '<box size="0 .1 .1"/>')
+                )
+            },
+            "info l3: a collision has a size of 0; 0.001 m is used",
+        ),
+        (
+            {"l6": link("l6", '<visual><geometry><sphere radius="0"/></geometry></visual>')},
+            "info l6: a visual without any extent is left out",
         ),
         ({"plugin": "<gazebo/><transmission/>"}, "other tools are left out: gazebo, transmission"),
         (
@@ -204,6 +221,12 @@ def test_what_is_missing_or_odd_is_reported_and_the_robot_can_be_used(
         ),
         (arm(l3=link("l3", TUBE.replace('radius="0.04"', 'radius="-1"'))), 'radius="-1"; sizes are in m'),
         (arm(l3=link("l3", TUBE.replace('radius="0.04"', 'radius="40"'))), "at most 20"),
+        (
+            arm(l3=link("l3", TUBE.replace('"0.04"', '"-1"').replace("collision", "visual"))),
+            'a visual shape of "l3" has radius="-1"',
+        ),
+        (arm(l3=link("l3", mesh("x.stl"))), 'the mesh x.stl of "l3" was not found'),
+        (arm(l3=link("l3", mesh("x.stl").replace("collision", "visual"))), 'x.stl of "l3" was not found'),
     ],
 )
 def test_a_urdf_without_a_unique_meaning_is_refused_by_name_and_nothing_is_written(
@@ -216,24 +239,94 @@ def test_a_urdf_without_a_unique_meaning_is_refused_by_name_and_nothing_is_writt
     assert not (tmp_path / "robots" / "arm-1").exists()
 
 
-def test_a_mesh_that_is_none_is_named_in_one_line(added: Any, tmp_path: Path) -> None:
+def test_every_mesh_that_cannot_be_used_is_named_in_one_line(added: Any, tmp_path: Path) -> None:
     (tmp_path / "given").mkdir()
     (tmp_path / "given" / "text.stl").write_text("no mesh")
-    shape = '<collision><geometry><mesh filename="text.stl"/></geometry></collision>'
-    (said,) = (line for line in texts(added(arm(l3=link("l3", shape)))).splitlines() if "text.stl" in line)
-    assert said.startswith("warning l3: the mesh text.stl cannot be read: ")
-    assert "assimp" not in said
-    assert "/project" not in said
+    with pytest.raises(UsageError) as refused:
+        added(arm(l3=link("l3", mesh("text.stl")), l4=link("l4", mesh("package://none/gone.dae"))))
+    unread, absent = str(refused.value).splitlines()
+    assert '"l3": the mesh ' in unread
+    assert "text.stl cannot be read: " in unread
+    assert "assimp" not in unread
+    assert "/project" not in unread
+    assert 'the mesh package://none/gone.dae of "l4" was not found' in absent
+    assert "ROS_PACKAGE_PATH" in absent
+    assert not (tmp_path / "robots" / "arm-1").exists()
 
 
 def test_a_mesh_of_400_mb_is_refused(added: Any, tmp_path: Path) -> None:
-    mesh = tmp_path / "given" / "huge.stl"
-    mesh.parent.mkdir()
-    with mesh.open("wb") as file:
+    path = tmp_path / "given" / "huge.stl"
+    path.parent.mkdir()
+    with path.open("wb") as file:
         file.truncate(400 << 20)
-    shape = '<collision><geometry><mesh filename="huge.stl"/></geometry></collision>'
     with pytest.raises(UsageError, match="has 400 MB; reduce it to 20 MB at most"):
-        added(arm(l3=link("l3", shape)))
+        added(arm(l3=link("l3", mesh("huge.stl"))))
+
+
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
+<created>2020-01-01T00:00:00</created><modified>2020-01-01T00:00:00</modified>{unit}<up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="12">{corners}</float_array><technique_common>
+<accessor source="#pa" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>0 1 2 0 1 3 0 2 3 1 2 3</p></triangles>
+</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s">
+<node id="n"><translate>{moved} 0 0</translate><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+@given(
+    unit_m=st.sampled_from((None, 1.0, 0.001, 0.01, 0.0254, 0.3048)),
+    scale=st.sampled_from((1.0, 0.5, 2.0)),
+    size_m=st.floats(0.05, 1.0),
+)
+@settings(max_examples=15, deadline=None)
+def test_a_mesh_has_its_size_in_m_whatever_its_unit(
+    tmp_path_factory: pytest.TempPathFactory, unit_m: float | None, scale: float, size_m: float
+) -> None:
+    """The same tetrahedron in any unit of COLLADA is the one of an STL file in m."""
+    folder = tmp_path_factory.mktemp("meshes")
+    corners_m = np.array([[0, 0, 0], [size_m, 0, 0], [0, size_m, 0], [0, 0, size_m]]) / scale
+    written = " ".join(map(repr, (corners_m / (unit_m or 1.0)).ravel().tolist()))
+    unit = "" if unit_m is None else f'<unit name="u" meter="{unit_m}"/>'
+    moved = 0.1 / scale / (unit_m or 1.0)
+    (folder / "a.dae").write_text(COLLADA.format(unit=unit, corners=written, moved=moved))
+    placed_m = np.add(corners_m, (0.1 / scale, 0, 0))
+    (folder / "a.stl").write_bytes(stl(placed_m[[0, 1, 2, 0, 1, 3, 0, 2, 3, 1, 2, 3]]))
+    loaded = [load_mesh(folder / file, np.full(3, scale)).vertices() for file in ("a.dae", "a.stl")]
+    collada, plain = (np.array([np.min(points, axis=0), np.max(points, axis=0)]) for points in loaded)
+    assert collada == pytest.approx(plain, abs=1e-5)
+    assert np.ptp(plain, axis=0) == pytest.approx([size_m] * 3, abs=1e-5)
+    shape = geometry_of(Mesh(folder / "a.dae", (scale,) * 3))
+    assert np.ptp(corners_of(shape), axis=0) == pytest.approx([size_m] * 3, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("mm.stl", None, "is 300 m long"),
+        ("a.dae", COLLADA.format(unit='<unit meter="0"/>', corners="0 " * 12, moved=0), "in m, above 0"),
+        ("a.dae", COLLADA.format(unit='<unit meter="mm"/>', corners="0 " * 12, moved=0), "in m, above 0"),
+        ("a.dae", "no XML", "cannot be read"),
+        ("a.3mf", "x", "is not read; convert it to STL"),
+    ],
+)
+def test_a_mesh_with_an_implausible_or_unknown_unit_is_refused(
+    added: Any, tmp_path: Path, name: str, content: str | None, fault: str
+) -> None:
+    file = tmp_path / "given" / name
+    file.parent.mkdir()
+    if content is None:
+        file.write_bytes(stl(box_mesh((100.0, 100.0, 300.0), (0, 0, 150.0)).reshape(-1, 3)))
+    else:
+        file.write_text(content)
+    with pytest.raises(UsageError, match=fault) as refused:
+        added(arm(l3=link("l3", mesh(name))))
+    assert name in str(refused.value)
+    if content is None:
+        assert added(arm(l3=link("l3", mesh(name, "0.001 0.001 0.001")))).model.joint_names
 
 
 def stl(points: Any) -> bytes:
@@ -251,10 +344,7 @@ def test_meshes_of_a_ros_package_become_capsules_that_contain_them(
     points = random.normal(size=(300, 3)) * (0.01, 0.01, 0.08)
     (share / "link.stl").write_bytes(stl(points))
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros"))
-    shape = (
-        '<collision><geometry><mesh filename="package://arm_description/link.stl"/></geometry></collision>'
-    )
-    found = added(arm(l3=link("l3", shape)))
+    found = added(arm(l3=link("l3", mesh("package://arm_description/link.stl"))))
     assert "info l3: convex hulls in capsules and boxes replace its meshes" in texts(found)
     assert "mesh" not in found.model.urdf
 
