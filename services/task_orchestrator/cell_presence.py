@@ -2,9 +2,10 @@
 
 Two cells with one name in one tenant would give each other's robots Tasks and replace each other's
 subscriptions. So the name is claimed first: by writing the `Cell` with the identity of this orchestrator's
-database. While another identity has it and writes it again and again, nothing is sent to the broker; what was
-stored waits. No clock of another machine is compared: a `Cell` that does not change for `WATCH_S` is of
-an orchestrator that has ended.
+database. While another identity has it and writes it again and again, nothing is sent to the broker, and no
+Device is leased, so that no performer of this cell acts on Tasks of the other; what was stored waits. No
+clock of another machine is compared: a `Cell` that does not change for `WATCH_S` is of an orchestrator that
+has ended.
 """
 
 import asyncio
@@ -29,6 +30,8 @@ HEARTBEAT_S: Final = 30.0
 WATCH_S: Final = 2.5 * HEARTBEAT_S
 GOODBYE_S: Final = 2.0
 """How long the end waits for a broker that may have ended before."""
+
+ASKED_WITHIN_S: Final = 1.0
 
 OnDisk = Callable[..., Awaitable[Any]]
 
@@ -91,12 +94,24 @@ class CellPresence:
             if not self._claimed.is_set():
                 await self._claim()
 
+    async def refuse_if_in_use(self) -> None:
+        """Raise `CellNameInUse` if another cell has the name; a broker that is away delays nothing."""
+        if self._claimed.is_set():
+            return
+        try:
+            async with asyncio.timeout(ASKED_WITHIN_S):
+                await self.require()
+        except CellNameInUse:
+            raise
+        except (BrokerError, TimeoutError):
+            return  # without its broker a cell gets no Tasks either
+
     async def _claim(self) -> None:
         present = await self._read()
         other = None if present is None else _other_than(self._identity, present)
         if other is not None and not self._has_ended(other):
             raise CellNameInUse(
-                409,
+                503,
                 "Name of the cell in use",
                 f"another cell has the name {self._settings.factory!r} in this tenant of "
                 f"{self._settings.broker_url}; stop that one, or give this one another name "

@@ -56,7 +56,7 @@ class Orchestrator:
         self.timers = DueTimers(self.state, self.writer)
         self.archiving = Archiving(self.state, self.writer)
         self.offering = Offering(self.state, self.writer)
-        self.leases = DeviceLeases(self.store, self.on_disk)
+        self.leases = DeviceLeases(self.store, self.on_disk, self.cell.refuse_if_in_use)
         self.lost_performers = LostPerformers(self.state, self.writer, self.leases)
 
     async def __aenter__(self) -> Self:

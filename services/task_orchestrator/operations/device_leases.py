@@ -45,11 +45,22 @@ class LeaseAnswer:
 
 
 class DeviceLeases:
-    """Grants, renews and releases leases; `open` comes first."""
+    """Grants, renews and releases leases; `open` comes first.
 
-    def __init__(self, store: Store, on_disk: OnDisk, *, clock: Callable[[], float] = boot_time_s) -> None:
+    Before a lease is granted or renewed, `may_lease` is awaited, which raises `Problem` if that must not be.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        on_disk: OnDisk,
+        may_lease: Callable[[], Awaitable[None]],
+        *,
+        clock: Callable[[], float] = boot_time_s,
+    ) -> None:
         self._store = store
         self._on_disk = on_disk
+        self._may_lease = may_lease
         self._clock = clock
         self._ends_s: dict[tuple[str, int], float] = {}
         """When a lease ends, by Device and number."""
@@ -68,8 +79,9 @@ class DeviceLeases:
         """Grant or renew the leases of `devices`, as far as nobody else has them.
 
         A new session of the same holder replaces the session before it. Raises `Problem` 503 if the database
-        cannot be used, or if another orchestrator uses it.
+        cannot be used, if another orchestrator uses it, or if another cell has the name of this one.
         """
+        await self._may_lease()
         async with self._turn:
             answers: list[LeaseAnswer] = await self._write(self._acquire, devices, holder, duration_s)
             end_s = self._clock() + duration_s

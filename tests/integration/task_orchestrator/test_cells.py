@@ -14,6 +14,7 @@ from services.task_orchestrator.cell_presence import CellNameInUse, CellPresence
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.storage.device_leases import LeaseHolder
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.kit.waiting import until
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path
@@ -117,6 +118,10 @@ async def test_a_second_cell_with_one_name_sends_nothing_until_the_first_has_end
             with pytest.raises(CellNameInUse):
                 await refused.cell.require()
             assert await broker.query(type="Task", id=[task]) == []
+            arm, holder = "urn:ngsi-ld:Device:north:arm", LeaseHolder("a", "1", "arm", "here", 1)
+            with pytest.raises(CellNameInUse):
+                await refused.leases.acquire([arm], holder, 10.0)
+            assert (await late.orchestrator.leases.acquire([arm], holder, 10.0))[0].is_granted
 
             await late.orchestrator.cell.__aexit__()
 
@@ -124,6 +129,7 @@ async def test_a_second_cell_with_one_name_sends_nothing_until_the_first_has_end
                 return bool(await broker.query(type="Task", id=[task]))
 
             await until(is_there, 30, "what had waited was not sent")
+            assert (await refused.leases.acquire([arm], holder, 10.0))[0].is_granted
 
 
 async def test_a_cell_that_was_killed_leaves_its_name_after_it_was_silent(

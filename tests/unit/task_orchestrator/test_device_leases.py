@@ -32,6 +32,10 @@ async def at_once(action: Callable[..., Any], *arguments: Any) -> Any:
     return action(*arguments)
 
 
+async def always() -> None:
+    return
+
+
 class Client:
     """A process that asks for the lease; each request takes its time in both directions."""
 
@@ -85,7 +89,7 @@ async def _replay(events: list[tuple[Any, ...]], folder: Path) -> None:
     store = Store(connect(f"sqlite:///{folder / 'orchestrator.db'}"))
 
     async def started() -> DeviceLeases:
-        made = DeviceLeases(store, at_once, clock=clock)
+        made = DeviceLeases(store, at_once, always, clock=clock)
         await made.open()
         return made
 
@@ -117,7 +121,7 @@ async def test_a_lease_that_ended_is_granted_to_another_and_an_old_authority_sta
 ) -> None:
     clock = Clock()
     store = Store(connect(f"sqlite:///{tmp_path / 'orchestrator.db'}"))
-    server = DeviceLeases(store, at_once, clock=clock)
+    server = DeviceLeases(store, at_once, always, clock=clock)
     await server.open()
     first, second = Client("first", clock), Client("second", clock)
     assert await first.ask(server, 0.1, 0.1) == 1
