@@ -52,16 +52,22 @@ def performer_of(task: TaskRecord) -> str | None:
 
 
 def offer_of(task: TaskRecord) -> Offer:
-    """Return whom a Task is offered to; the lane restricts nobody."""
+    """Return whom a Task is offered to: its performer, its assignee, or users and groups.
+
+    Once the assignee has declined it is offered to the users and groups, if there are any. The lane restricts
+    nobody.
+    """
     performer = performer_of(task)
     if performer is not None:
         return Offer((performer,), ())
     given = task.entity["workParameters"]["value"].get("candidates")
     candidates: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    others = Offer(tuple(candidates.get("users", ())), tuple(candidates.get("groups", ())))
     assignee = candidates.get("assignee")
-    if assignee:
-        return Offer((str(assignee),), ())
-    return Offer(tuple(candidates.get("users", ())), tuple(candidates.get("groups", ())))
+    has_declined = (
+        assignee and is_named(str(assignee), task.declined_by) and (others.persons or others.groups)
+    )
+    return Offer((str(assignee),), ()) if assignee and not has_declined else others
 
 
 def is_claimable(task: TaskRecord) -> bool:
@@ -146,15 +152,16 @@ class PeopleActs:
     def decline(self, why: str) -> None:
         """Decline the Task with a reason.
 
-        One that was given to this person goes to the next suitable one, or fails; any other stays open for
-        others, and fails when all persons it was offered to have declined it.
+        One that was given to this person goes to the next suitable one or to the users and groups that its
+        activity names, or fails; any other stays open for others, and fails when all persons it was offered
+        to have declined it.
         """
         task = self._task
         self._refuse_others()
         if not is_claimable(task):
             raise _performed(task)
-        offer = offer_of(task)
         declined = tuple(dict.fromkeys((*task.declined_by, self._by)))
+        offer = offer_of(task.changed(declined_by=declined))
         self._record(TaskActKind.DECLINE, why)
         is_own = performer_of(task) is not None and is_named(self._by, offer.persons)
         is_left = any(not is_named(name.rpartition(":")[2], declined) for name in offer.persons)

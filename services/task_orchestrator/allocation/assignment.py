@@ -77,7 +77,7 @@ class AssignmentRules:
 
         Raises `ExpressionError` if a variable is missing that says who performs it.
         """
-        assignment = self.assign(activity, variables)
+        assignment = self.assign(activity, variables, declined)
         priority, due = priority_of(activity, variables), due_of(activity, variables)
         performers = tuple(self.named(assignment.activity, variables))
         request = assignment.request
@@ -97,9 +97,14 @@ class AssignmentRules:
         given = [each.value(variables) for each in activity.involves]
         return performers_of(resource_id(self._settings, str(each)) for each in given if is_reference(each))
 
-    def assign(self, activity: Activity, variables: Variables | None) -> Assignment:
-        """Return who gets an activity with the present `variables`; None: before it runs."""
-        found = self._assign(activity, variables)
+    def assign(
+        self, activity: Activity, variables: Variables | None, declined: frozenset[str] = frozenset()
+    ) -> Assignment:
+        """Return who gets an activity with the present `variables`; None: before it runs.
+
+        An assignee who has `declined` it gets it no more if users or groups are named beside the assignee.
+        """
+        found = self._assign(activity, variables, declined)
         kind = self._kind(found.activity)
         return found if kind is None else replace(found, activity=kind.completed(found.activity), kind=kind)
 
@@ -108,7 +113,9 @@ class AssignmentRules:
             return None
         return self.task_kinds.get(self._settings.entity_id("TaskDefinition", activity.definition))
 
-    def _assign(self, activity: Activity, variables: Variables | None) -> Assignment:
+    def _assign(
+        self, activity: Activity, variables: Variables | None, declined: frozenset[str]
+    ) -> Assignment:
         if activity.involves:
             named = ", ".join(_described(value) for value in activity.involves)
             reason = message("allocation.by_file", "named in the process file: {resource}", resource=named)
@@ -124,7 +131,22 @@ class AssignmentRules:
                 request=request,
                 warning=self.nobody_has(request),
             )
-        entry = self.mapping.find(names_of(activity, variables))
+        return self._by_mapping(activity, variables, declined)
+
+    def _by_mapping(
+        self, activity: Activity, variables: Variables | None, declined: frozenset[str]
+    ) -> Assignment:
+        names = list(names_of(activity, variables))
+        entry = self.mapping.find(names)
+        others = self._others(entry, activity, variables)
+        if others and entry is not None and resource_id(self._settings, entry.resource or "") in declined:
+            entry = self.mapping.find(each for each in names if each[0] is not NameKind.ASSIGNEE)
+            if entry is None:
+                reason = message(
+                    "allocation.assignee_declined", "people, because the assignee has declined it"
+                )
+                return Assignment(activity, reason, candidates=others)
+            others = None
         if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
             request = Request(skills=kind.skills)
             reason = message(
@@ -150,9 +172,22 @@ class AssignmentRules:
             return Assignment(
                 activity, warning, candidates=candidates_of(activity, variables), warning=warning
             )
-        return self._by_entry(activity, entry)
+        return self._by_entry(activity, entry, others)
 
-    def _by_entry(self, activity: Activity, entry: MappingEntry) -> Assignment:
+    def _others(
+        self, entry: MappingEntry | None, activity: Activity, variables: Variables | None
+    ) -> dict[str, Any] | None:
+        """Return the users and groups that an activity names beside the assignee whom `entry` maps."""
+        if entry is None or entry.kind is not NameKind.ASSIGNEE or entry.resource is None:
+            return None
+        candidates = candidates_of(activity, variables)
+        if not candidates.keys() & {"users", "groups"}:
+            return None
+        return {name: value for name, value in candidates.items() if name != "assignee"}
+
+    def _by_entry(
+        self, activity: Activity, entry: MappingEntry, others: Mapping[str, Any] | None
+    ) -> Assignment:
         changed = replace(
             activity,
             definition=entry.definition or activity.definition,
@@ -162,7 +197,7 @@ class AssignmentRules:
             },
             involves=() if entry.resource is None else (Value(entry.resource),),
         )
-        request, candidates = None, None
+        request, candidates = None, others
         if entry.role is not None:
             candidates = {"groups": [entry.role]}
         if entry.resource is None:

@@ -104,6 +104,16 @@ def present_retries(record: ProcessRecord, run: Run | None) -> tuple[Retry, ...]
     )
 
 
+def offers_others(task: TaskRecord) -> bool:
+    """Return whether users or groups are offered a Task that its assignee declines."""
+    given = task.entity["workParameters"]["value"].get("candidates")
+    return (
+        bool(task.performer)
+        and isinstance(given, Mapping)
+        and bool(given.get("users") or given.get("groups"))
+    )
+
+
 def ask_next(record: ProcessRecord, run: Run, task: TaskRecord, now: datetime) -> ProcessRecord:
     """Open the activity again: its performer has declined it, so that another gets it."""
     key = declined_key(task.token, task.element)

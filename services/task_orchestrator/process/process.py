@@ -485,7 +485,8 @@ class Process:
 
     def _continue_run(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
         activity = run.activity(task.token)
-        if change.status is TaskStatus.FAILED and task.chosen and change.outputs.get("declined") is True:
+        is_declined = change.status is TaskStatus.FAILED and change.outputs.get("declined") is True
+        if is_declined and (task.chosen or attempts.offers_others(task)):
             self.record = attempts.ask_next(self.record, run, task, now)
             return
         self.record = attempts.forget_declined(self.record, task.token, task.element)

@@ -217,6 +217,29 @@ def test_a_declined_task_stays_open_for_others_until_all_have_declined(running: 
     assert incident["reason"] == "Ben declined: no time"
 
 
+def test_what_the_assignee_declines_is_offered_to_the_users_and_groups_beside(running: Cell) -> None:
+    deploy(running, "beside", 'camunda:assignee="anna" camunda:candidateGroups="packing">')
+    _, task = begin(running, "beside")
+    assert details(running, task)["persons"] == ["anna"]
+    assert post(running, task, "claim", by="Ben", groups=["packing"]).status_code == 409
+    post(running, task, "decline", by="Anna", why="on holiday").raise_for_status()
+    post(running, task, "claim", by="Ben", groups=["packing"]).raise_for_status()
+    assert post(running, task, "complete", by="Ben").json()["status"] == "completed"
+    # likewise if the assignee is a Person of the mapping, whose Task names her
+    entry = {"kind": "assignee", "name": "clara", "resource": "Person:clara"}
+    running.api.put("/mapping", json={"entries": [entry], "by": "Eve"}).raise_for_status()
+    deploy(running, "mapped", 'camunda:assignee="clara" camunda:candidateUsers="ben">')
+    process, task = begin(running, "mapped")
+    assert details(running, task)["person"] == "urn:ngsi-ld:Person:demo:clara"
+    post(running, task, "decline", by="clara", why="on holiday").raise_for_status()
+    seen = running.look(process)
+    assert (seen["incidents"], seen["tasks"][-1]["id"]) == ([], f"{task[:-1]}2")
+    assert details(running, seen["tasks"][-1]["id"])["persons"] == ["ben"]
+    post(running, seen["tasks"][-1]["id"], "decline", by="ben", why="no time").raise_for_status()
+    (incident,) = running.stuck(process)["incidents"]
+    assert incident["reason"] == "ben declined: no time"
+
+
 def test_a_claimed_task_ends_when_its_process_is_cancelled(running: Cell) -> None:
     deploy(running, "cancelled", ">")
     process, task = begin(running, "cancelled")
