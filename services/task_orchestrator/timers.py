@@ -28,7 +28,8 @@ from handover.durations import MICROSECONDS_PER_S, Duration, parse_duration
 MAX_CHARACTERS = 200
 MAX_REPETITIONS = 1_000_000
 MIN_INTERVAL_US = MICROSECONDS_PER_S // 100
-"""A shorter interval between two moments of a cycle is refused."""
+"""A shorter interval between two moments of a cycle is refused if it repeats more than `MAX_FAST` times."""
+MAX_FAST = 1000
 
 _REPEAT = re.compile(r"R(-1|\d{0,9})/", re.ASCII)
 _TIME = re.compile(r"P(\d|T\d)|\d{4}-?\d\d|R(-1|\d*)/|@[a-z]+\Z|(TZ|CRON_TZ)=\S+ ", re.ASCII)
@@ -121,6 +122,8 @@ class RepeatingInterval:
         try:
             if self.start is None:
                 moment = self.interval.after(after)
+            elif not (self.interval.months or self.interval.microseconds):
+                moment = self.start
             else:
                 index = self._index_after(self.start, after)
                 if self.count is not None and index >= self.count:
@@ -147,7 +150,12 @@ class RepeatingInterval:
         return whole.after(origin)
 
     def _index_after(self, origin: datetime, moment: datetime) -> int:
-        """Return the least index of a moment of the series from `origin` that is later than `moment`."""
+        """Return the least index of a moment of the series from `origin` that is later than `moment`.
+
+        All moments of a series without length are `origin`, so after it none is left.
+        """
+        if not (self.interval.months or self.interval.microseconds):
+            return 0 if origin > moment else MAX_REPETITIONS
         passed = (moment - origin) // timedelta(microseconds=1)
         # A month has 28 to 31 days, so the estimate is never too high.
         longest = self.interval.months * 31 * 86_400 * MICROSECONDS_PER_S + self.interval.microseconds
@@ -227,8 +235,13 @@ def _parse_repeating(text: str, repetitions: str, rest: str) -> RepeatingInterva
         interval = Duration(0, length // timedelta(microseconds=1))
     else:
         raise ValueError(f'"{text}" is no cycle such as R3/PT1M or R3/2026-05-01T08:00:00Z/PT1M')
-    if interval.months == 0 and interval.microseconds < MIN_INTERVAL_US:
-        raise ValueError(f'"{text}" repeats in less than {MIN_INTERVAL_US // 1000} ms')
+    if interval.months == 0 and interval.microseconds < 0:
+        raise ValueError(f'"{text}" ends before it begins')
+    is_fast = interval.months == 0 and interval.microseconds < MIN_INTERVAL_US
+    if is_fast and (count is None or count > MAX_FAST):
+        raise ValueError(
+            f'"{text}" repeats in less than {MIN_INTERVAL_US // 1000} ms; it may {MAX_FAST} times at most'
+        )
     return RepeatingInterval(interval, count, start, end)
 
 

@@ -35,6 +35,8 @@ class Context:
     """Data object -> its name."""
     data_scopes: dict[str, set[str]] = field(default_factory=dict)
     """Process or subprocess -> its data objects."""
+    associations: tuple[tuple[str, str], ...] = ()
+    """The ends of the associations of the process and of the collaborations of the file."""
     properties: dict[str, str] = field(default_factory=dict)
     """Property, or other name that the file declares for a variable -> the variable."""
     variables: dict[str, str] = field(default_factory=dict)

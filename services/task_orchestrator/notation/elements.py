@@ -151,7 +151,6 @@ class Contents:
     nodes: list[tuple[etree._Element, Kind]] = field(default_factory=list)
     refused: list[etree._Element] = field(default_factory=list)
     flows: list[etree._Element] = field(default_factory=list)
-    associations: list[etree._Element] = field(default_factory=list)
 
     @classmethod
     def of(cls, container: etree._Element, found: Findings) -> "Contents":
@@ -165,8 +164,6 @@ class Contents:
                 contents.nodes.append((element, KINDS[name]))
             elif name == "sequenceFlow":
                 contents.flows.append(element)
-            elif name == "association":
-                contents.associations.append(element)
             elif name in REFUSED:
                 contents.refused.append(element)
                 refuse(element, name, REFUSED[name], found)

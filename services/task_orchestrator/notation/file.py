@@ -20,7 +20,7 @@ from services.task_orchestrator.notation.elements import (
 from services.task_orchestrator.notation.faults import BadBpmn, Findings
 from services.task_orchestrator.notation.names import process_name
 from services.task_orchestrator.notation.rules import check_process, fault_of_size
-from services.task_orchestrator.notation.scopes import collect_data, read_scope
+from services.task_orchestrator.notation.scopes import collect_associations, collect_data, read_scope
 from services.task_orchestrator.notation.spans import check_spans
 from services.task_orchestrator.notation.task_data import collect_properties
 
@@ -74,6 +74,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
     if process.get("processType") not in {None, "", "None", "Public", "Private"}:
         found.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
     context.lanes = lanes(process)
+    collect_associations(process, context)
     collect_data(process, context)
     collect_properties(process, context)
     context.dialects.check(process, found)

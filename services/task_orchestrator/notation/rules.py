@@ -281,7 +281,8 @@ class _Rules:
                     what="an event subprocess" if node.triggered_by_event else "a compensation activity",
                 ),
             )
-        if node.kind in {Kind.EXCLUSIVE, Kind.INCLUSIVE, Kind.PARALLEL, Kind.EVENT_BASED} and not outgoing:
+        is_join = node.kind in GATEWAYS - {Kind.EVENT_BASED} and len(incoming) > 1
+        if node.kind in GATEWAYS and not outgoing and not is_join:
             yield _fault(
                 node,
                 message("bpmn.no_outgoing_flow", "no sequence flow leaves this {kind}", kind=kind),
@@ -313,8 +314,10 @@ class _Rules:
 
     def _is_unintended_end(self, node: Node) -> bool:
         """Return whether a path ends without an end event, in a scope that has end events."""
-        if self.outgoing[node.id] or node.kind is Kind.END_EVENT or node.kind in GATEWAYS:
+        if self.outgoing[node.id] or node.kind is Kind.END_EVENT:
             return False
+        if node.kind in GATEWAYS and len(self.incoming[node.id]) < 2:
+            return False  # a fault
         if node.triggered_by_event or node.is_for_compensation:
             return False
         if node.kind is Kind.SEND_TASK and node.activity is not None:

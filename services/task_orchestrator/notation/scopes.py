@@ -83,9 +83,19 @@ def read_scope(
         name,
         _with_defaults(nodes, flows, context),
         flows,
-        handlers=_handlers(contents, nodes),
+        handlers=_handlers(context, nodes),
         data_objects={data: context.data_names[data] for data in sorted(context.data_scopes.get(name, ()))},
         spans=read_spans(container, nodes, context),
+    )
+
+
+def collect_associations(process: etree._Element, context: Context) -> None:
+    """Collect the associations: one may stand in any container around its ends (BPMN 2.0.2, 8.4.1)."""
+    beside = process.getroottree().getroot().iterchildren(f"{{{BPMN}}}collaboration")
+    context.associations = tuple(
+        (referenced(each.get("sourceRef") or ""), referenced(each.get("targetRef") or ""))
+        for container in (process, *beside)
+        for each in container.iter(f"{{{BPMN}}}association")
     )
 
 
@@ -405,11 +415,10 @@ def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Cont
     return changed
 
 
-def _handlers(contents: Contents, nodes: dict[str, Node]) -> dict[str, str]:
-    """Return the activity that each compensation boundary event is associated with."""
+def _handlers(context: Context, nodes: dict[str, Node]) -> dict[str, str]:
+    """Return the activity of `nodes` that each compensation boundary event of them is associated with."""
     handlers: dict[str, str] = {}
-    for association in contents.associations:
-        ends = [referenced(association.get(end) or "") for end in ("sourceRef", "targetRef")]
+    for ends in context.associations:
         for event, activity in (ends, ends[::-1]):
             boundary, handler = nodes.get(event), nodes.get(activity)
             if boundary is None or handler is None or boundary.kind is not Kind.BOUNDARY_EVENT:

@@ -535,3 +535,14 @@ def test_the_entity_of_a_long_process_lists_its_last_tasks_and_is_written_in_gro
     assert [len(listed) for listed in written.values()] == [*range(2, 201), 200, 200, 200]
     assert list(written)[-3:] == [209, 219, 229]
     assert written[229] == [task_id(f"work-{number}") for number in range(31, 231)]
+
+
+def test_a_timer_may_repeat_at_once_a_limited_number_of_times() -> None:
+    repeated = timer("R3/PT0S").replace("timeDuration", "timeCycle")
+    body = start() + activity("work") + boundary("again", "work", repeated, interrupting=False) + end()
+    body += activity("remind") + path("start", "work", "end") + path("again", "remind")
+    driver = ProcessDriver(body)
+    driver.tick()
+    assert driver.open == ["remind-1", "remind-2", "remind-3", "work-1"]
+    driver.tick()
+    assert len(driver.open) == 4

@@ -62,6 +62,9 @@ def _moments(cycle: Cycle, since: datetime, limit: int = 5) -> list[datetime]:
         ("R3/2024-01-31T14:00:00+02:00/PT1H", ["12:00", "13:00", "14:00"]),
         ("R9/PT1M/2024-01-31T12:02:30Z", ["12:01", "12:02"]),
         ("R2/2024-01-31T13:00:00Z/2024-01-31T13:20:00Z", ["13:00", "13:20"]),
+        ("R3/PT0S", ["12:00", "12:00", "12:00"]),
+        ("R2/PT0.001S", ["12:00", "12:00"]),
+        ("R3/2024-01-31T13:00:00Z/PT0S", ["13:00", "13:00", "13:00"]),
     ],
 )
 def test_a_repeating_interval_ends_after_its_repetitions(text: str, moments: list[str]) -> None:
@@ -115,7 +118,8 @@ def test_a_monthly_cycle_with_a_start_keeps_the_day_of_the_month() -> None:
         ("R/PT0S", "less than 10 ms"),
         ("R/PT0.001S", "less than 10 ms"),
         ("R3/2024-01-31T12:00:00/PT1M", "time zone"),
-        ("R3/2024-02-01T12:00:00Z/2024-01-01T12:00:00Z", "less than 10 ms"),
+        ("R1001/PT0S", "1000 times at most"),
+        ("R3/2024-02-01T12:00:00Z/2024-01-01T12:00:00Z", "ends before it begins"),
         ("R3/PT1M/PT1M", "is no moment"),
         ("R3/a/b/c", "no cycle"),
         ("* * * *", "5 to 7 fields"),

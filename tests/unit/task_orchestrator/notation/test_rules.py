@@ -2,9 +2,12 @@
 
 import pytest
 
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.model import Kind
 from services.task_orchestrator.notation.rules import MAX_FLOWS, MAX_NODES
 from tests.unit.task_orchestrator.drawing import (
+    NOW,
     ONE_STEP,
     activity,
     boundary,
@@ -16,6 +19,7 @@ from tests.unit.task_orchestrator.drawing import (
     timer,
 )
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, read, warnings
+from tests.unit.task_orchestrator.process_driver import OneDefinition
 
 WORK = activity("work")
 ERROR = "<bpmn:errorEventDefinition/>"
@@ -269,6 +273,41 @@ def test_the_handler_of_a_compensation_is_found_by_its_association() -> None:
     scope = read(RUNS["compensation"]).scope
     assert scope.handlers == {"undo": "take_back"}
     assert scope.nodes["take_back"].is_for_compensation
+
+
+@pytest.mark.parametrize("place", ["subprocess", "outer subprocess", "process", "collaboration"])
+def test_the_association_of_a_compensation_may_stand_in_any_container_around(place: str) -> None:
+    association = '<bpmn:association id="as" sourceRef="undo" targetRef="take_back"/>'
+    inner = (
+        start("in")
+        + WORK
+        + path("in", "work")
+        + boundary("undo", "work", "<bpmn:compensateEventDefinition/>")
+        + '<bpmn:task id="take_back" isForCompensation="true"/>'
+    )
+    deep = sub("deep", inner + (association if place == "subprocess" else ""))
+    outer = start("out") + deep + path("out", "deep")
+    body = between(sub("x", outer + (association if place == "outer subprocess" else "")))
+    pool = f'<bpmn:participant id="pool" processRef="p"/>{association}'
+    beside = f'<bpmn:collaboration id="c">{pool}</bpmn:collaboration>' if place == "collaboration" else ""
+    scope = read(body + (association if place == "process" else ""), beside=beside).scope
+    handlers = {name: each for inner in scope.walk() for name, each in inner.handlers.items()}
+    assert handlers == {"undo": "take_back"}
+
+
+@pytest.mark.parametrize("kind", ["parallel", "inclusive", "exclusive"])
+def test_a_join_without_outgoing_flow_is_an_end(kind: str) -> None:
+    split = start() + gateway("split", "parallel") + activity("a") + activity("b") + gateway("join", kind)
+    body = split + path("start", "split", "a", "join") + path("split", "b", "join")
+    assert warnings(body) == []
+    beside_an_end = warnings(body + end() + path("a", "end"))
+    assert any('"join": no sequence flow leaves it' in each for each in beside_an_end)
+    plan = Plan(read(body))
+    run = Run.start(plan, {}, NOW, OneDefinition(plan))
+    for token in list(run.open_visits()):
+        assert not run.completed
+        run.complete(token, {}, NOW)
+    assert run.completed
 
 
 def test_one_fault_has_no_follow_ups() -> None:
