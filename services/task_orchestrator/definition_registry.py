@@ -188,7 +188,7 @@ class DefinitionRegistry(Library):
 
 
 def _read(record: DefinitionRecord) -> Plan:
-    for definition in read_bpmn(record.xml).definitions:
+    for definition in read_bpmn(record.xml, is_deployed=True).definitions:
         if definition.name == record.name:
             return Plan(replace(definition, source=record.source), record.version)
     raise RunFailed(f'the file of "{record.name}" has no such process')

@@ -333,6 +333,8 @@ class Activity:
     performer_lost: PerformerLost = PerformerLost.ASK
     specification: Mapping[str, Value] | None = None
     """The row that is written to the specification database before the Task is posted, by field."""
+    texts: Mapping[str, Expression] = field(default_factory=dict)
+    """The expressions in its drawn `name` and `description`, as far as they have any."""
 
     def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
         """Return why a completed Task counts as failed (an unhandled outcome); None if it does not."""

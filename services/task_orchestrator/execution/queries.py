@@ -8,7 +8,7 @@ from typing import Any
 from services.task_orchestrator.execution.machine import Machine
 from services.task_orchestrator.execution.state import Token, TokenState, WaitType
 from services.task_orchestrator.execution.waits import event_of
-from services.task_orchestrator.model import Activity, EntityFilter, entity_filter
+from services.task_orchestrator.model import Activity, EntityFilter, MultiInstance, entity_filter
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,8 @@ class OpenActivity:
     variables: Mapping[str, Any] = field(repr=False)
     data: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """The data objects that are inputs of the activity, by parameter."""
+    instance: str = ""
+    """Which instance of multi-instance activities it is, such as `2/5: bin-1`; empty outside of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,47 @@ def open_activity(machine: Machine, token: Token) -> OpenActivity:
         for each in node.data_inputs
     }
     variables = machine.copy_variables(token)
-    return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
+    return OpenActivity(
+        str(token.id),
+        machine.element(token),
+        token.visit,
+        node.activity,
+        variables,
+        data,
+        ", ".join(_instances(machine, token)),
+    )
+
+
+MAX_ITEM = 40
+"""Characters of an item that describes an instance."""
+_NAMES = ("name", "title", "label", "id", "key")
+"""Entries by which an item that is an object is named."""
+
+
+def _instances(machine: Machine, token: Token) -> list[str]:
+    """Return which instances of multi-instance activities a token is in, the outermost first."""
+    found: list[str] = []
+    inside: Token | None = token
+    while inside is not None:
+        body = None if inside.body is None else machine.state.tokens[inside.body]
+        loop = machine.node(inside).loop
+        if body is not None and body.loop is not None and isinstance(loop, MultiInstance):
+            item = None if loop.item_variable is None else inside.local.get(loop.item_variable)
+            described = _described(item)
+            if (body.loop.total or 0) > 1:
+                place = f"{inside.index + 1}/{body.loop.total}"
+                found.append(f"{place}: {described}" if described else place)
+        inside = machine.host(machine.frame_of(inside))
+    return found[::-1]
+
+
+def _described(item: Any) -> str:
+    if isinstance(item, dict):
+        item = next((item[name] for name in _NAMES if isinstance(item.get(name), str | int | float)), None)
+    if item is None or not isinstance(item, str | int | float) or isinstance(item, bool):
+        return ""
+    text = " ".join(str(item).replace("\0", "").split())
+    return text if len(text) <= MAX_ITEM else f"{text[: MAX_ITEM - 1]}…"
 
 
 def incidents(machine: Machine, tokens: Iterable[int]) -> tuple[OpenIncident, ...]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from lxml import etree
 
 from handover.messages import message
+from services.task_orchestrator.languages.base import Expression, ExpressionError
 from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import (
@@ -92,6 +93,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         retry=read_retry(element, hints, context),
         escalations=read_escalations(element, found),
         specification=read_specification(element, context),
+        texts=_texts(element, context),
     )
 
 
@@ -107,6 +109,28 @@ def _with_variable(work: Work, script: Script) -> Work:
     if script.variable is None:
         return work
     return replace(work, variable=script.variable)
+
+
+def _texts(element: etree._Element, context: Context) -> dict[str, Expression]:
+    """Return the expressions in the drawn texts that people read; one that cannot be read is a warning."""
+    drawn = {"name": _drawn_name(element), "description": documentation(element) or ""}
+    found: dict[str, Expression] = {}
+    for name, given in drawn.items():
+        if "${" not in given and "#{" not in given:
+            continue
+        try:
+            found[name] = read_juel(given)
+        except ExpressionError as error:
+            context.found.warn(
+                element,
+                message(
+                    "bpmn.text_not_evaluated",
+                    "its {name} is shown as it is drawn, since an expression in it cannot be read: {error}",
+                    name=name,
+                    error=str(error),
+                ),
+            )
+    return found
 
 
 def _drawn_name(element: etree._Element) -> str:

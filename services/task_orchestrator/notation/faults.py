@@ -40,10 +40,12 @@ def as_json(faults: Iterable[Fault]) -> list[dict[str, Any]]:
 class Findings:
     """The faults and warnings of a file; `broken` are the ids of elements with faults.
 
-    A fault of one line, and a warning of one element, is listed once.
+    A fault of one line, and a warning of one element, is listed once. `is_deployed` files were accepted by
+    this release or an earlier one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_deployed: bool = False) -> None:
+        self.is_deployed = is_deployed
         self._faults: dict[Fault, None] = {}
         self._warnings: dict[tuple[str | None, str], Fault] = {}
         self.broken: set[str] = set()
@@ -54,6 +56,10 @@ class Findings:
         self._faults.setdefault(found)
         if found.element is not None:
             self.broken.add(found.element)
+
+    def fault_of_deployment(self, element: etree._Element, text: str) -> None:
+        """Add a fault by a rule that earlier releases did not have: a deployed file has a warning instead."""
+        (self.warn if self.is_deployed else self.fault)(element, text)
 
     def warn(self, element: etree._Element, text: str) -> None:
         """Add a warning about `element`."""

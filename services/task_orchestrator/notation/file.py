@@ -35,10 +35,13 @@ class BpmnFile:
     warnings: tuple[Fault, ...] = ()
 
 
-def read_bpmn(xml: bytes) -> BpmnFile:
-    """Return the processes of a BPMN file; raise `BadBpmn` with all faults of all processes."""
+def read_bpmn(xml: bytes, *, is_deployed: bool = False) -> BpmnFile:
+    """Return the processes of a BPMN file; raise `BadBpmn` with all faults of all processes.
+
+    A file that `is_deployed` stays executable although a later release has more rules.
+    """
     root = parse(xml)
-    found = Findings()
+    found = Findings(is_deployed=is_deployed)
     declared = Declarations.of(root, found)
     dialects = Dialects(root)
     executable = executable_processes(root, found, unless_denied=dialects.runs_undeclared)
@@ -58,7 +61,7 @@ def read_bpmn(xml: bytes) -> BpmnFile:
     definitions = []
     beside = found.warnings
     for process in executable:
-        own = Findings()
+        own = Findings(is_deployed=is_deployed)
         context = Context(dialects, declared, collaboration, own, ids if dialects.is_ours else set())
         definition = _definition(process, context, xml)
         found.add(own.faults, own.warnings)

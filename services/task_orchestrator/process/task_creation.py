@@ -1,5 +1,6 @@
 """Task creation: the Task of an open activity, as its record and as the entity of the broker."""
 
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -12,11 +13,14 @@ from services.task_orchestrator.escalations import escalation_times
 from services.task_orchestrator.execution.queries import OpenActivity
 from services.task_orchestrator.execution.state import Library
 from services.task_orchestrator.forms.registry import FormRegistry
-from services.task_orchestrator.languages.base import Variables
+from services.task_orchestrator.languages.base import ExpressionError, Variables
 from services.task_orchestrator.model import Activity, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.names import in_urn
 from services.task_orchestrator.records import SPECIFICATION, ProcessRecord, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
+
+MAX_TEXT = 1000
+"""Characters of a text of a Task that an expression yields."""
 
 
 def task_id_of(settings: OrchestratorSettings, process: str, element: str, visit: int) -> str:
@@ -39,6 +43,7 @@ def create_task(
 
     Raises `ValueError` or `ExpressionError` if its parameters cannot be evaluated or are invalid.
     """
+    activity = _with_texts(activity, open_)
     task_id = task_id_of(settings, process.id, open_.element, open_.visit)
     allowed = timedelta(seconds=settings.task_deadline_s)
     deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
@@ -78,6 +83,27 @@ def create_task(
         escalates_at=moments[0][0] if moments else None,
     )
     return task, row
+
+
+def _with_texts(activity: Activity, open_: OpenActivity) -> Activity:
+    """Return the activity with the texts that people read: evaluated, and with the instance of a loop.
+
+    A text whose expression cannot be evaluated stays as it is drawn.
+    """
+    texts: dict[str, str] = {}
+    for name, expression in activity.texts.items():
+        with suppress(ExpressionError):
+            texts[name] = str(expression.value(open_.variables)).replace("\0", "").strip()[:MAX_TEXT]
+    parameters = dict(activity.parameters)
+    given = parameters.get("description")
+    if given is None and "description" in texts:
+        parameters["description"] = Value(texts["description"])
+    elif given is not None and given.expression is None and isinstance(given.literal, str) and open_.instance:
+        parameters["description"] = Value(f"{given.literal} ({open_.instance})")
+    name = texts.get("name") or activity.name
+    if open_.instance and "name" not in activity.texts:
+        name = f"{name} ({open_.instance})"
+    return replace(activity, name=" ".join(name.split()), parameters=parameters)
 
 
 def _row(activity: Activity, task_id: str, variables: Variables) -> dict[str, Any] | None:

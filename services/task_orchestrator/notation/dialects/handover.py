@@ -127,6 +127,12 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
     "reserve": frozenset({"resource", "expression", "role", "skills"}),
 }
+_EVALUATED: Mapping[str, frozenset[str]] = {
+    "task": frozenset(_HINTS),
+    "specification": frozenset(FIELDS),
+    "on": frozenset({"idPattern", "correlation"}),
+}
+"""Attributes that may have `${…}`, beside `expression`; in a regular expression it has another meaning."""
 _RESERVING = frozenset({"process", "subProcess"})
 """Elements that may have `handover:reserve`, beside lanes and groups."""
 
@@ -420,6 +426,33 @@ def _check_attributes(element: etree._Element, found: Findings) -> None:
                 element,
                 f'handover:{local(element)} has no attribute "{name}"; it has {", ".join(sorted(known))}',
             )
+        elif name != "expression" and name not in _EVALUATED.get(local(element), ()):
+            _check_literal(element, name, known, found)
+
+
+def _check_literal(element: etree._Element, name: str, known: Set[str], found: Findings) -> None:
+    """Report an expression where a literal stands, which would be handed over as that text."""
+    given = str(element.get(name)).strip()
+    if given.startswith('"') or not ("${" in given or "#{" in given or given.startswith("=")):
+        return
+    if "expression" not in known:
+        text = message(
+            "bpmn.expression_not_evaluated",
+            '{name}="{given}" is an expression, and {name} is not evaluated; write the value itself',
+            name=name,
+            given=given[:100],
+        )
+    else:
+        inner = given.lstrip("=").strip()
+        is_enclosed = inner.startswith(("${", "#{")) and inner.endswith("}")
+        text = message(
+            "bpmn.expression_as_literal",
+            '{name}="{given}" is an expression where a literal stands; write expression="{inner}" instead',
+            name=name,
+            given=given[:100],
+            inner=(inner[2:-1].strip() if is_enclosed else inner)[:100],
+        )
+    found.fault_of_deployment(element, text)
 
 
 def _deadline(extension: etree._Element, found: Findings) -> Duration | None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from lxml import etree
 
 import services.task_orchestrator
 from services.task_orchestrator.model import (
@@ -14,9 +15,17 @@ from services.task_orchestrator.model import (
     MessageEvent,
     SignalEvent,
 )
+from services.task_orchestrator.notation.dialects.handover import (
+    _ATTRIBUTES,
+    _EVALUATED,
+    NAMESPACE,
+    _check_attributes,
+)
+from services.task_orchestrator.notation.faults import Findings
 from services.task_orchestrator.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import activity, end, parameters, path, start, timer
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node, read, warnings
+from tests.unit.task_orchestrator.process_driver import ProcessDriver
 
 SHIPPED = sorted((Path(services.task_orchestrator.__file__).parent / "processes").glob("*.bpmn"))
 
@@ -167,6 +176,19 @@ def test_an_entity_is_a_message_a_signal_or_a_condition() -> None:
         (activity("x", '<handover:parameter name="x" expression="1 +"/>'), "is not an expression"),
         (activity("x", '<handover:parameter name="x" value="1"/>' * 2), 'the parameter "x" is given twice'),
         (activity("x", '<handover:parameter name="x"/>'), "either value or expression"),
+        (
+            activity("x", '<handover:parameter name="x" value="${torque}"/>'),
+            'value="${torque}" is an expression where a literal stands; write expression="torque" instead',
+        ),
+        (activity("x", '<handover:parameter name="x" value="=torque"/>'), 'write expression="torque"'),
+        (
+            activity("x", '<handover:parameter name="x" value=\'{"a": "Turn ${n}"}\'/>'),
+            "is an expression where a literal stands",
+        ),
+        (
+            activity("x", '<handover:happensAt location="Location:a" function="#{f}"/>'),
+            'function="#{f}" is an expression',
+        ),
         (activity("x", '<handover:output name="a b"/>'), '"a b" cannot be the name of a variable'),
         (activity("x", '<handover:lane name="x"/>'), "lane is unknown here"),
         (extended("task", '<handover:task definition="a b"/>'), "is not a name"),
@@ -230,3 +252,62 @@ def test_a_task_of_people_has_a_form_dates_and_candidates() -> None:
 )
 def test_a_wrong_form_is_a_fault(form: str) -> None:
     assert faults(between(handover_task(f"<handover:form>{form}</handover:form>")))
+
+
+def test_every_attribute_that_is_not_evaluated_refuses_an_expression() -> None:
+    for element, attributes in _ATTRIBUTES.items():
+        for name in attributes - _EVALUATED.get(element, frozenset()) - {"expression"}:
+            extension = etree.Element(f"{{{NAMESPACE}}}{element}", {name: "${x}"})
+            found = Findings()
+            _check_attributes(extension, found)
+            assert [f'{name}="${{x}}" is an expression' in each.message for each in found.faults] == [True]
+            deployed = Findings(is_deployed=True)  # it was accepted by an earlier release
+            _check_attributes(extension, deployed)
+            assert (deployed.faults, len(deployed.warnings)) == ([], 1)
+
+
+def test_a_text_in_quotes_is_a_literal() -> None:
+    work = node(activity("x", '<handover:parameter name="x" value=\'"${torque}"\'/>')).activity
+    assert work is not None
+    assert work.parameters["x"].literal == "${torque}"
+
+
+@pytest.mark.parametrize(
+    ("drawn", "shown"),
+    [
+        ("Weigh", "Weigh (1/2: bin-1)"),
+        ("Weigh part ${loopCounter + 1}: ${item.name}", "Weigh part 1: bin-1"),
+        ("Weigh ${missing}", "Weigh ${missing}"),
+    ],
+)
+def test_the_name_of_a_task_is_evaluated_or_says_which_item_is_meant(drawn: str, shown: str) -> None:
+    loop = (
+        "<bpmn:multiInstanceLoopCharacteristics><bpmn:loopDataInputRef>items</bpmn:loopDataInputRef>"
+        '<bpmn:inputDataItem name="item"/></bpmn:multiInstanceLoopCharacteristics>'
+    )
+    documentation = "<bpmn:documentation>Put ${item.name} on the scale</bpmn:documentation>"
+    task = activity("work").replace('id="work">', f'id="work" name="{drawn}">{documentation}')
+    body = between(task.replace("</bpmn:userTask>", loop + "</bpmn:userTask>"), "work")
+    driver = ProcessDriver(body, items=[{"name": "bin-1"}, {"name": "bin-2"}])
+    first = min(driver.process.tasks.values(), key=lambda each: each.visit)
+    assert first.name == shown
+    assert first.entity["workParameters"]["value"]["description"] == "Put bin-1 on the scale"
+
+
+def test_a_task_within_instances_says_which_of_them_are_meant() -> None:
+    loop = (
+        "<bpmn:multiInstanceLoopCharacteristics><bpmn:loopCardinality>{}</bpmn:loopCardinality>"
+        "</bpmn:multiInstanceLoopCharacteristics>"
+    )
+    described = '<handover:parameter name="description" value="Weigh it"/>'
+    task = activity("work", described).replace("</bpmn:userTask>", loop.format(3) + "</bpmn:userTask>")
+    inner = start("in") + task + path("in", "work") + loop.format(2)
+    driver = ProcessDriver(between(f'<bpmn:subProcess id="x">{inner}</bpmn:subProcess>'))
+    last = max(driver.process.tasks.values(), key=lambda each: each.visit)
+    assert last.name == "work (2/2, 3/3)"
+    assert last.entity["workParameters"]["value"]["description"] == "Weigh it (2/2, 3/3)"
+
+
+def test_an_expression_in_a_name_that_cannot_be_read_is_a_warning() -> None:
+    (warning,) = warnings(between(activity("x").replace('id="x">', 'id="x" name="Weigh ${1 +}">')))
+    assert "its name is shown as it is drawn" in warning
