@@ -39,6 +39,8 @@ def people(as_json: AsJson = False) -> None:
         for sensor in one["sensors"]:
             state = sensor["fault"] or sensor["link"] or "not running"
             print(f"  {sensor['name']:<22} {sensor['driver']:<18} {state:<12} {sensor['problem']}".rstrip())
+            for left in sensor["leftOut"]:
+                print(f"    {left['name']} is left out: {left['reason']}")
 
 
 @app.command()
@@ -120,13 +122,16 @@ def export(
 def analyse(
     file: Annotated[Path, typer.Argument(help="A recording: .hea, .edf, .bdf, .xdf, .mcap, .csv, .csv.gz.")],
     channel: Annotated[
-        list[str] | None, typer.Option("--channel", help="NAME=KIND, such as CH1=ecg; only these are read.")
+        list[str] | None,
+        typer.Option(
+            "--channel", help="NAME=KIND or NAME=KIND[UNIT], such as CH1=eda[uS]; only these are read."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print features, channels, left_out.")] = False,
 ) -> None:
     """Show what the service would make of a recording; no service is needed, and nothing is stored."""
     try:
-        from services.human_state.drivers.recording.tracks import Meaning  # noqa: PLC0415 - of an extra
+        from services.human_state.drivers.recording.channels import Meaning  # noqa: PLC0415 - of an extra
         from services.human_state.model.signals import SignalKind  # noqa: PLC0415 - of an extra
         from services.human_state.monitoring.offline import BEGIN_S  # noqa: PLC0415 - of an extra
         from services.human_state.monitoring.offline import analyse as analysed  # noqa: PLC0415 - of an extra
@@ -136,11 +141,14 @@ def analyse(
         ) from error
     meanings = {}
     for text in channel or []:
-        name, _, kind = text.rpartition("=")
+        name, _, given = text.rpartition("=")
+        kind, _, unit = given.removesuffix("]").partition("[")
         if not name or kind not in set(SignalKind):
             kinds = ", ".join(sorted(SignalKind))
-            raise UsageError(f'"{text}" is no channel; write NAME=KIND with a kind of {kinds}')
-        meanings[name] = Meaning(SignalKind(kind))
+            raise UsageError(
+                f'"{text}" is no channel; write NAME=KIND or NAME=KIND[UNIT] with a kind of {kinds}'
+            )
+        meanings[name] = Meaning(SignalKind(kind), unit or None)
     found = analysed(file, meanings)
     if as_json:
         features = [

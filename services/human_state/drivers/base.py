@@ -105,6 +105,11 @@ class SensorDriver(ABC):
     def signals(self) -> tuple[SignalInfo, ...]:
         """The signals that this device sends with these settings."""
 
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """What the device or file has and these signals lack, with the reason by its name."""
+        return {}
+
     @abstractmethod
     async def run(self, sink: Sink) -> None:
         """Serve one connection until it is cancelled. Raise `LinkLost` when the device is gone."""

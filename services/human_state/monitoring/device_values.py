@@ -21,7 +21,7 @@ UNITS: Final[Mapping[SignalKind, frozenset[str]]] = {
     SignalKind.SPO2: frozenset({"P1"}),
     SignalKind.SKIN_TEMPERATURE: frozenset({"CEL"}),
 }
-"""A value in another unit is not used: guessing could let a wrong one through."""
+"""A signal in another unit is refused: guessing could let a wrong value through."""
 INITIAL_PERIOD_S: Final = 1.0
 MAX_PERIOD_S: Final = 60.0
 PERIOD_WEIGHT: Final = 0.2
@@ -31,6 +31,11 @@ class DeviceValues:
     """A processor of one signal: its last value of each packet is a feature."""
 
     def __init__(self, info: SignalInfo) -> None:
+        allowed = UNITS.get(info.kind)
+        if allowed is not None and info.unit not in allowed:
+            raise ValueError(
+                f"a {info.kind} comes in {', '.join(sorted(allowed))}, not in {info.unit or 'no unit'}"
+            )
         self._info = info
         self._name = VALUES[info.kind]
         self._period_s = INITIAL_PERIOD_S if info.rate_hz is None else 1 / info.rate_hz
@@ -38,8 +43,7 @@ class DeviceValues:
 
     def feed(self, samples: Samples) -> Sequence[Feature]:
         """Return the newest value; NaN and contact lost give one of quality 0."""
-        allowed = UNITS.get(self._info.kind)
-        if len(samples.values) == 0 or (allowed is not None and samples.info.unit not in allowed):
+        if len(samples.values) == 0:
             return ()
         value, at_s = float(samples.values[-1, 0]), samples.end_s
         if self._last_s is not None and self._info.rate_hz is None and at_s > self._last_s:

@@ -155,7 +155,7 @@ class Monitoring:
             monitor.sensors[row.name] = SensorView(LinkState.FAULT, text=str(error)[:300])
             return _Running(row, None)
         kinds = frozenset(info.kind for info in driver.signals)
-        monitor.sensors[row.name] = SensorView(kinds=kinds)
+        monitor.sensors[row.name] = SensorView(kinds=kinds, left_out=dict(driver.left_out))
         return _Running(row, self._tasks.start(runner.run), driver)
 
     def _link(self, robot: str, person: str) -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from services.human_state.checks.monitor import SignalMonitor
+from services.human_state.drivers.recording.channels import LeftOut, Meaning
 from services.human_state.drivers.recording.driver import count_before, distinct_tracks, samples_of
-from services.human_state.drivers.recording.tracks import LeftOut, Meaning, Track, read
+from services.human_state.drivers.recording.tracks import Track, read
 from services.human_state.fusion.person_state import PersonState
 from services.human_state.model.features import Feature
 from services.human_state.model.signals import SensorReport

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from handover.messages import message
 from services.human_state.fusion.person_state import FusedValue, PersonState, fused
 from services.human_state.fusion.plausibility import stale_after_s
 from services.human_state.limits.body_limit import RADAR_TIMEOUT_S, TIMEOUT_S, BodyLimit, HeartRate
@@ -69,6 +70,8 @@ class SensorView:
     """The signals that its driver sends."""
     signals: dict[str, SignalInfo] = field(default_factory=dict)
     """Those that were received."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Signals and channels of which nothing is computed, with the reason."""
 
     def take_contact(self, *, is_touching: bool) -> None:
         """Take whether the device touches the body."""
@@ -180,7 +183,10 @@ class PersonMonitor:
                 self._pipelines[key] = self._pipeline_of(item.info, sensor.kinds)
             except ValueError as error:
                 self._pipelines[key] = None
-                sensor.text = str(error)[:300]
+                reason = message(
+                    "health.signal.not_analysed", "it cannot be analysed: {reason}", reason=str(error)[:300]
+                )
+                sensor.left_out[_name_of(item.info)] = reason
         return self._pipelines[key]
 
     def _take_failures(self, pipeline: SignalPipeline, sensor: SensorView) -> None:
@@ -299,6 +305,10 @@ class PersonMonitor:
     def end_listening(self, waiting: deque[Samples]) -> None:
         """Add nothing more to a queue of `listen`."""
         self._listeners.pop(id(waiting), None)
+
+
+def _name_of(info: SignalInfo) -> str:
+    return f"{info.kind} ({info.method})" if info.method else str(info.kind)
 
 
 def _concerning(info: SignalInfo, report: SensorReport) -> SensorReport:

@@ -5,7 +5,7 @@ from typing import Final
 
 from services.human_state.model.signals import SignalInfo, SignalKind
 from services.human_state.monitoring.device_values import VALUES, DeviceValues
-from services.human_state.processing.pipeline import SignalPipeline, processors_for
+from services.human_state.processing.pipeline import SignalPipeline, pipeline_for
 
 BETTER: Final = {
     SignalKind.HEART_RATE: frozenset({SignalKind.ECG}),
@@ -22,7 +22,7 @@ def pipeline_of(info: SignalInfo, kinds: Collection[SignalKind]) -> SignalPipeli
     `ValueError` for a signal that cannot be analysed, an ECG of 10 Hz for example.
     """
     is_doubled = not BETTER.get(info.kind, frozenset()).isdisjoint(kinds)
-    processors = processors_for(info, has_own=not is_doubled)
+    processors = pipeline_for(info, has_own=not is_doubled).processors
     if not processors and info.kind in VALUES and not is_doubled:
-        processors = (DeviceValues(info),)
+        processors = [DeviceValues(info)]
     return SignalPipeline(info, processors)

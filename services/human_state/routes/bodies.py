@@ -106,6 +106,15 @@ class ConsentView(Body):
     withdrawn: datetime | None
 
 
+class LeftOutView(Body):
+    """A signal or channel of a sensor of which nothing is computed, and why."""
+
+    name: str
+    reason: str
+    reason_code: str | None
+    reason_parameters: dict[str, Any] | None
+
+
 class SensorStateView(Body):
     """A sensor: what it is and how it does. `problem` says what a person should know."""
 
@@ -121,6 +130,7 @@ class SensorStateView(Body):
     problem_code: str | None
     problem_parameters: dict[str, Any] | None
     signals: list[str]
+    left_out: list[LeftOutView]
 
 
 class RobotLinkView(Body):

@@ -15,6 +15,7 @@ from services.human_state.people.consent import Purpose
 from services.human_state.people.people import Person
 from services.human_state.routes.bodies import (
     ConsentView,
+    LeftOutView,
     LimitView,
     PersonView,
     RobotLinkView,
@@ -76,6 +77,17 @@ def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> Se
         problem_code=coded.get("problemCode"),
         problem_parameters=coded.get("problemParameters"),
         signals=sorted(known.signals),
+        left_out=[_left_out_view(name, reason) for name, reason in sorted(known.left_out.items())],
+    )
+
+
+def _left_out_view(name: str, reason: str) -> LeftOutView:
+    coded = with_code("reason", reason)
+    return LeftOutView(
+        name=name,
+        reason=str(reason),
+        reason_code=coded.get("reasonCode"),
+        reason_parameters=coded.get("reasonParameters"),
     )
 
 

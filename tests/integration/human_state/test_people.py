@@ -1,6 +1,7 @@
 """Without consent nothing is processed or stored; with it, what was allowed, and until it ends."""
 
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -127,7 +128,7 @@ async def test_who_looked_and_changed_is_recorded(running: Running) -> None:
         } <= actions
 
 
-async def test_bad_input_is_named(running: Running) -> None:
+async def test_bad_input_is_named(running: Running, tmp_path: Path) -> None:
     async with running() as rest:
         assert (await rest.get("/people/nobody")).json()["detailCode"] == "health.unknown_person"
         assert (await rest.delete("/sensors/none")).json()["detailCode"] == "health.unknown_sensor"
@@ -144,6 +145,21 @@ async def test_bad_input_is_named(running: Running) -> None:
         assert "speed" in bad.json()["detail"]
         rest_needed = await rest.post("/people/aino/baseline/rest", json={})
         assert "sit still" in rest_needed.json()["detail"]
+        file = tmp_path / "slow.csv"
+        file.write_text("time [s],ecg [mV],eda [Ohm]\n" + "".join(f"{at / 11},1,1\n" for at in range(99)))
+        replayed = {"person": "aino", "driver": "recording", "settings": {"path": str(file), "loop": True}}
+        (await rest.put("/sensors/file-aino", json=replayed)).raise_for_status()
+
+        async def left_out() -> dict[str, str] | None:
+            sensors = (await rest.get("/people/aino")).json()["sensors"]
+            listed = next(one["leftOut"] for one in sensors if one["name"] == "file-aino")
+            codes = {one["name"]: one["reasonCode"] for one in listed}
+            return codes if len(codes) > 1 else None
+
+        assert await until(left_out) == {
+            "eda": "health.channel.unit_unknown",
+            "ecg (recorded, ecg)": "health.signal.not_analysed",
+        }
 
 
 async def test_a_sensor_of_another_person_moves_with_nothing_of_its_values(running: Running) -> None:

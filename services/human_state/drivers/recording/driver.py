@@ -1,6 +1,7 @@
 """Replays a recording as a sensor: at its pace or faster, once or in a loop."""
 
 import asyncio
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from services.human_state.drivers.base import DriverSettings, SensorDriver, Sink, now_s
-from services.human_state.drivers.recording.tracks import Meaning, Recording, Track, read
+from services.human_state.drivers.recording.channels import Meaning
+from services.human_state.drivers.recording.tracks import Recording, Track, read
 from services.human_state.model.signals import (
     ClockKind,
     LinkState,
@@ -51,6 +53,10 @@ class RecordingDriver(SensorDriver):
         meanings = {name: Meaning(one.kind, one.unit) for name, one in settings.channels.items()}
         self.recording: Recording = read(settings.path, meanings)
         self._tracks = distinct_tracks(self.recording.tracks)
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        return {one.name: one.reason for one in self.recording.left_out}
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:

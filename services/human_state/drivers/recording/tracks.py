@@ -17,9 +17,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover.errors import UsageError
+from handover.messages import message, text_of
+from services.human_state.drivers.recording.channels import (
+    LeftOut,
+    Meaning,
+    RecordingError,
+    UnknownUnit,
+    kind_of,
+    plausible_rates_hz,
+    time_unit_s,
+    unit_of,
+)
 from services.human_state.formats.json_messages import from_json
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from services.human_state.model.signals import Samples, SignalInfo
 
 SAMPLES_SCHEMA: Final = "handover.Samples"
 MAX_BYTES: Final = 512 * 1024 * 1024
@@ -27,12 +37,9 @@ MAX_TRACKS: Final = 128
 MIN_IN_STEP: Final = 0.9
 """A signal whose samples mostly follow at one rate has that rate, and gaps."""
 MAX_CSV_ROWS: Final = 20_000_000
+MAX_TEXT_CHARS: Final = 1000
 
 Floats = NDArray[np.float64]
-
-
-class RecordingError(UsageError):
-    """A recording that cannot be replayed; the text names the file, the rule and the way out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,14 +72,6 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A channel of a file that is no track, and why."""
-
-    name: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class Recording:
     """All signals of a recording. `began_s` is when it was made, in s since 1970, if the file says so."""
 
@@ -84,83 +83,6 @@ class Recording:
     def duration_s(self) -> float:
         """Return the time of the last sample after the beginning."""
         return max(track.end_s for track in self.tracks)
-
-
-@dataclass(frozen=True, slots=True)
-class Meaning:
-    """What a channel of a file is: its kind, and its unit where the file does not say or is wrong."""
-
-    kind: SignalKind
-    unit: str | None = None
-
-
-_VOLTS: Final = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0, "microvolts": 1.0, "nv": 1e-3}
-_UNITS: Final = {
-    "bpm": ("BPM", 1.0), "us": ("D80", 1.0), "µs": ("D80", 1.0), "ms": ("C26", 1.0), "s": ("SEC", 1.0),
-    "%": ("P1", 1.0),
-    "m/s2": ("MSK", 1.0), "m/s^2": ("MSK", 1.0), "m/s²": ("MSK", 1.0),
-    "g": ("MSK", 9.80665),
-    "mg": ("MSK", 9.80665e-3), "degc": ("CEL", 1.0),
-    "°c": ("CEL", 1.0), "1/min": ("C94", 1.0), "cm": ("CMT", 1.0),
-}  # fmt: skip
-"""Units as files write them: the code of UN/CEFACT Recommendation 20, and the factor."""
-_CODES: Final = frozenset({"D82", "C62", *(code for code, _ in _UNITS.values())})
-_LEADS: Final = frozenset(
-    {
-        "i",
-        "ii",
-        "iii",
-        "avr",
-        "avl",
-        "avf",
-        "mlii",
-        "mli",
-        "mv1",
-        "v",
-        "v1",
-        "v2",
-        "v3",
-        "v4",
-        "v5",
-        "v6",
-        "ecg",
-    }
-)
-_KINDS: Final = {
-    "pleth": SignalKind.PPG, "ppg": SignalKind.PPG, "bvp": SignalKind.PPG, "resp": SignalKind.RESPIRATION,
-    "rsp": SignalKind.RESPIRATION, "emg": SignalKind.EMG, "eda": SignalKind.EDA, "gsr": SignalKind.EDA,
-    "eeg": SignalKind.EEG, "eog": SignalKind.EOG, "acc": SignalKind.ACCELERATION,
-    "accelerometer": SignalKind.ACCELERATION, "spo2": SignalKind.SPO2, "hr": SignalKind.HEART_RATE,
-    "rr": SignalKind.INTER_BEAT_INTERVAL, "temp": SignalKind.SKIN_TEMPERATURE,
-}  # fmt: skip
-
-
-def kind_of(name: str) -> SignalKind | None:
-    """Return what a channel of this name usually is, None if that is not clear."""
-    text = name.strip().lower()
-    if text in _LEADS or text.startswith("ecg"):
-        return SignalKind.ECG
-    if text in {kind.value.lower() for kind in SignalKind}:
-        return next(kind for kind in SignalKind if kind.value.lower() == text)
-    return next((kind for word, kind in _KINDS.items() if text.startswith(word)), None)
-
-
-def unit_of(text: str, name: str) -> tuple[str, float]:
-    """Return the code of a unit, and what to multiply values with; raise `RecordingError`."""
-    plain = text.strip()
-    if plain in _CODES:
-        return plain, 1.0
-    small = plain.lower().replace(" ", "")
-    if small in _VOLTS:
-        return "D82", _VOLTS[small]
-    if small in _UNITS:
-        return _UNITS[small]
-    if small in {"", "nu", "n/a", "a.u.", "au", "-", "1"}:
-        return "C62", 1.0
-    raise RecordingError(
-        f'the unit "{plain}" of "{name}" is not known; name it with a code in `channels` of the driver: '
-        f"{', '.join(sorted(_CODES))}"
-    )
 
 
 def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
@@ -189,8 +111,10 @@ def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
             f"{path.name} cannot be read: {type(error).__name__}: {error}; is the file complete?"
         ) from error
     if not recording.tracks:
+        why = "; ".join(f"{one.name}: {one.reason}" for one in recording.left_out)
         raise RecordingError(
-            f"{path.name} has no channel whose kind is known; name some in `channels` of the driver"
+            f"{path.name} has no channel whose kind is known; name some in `channels` of the driver, or with "
+            f"--channel NAME=KIND[UNIT]{f' ({why})' if why else ''}"[:MAX_TEXT_CHARS]
         )
     for track in recording.tracks:
         _check(track, path)
@@ -213,16 +137,28 @@ def _track(
     meaning = meanings.get(name)
     kind = meaning.kind if meaning else kind_of(name)
     if meanings and meaning is None:
-        return LeftOut(name, "it is not among the named channels")
+        return LeftOut(name, message("health.channel.not_named", "it is not among the named channels"))
     if kind is None:
-        return LeftOut(name, "its kind is not clear from its name; name it with its kind")
-    code, factor = unit_of(meaning.unit if meaning and meaning.unit else unit, name)
+        return LeftOut(
+            name,
+            message(
+                "health.channel.kind_unclear", "its kind is not clear from its name; name it with its kind"
+            ),
+        )
+    try:
+        code, factor = unit_of(meaning.unit if meaning and meaning.unit else unit, name, kind)
+    except UnknownUnit as unknown:
+        if meaning:
+            raise
+        return LeftOut(name, text_of(unknown))
     columns = values.reshape(len(values), -1) * factor
     channels = (name,) if columns.shape[1] == 1 else tuple(str(one) for one in range(columns.shape[1]))
     try:
         info = SignalInfo(kind, code, rate_hz, channels, method=f"recorded, {name}")
     except ValueError as error:
-        raise RecordingError(f'"{name}": {error}') from None
+        if meaning:
+            raise RecordingError(f'"{name}": {error}') from None
+        return LeftOut(name, str(error))
     return Track(name, info, columns, **times)
 
 
@@ -237,14 +173,18 @@ def _recording(found: Iterable[Track | LeftOut], began_s: float | None = None) -
 def _wfdb(path: Path, meanings: dict[str, Meaning]) -> Recording:
     import wfdb  # type: ignore[import-untyped]  # noqa: PLC0415 - of the extra
 
-    record = wfdb.rdrecord(str(path.with_suffix("")))
-    if record.p_signal is None or not record.fs:
+    # Frames are not smoothed: that averages the samples of a fast signal to the rate of the frames.
+    record = wfdb.rdrecord(str(path.with_suffix("")), smooth_frames=False)
+    if record.e_p_signal is None or not record.fs:
         raise RecordingError(f"{path.name} has no signals with a rate; give the header of a signal record")
     began_s = record.base_datetime.timestamp() if record.base_datetime else None
+    rates_hz = [float(record.fs) * count for count in record.samps_per_frame]
     return _recording(
         (
-            _track(name, record.p_signal[:, at], float(record.fs), record.units[at] or "", meanings)
-            for at, name in enumerate(record.sig_name)
+            _track(name, values, rate_hz, unit or "", meanings)
+            for name, values, rate_hz, unit in zip(
+                record.sig_name, record.e_p_signal, rates_hz, record.units, strict=True
+            )
         ),
         began_s,
     )
@@ -336,15 +276,16 @@ def _share_in_step(times_s: Floats, rate_hz: float) -> float:
 
 
 def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
-    """Read a table with a header `time, ecg [mV], …`; times in s or, with `time [ms]`, in milliseconds."""
+    """Read a table with a header `time [s],ecg [mV],…`; the unit of times may be another one.
+
+    Times without a unit are in s where all channels have a plausible rate then; else their unit is asked for.
+    """
     opener = gzip.open if path.suffix == ".gz" else open
     with opener(path, "rt", newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
         header = next(rows, None)
-        if header is None or not header or not header[0].lower().startswith(("time", "t", "seconds")):
-            raise RecordingError(
-                f"the first column of {path.name} is no time; the header must be like `time,ecg [mV]`"
-            )
+        time_s = time_unit_s(header[0] if header else "", path.name)
+        assert header is not None  # noqa: S101 - refused above
         table: list[list[float]] = []
         for number, row in enumerate(rows, start=2):
             if not row:
@@ -360,7 +301,7 @@ def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
     if len(table) < 2:
         raise RecordingError(f"{path.name} has fewer than two lines of values; there is nothing to replay")
     array = np.array(table)
-    times_s = array[:, 0] * (1e-3 if "[ms]" in header[0].lower() else 1.0)
+    times_s = array[:, 0] * (time_s or 1.0)
     began_s, times_s = float(times_s[0]), times_s - times_s[0]
     period_s = float(np.median(np.diff(times_s)))
     share = _share_in_step(times_s, 1 / period_s) if period_s > 0 else 0.0
@@ -371,13 +312,28 @@ def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
         rate_hz = 1 / float(np.mean(np.diff(times_s)[np.abs(np.diff(times_s) / period_s - 1) < 0.5]))
     names = [_named(cell) for cell in header[1:]]
     placed = {} if share == 1.0 else {"times_s": times_s}
-    return _recording(
+    recording = _recording(
         (
             _track(name, array[:, at], rate_hz, unit, meanings, **placed)
             for at, (name, unit) in enumerate(names, start=1)
         ),
         began_s if began_s > 1e8 else None,
     )
+    if time_s is None and period_s > 0 and not np.any(np.diff(times_s) < 0):
+        _require_seconds(path, 1 / period_s, recording.tracks)
+    return recording
+
+
+def _require_seconds(path: Path, rate_hz: float, tracks: Iterable[Track]) -> None:
+    """Raise `RecordingError` for times without a unit that give a channel an implausible rate as s."""
+    for track in tracks:
+        least_hz, most_hz = plausible_rates_hz(track.info.kind)
+        if not least_hz * (1 - 1e-6) <= rate_hz <= most_hz * (1 + 1e-6):
+            raise RecordingError(
+                f'the times of {path.name} have no unit; in s, "{track.name}" would have {rate_hz:.4g} Hz; '
+                f"{least_hz:.2g} to {most_hz:g} Hz are plausible for the kind {track.info.kind}; write the "
+                "unit in the header: `time [s]` or `time [ms]`"
+            )
 
 
 def _named(cell: str) -> tuple[str, str]:

@@ -9,8 +9,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.human_state.drivers.recording.channels import (
+    Meaning,
+    RecordingError,
+    kind_of,
+    plausible_rates_hz,
+)
 from services.human_state.drivers.recording.driver import RecordingDriver, RecordingSettings
-from services.human_state.drivers.recording.tracks import RecordingError, kind_of, read
+from services.human_state.drivers.recording.tracks import read
 from services.human_state.drivers.runner import SensorRunner
 from services.human_state.exchange.mcap import McapWriter
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
@@ -228,7 +234,143 @@ async def test_records_of_physionet_are_replayed(name: str, kinds: list[str]) ->
     assert not jumps
 
 
-def test_names_of_channels_are_understood() -> None:
-    assert kind_of("MLII") is SignalKind.ECG
-    assert kind_of("heartRate") is SignalKind.HEART_RATE
-    assert kind_of("whatever") is None
+@pytest.mark.parametrize(
+    "name",
+    ["MLII", "MCL1", "vx", "vy", "VZ", "aVR", "I", "lead III", "V5", "CM5", "mod.V1", "ML5", "ECG 2", "D3"],
+)
+def test_leads_of_an_ecg_are_understood(name: str) -> None:
+    assert kind_of(name) is SignalKind.ECG
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("heartRate", SignalKind.HEART_RATE),
+        ("hr", SignalKind.HEART_RATE),
+        ("Resp thorax", SignalKind.RESPIRATION),
+        ("EEG Fp1", SignalKind.EEG),
+        ("ACC_X", SignalKind.ACCELERATION),
+        ("whatever", None),
+        ("hrv", None),
+        ("resp rate", None),
+        ("temperature_ambient", None),
+        ("template", None),
+        ("accuracy", None),
+        ("ecg_quality", None),
+        ("", None),
+    ],
+)
+def test_a_name_means_a_kind_only_where_that_is_clear(name: str, kind: SignalKind | None) -> None:
+    assert kind_of(name) is kind
+
+
+@given(rates=st.lists(st.sampled_from((1, 2, 8, 25, 100, 200)), min_size=1, max_size=4))
+@settings(max_examples=10, deadline=None)
+def test_each_signal_of_a_wfdb_record_has_its_own_rate(
+    tmp_path_factory: pytest.TempPathFactory, rates: list[int]
+) -> None:
+    """Frames of 1 s with several samples of some signals, as records of polysomnography have them."""
+    import wfdb
+
+    folder, seconds = tmp_path_factory.mktemp("rates"), 8
+    given_mv = [np.sin(np.arange(seconds * rate) / rate * 2 * np.pi / 3) for rate in rates]
+    wfdb.wrsamp(
+        "made", 1, ["mV"] * len(rates), [f"ECG{at}" for at in range(len(rates))],
+        e_p_signal=given_mv, samps_per_frame=rates, fmt=["16"] * len(rates), write_dir=str(folder),
+    )  # fmt: skip
+    tracks = read(folder / "made.hea", {}).tracks
+    assert [track.info.rate_hz for track in tracks] == rates
+    for track, wave in zip(tracks, given_mv, strict=True):
+        assert track.values[:, 0] == pytest.approx(1000 * wave, abs=1)
+
+
+def test_one_channel_that_is_not_known_leaves_the_others(tmp_path: Path) -> None:
+    """An unknown unit or name leaves its channel out, with the reason; nothing vanishes."""
+    path = tmp_path / "mixed.csv"
+    rows = "".join(f"{at / 100},1,2,3,4\n" for at in range(300))
+    path.write_text("time [s],ecg [mV],eda [Ohm],resp [pm],note\n" + rows)
+    recording = read(path, {})
+    assert [track.name for track in recording.tracks] == ["ecg"]
+    reasons = {one.name: one.reason for one in recording.left_out}
+    assert reasons.keys() == {"eda", "resp", "note"}
+    assert 'the unit "Ohm" of "eda" is not known' in reasons["eda"]
+    assert "kind is not clear" in reasons["note"]
+    driver = RecordingDriver("file", RecordingSettings(path=path))
+    assert driver.left_out == reasons
+    with pytest.raises(RecordingError, match='the unit "Ohm"'):
+        read(path, {"eda": Meaning(SignalKind.EDA)})
+    assert read(path, {"eda": Meaning(SignalKind.EDA, "uS")}).tracks[0].info.unit == "D80"
+
+
+def test_nothing_that_is_known_is_refused_with_the_reason_for_each(tmp_path: Path) -> None:
+    path = tmp_path / "none.csv"
+    path.write_text("time,eda [Ohm],note\n0,1,1\n1,1,1\n")
+    with pytest.raises(RecordingError, match=r'"Ohm" of "eda".*note: its kind is not clear'):
+        read(path, {})
+
+
+@pytest.mark.parametrize(
+    ("unit", "code", "factor"), [("mS", "D80", 1000), ("uS", "D80", 1), ("us", "D80", 1), ("ms", "C26", 1)]
+)
+def test_siemens_are_no_seconds(unit: str, code: str, factor: float, tmp_path: Path) -> None:
+    path = tmp_path / "eda.csv"
+    path.write_text(f"time,eda [{unit}]\n" + "".join(f"{at / 4},2\n" for at in range(40)))
+    (track,) = read(path, {}).tracks
+    assert (track.info.unit, track.values[0, 0]) == (code, 2 * factor)
+
+
+@given(kind=st.sampled_from(sorted(SignalKind)), share=st.floats(0, 1))
+def test_times_are_plausible_in_one_of_s_and_ms_at_most(kind: SignalKind, share: float) -> None:
+    least_hz, most_hz = plausible_rates_hz(kind)
+    rate_hz = least_hz * (most_hz / least_hz) ** share
+    assert least_hz <= rate_hz * (1 + 1e-9)
+    assert not least_hz <= rate_hz / 1000 <= most_hz
+    assert not least_hz <= rate_hz * 1000 <= most_hz
+
+
+HEADERS = {
+    "time [s]": 1.0, "time": 1.0, "t": 1.0, "seconds": 1.0, "timestamp_s": 1.0, "Time (s)": 1.0,
+    "time [ms]": 1e3, "time_ms": 1e3, "Time (ms)": 1e3, "milliseconds": 1e3, "timestamp [us]": 1e6,
+    "time [min]": 1 / 60,
+}  # fmt: skip
+
+
+@given(
+    header=st.sampled_from(sorted(HEADERS)),
+    column=st.sampled_from(
+        (("ecg [mV]", 50, 2000), ("eda [uS]", 4, 128), ("hr [bpm]", 0.02, 5), ("resp", 2, 500))
+    ),
+    share=st.floats(0, 1),
+    began_s=st.sampled_from((0.0, 12.5, 1.7e9)),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_rate_is_never_wrong_by_a_factor(
+    tmp_path_factory: pytest.TempPathFactory,
+    header: str,
+    column: tuple[str, float, float],
+    share: float,
+    began_s: float,
+) -> None:
+    name, least_hz, most_hz = column
+    rate_hz = least_hz * (most_hz / least_hz) ** share
+    path = tmp_path_factory.mktemp("times") / "a.csv"
+
+    def write(header: str, factor: float) -> None:
+        times = (f"{(began_s + at / rate_hz) * factor:.9f},1\n" for at in range(20))
+        path.write_text(f"{header},{name}\n" + "".join(times))
+
+    write(header, HEADERS[header])
+    (track,) = read(path, {}).tracks
+    assert track.info.rate_hz == pytest.approx(rate_hz, rel=1e-2)
+    for factor in (1e-3, 1e3, 1e6, 1e9):
+        write("time", factor)
+        with pytest.raises(RecordingError, match="Hz"):
+            read(path, {})
+
+
+@pytest.mark.parametrize("header", ["temp", "temperature", "trial", "time [h]", "time (frames)", "ecg", ""])
+def test_a_first_column_that_is_no_time_is_refused(header: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header},ecg [mV]\n0,1\n0.01,2\n0.02,1\n")
+    with pytest.raises(RecordingError, match=r"a\.csv"):
+        read(path, {})

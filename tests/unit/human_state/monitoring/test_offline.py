@@ -60,3 +60,37 @@ def test_a_channel_is_named_with_its_kind(tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, ["analyse", str(path), "--channel", "CH1=heart"])
     assert refused.exit_code != 0
     assert "NAME=KIND" in str(refused.exception)
+
+
+@pytest.mark.parametrize(
+    ("column", "rate_hz", "reason"),
+    [
+        ("ecg [mV]", 11, "R peaks need an ECG of 50 to 2,000 Hz; this one has 11 Hz"),
+        ("eda", 4, "EDA needs microsiemens (D80)"),
+        ("hr", 1, "a heartRate comes in BPM, not in C62"),
+        ("hr [mV]", 1, "a heartRate comes in BPM, not in D82"),
+        ("rr", 1, "inter-beat intervals come in C26 (ms) or SEC, not in C62"),
+        ("eeg [uV]", 250, "nothing is computed from the kind eeg"),
+        ("eda [Ohm]", 4, 'the unit "Ohm" of "eda" is not known'),
+    ],
+)
+def test_a_signal_that_yields_nothing_is_named_with_the_reason(
+    column: str, rate_hz: float, reason: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "some.csv"
+    rows = [f"{at / rate_hz:.6f},1,{70 + at % 2}\n" for at in range(100)]
+    path.write_text(f"time [s],{column},pleth\n" + "".join(rows))
+    name = column.split(maxsplit=1)[0]
+    answer = analysed(path)
+    assert name not in [one["name"] for one in answer["channels"]]
+    (said,) = (one["reason"] for one in answer["left_out"] if one["name"] == name)
+    assert reason in str(said)
+    printed = CliRunner().invoke(app, ["analyse", str(path)]).output
+    assert f"{name} is left out: {reason}" in printed.replace("\n", "")
+
+
+def test_a_channel_is_named_with_its_kind_and_unit(tmp_path: Path) -> None:
+    path = tmp_path / "raw.csv"
+    path.write_text("time [s],A1\n" + "".join(f"{at / 4},2\n" for at in range(400)))
+    answer = analysed(path, "--channel", "A1=eda[uS]")
+    assert [(one["kind"], one["unit"]) for one in answer["channels"]] == [("eda", "D80")]

@@ -5,9 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from handover.messages import Message
 from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.model.features import FeatureName, Status
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from services.human_state.model.signals import (
+    LinkState,
+    Samples,
+    SensorFault,
+    SensorReport,
+    SignalInfo,
+    SignalKind,
+)
 from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.people.consent import Consent
@@ -100,6 +108,18 @@ def test_without_consent_nothing_is_kept() -> None:
     feed(monitor, 150.0, 60)
     assert monitor.values(time.monotonic()) == []
     assert not monitor.recent
+
+
+def test_a_signal_of_which_nothing_is_computed_is_shown_with_the_reason() -> None:
+    """Also after news of the link, which replace what was said about it."""
+    monitor = PersonMonitor(person("live"), pipeline_of)
+    slow = SignalInfo(SignalKind.ECG, "D82", 11.0, method="lead II")
+    monitor.take(Samples("strap", slow, time.time(), np.zeros((5, 1))))
+    monitor.take(SensorReport("strap", time.time(), link=LinkState.CONNECTED))
+    (reason,) = monitor.sensors["strap"].left_out.values()
+    assert isinstance(reason, Message)
+    assert reason.code == "health.signal.not_analysed"
+    assert "50 to 2,000 Hz; this one has 11 Hz" in reason
 
 
 def test_a_contact_that_is_back_is_shown() -> None:

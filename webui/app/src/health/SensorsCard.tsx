@@ -65,6 +65,11 @@ function Sensor({ sensor }: { sensor: SensorStateView }) {
         {sensor.battery !== null && <Battery level={sensor.battery} />}
       </span>
       {sensor.problem !== "" && <span className="quiet small health__problem">{localizedText(sensor, "problem")}</span>}
+      {sensor.leftOut.map((signal) => (
+        <span key={signal.name} className="quiet small health__problem">
+          {t("sensors.leftOut", { name: signal.name, reason: localizedText(signal, "reason") })}
+        </span>
+      ))}
     </li>
   );
 }

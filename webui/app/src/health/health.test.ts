@@ -47,7 +47,7 @@ test.each([
 });
 
 test("a sensor without contact or link is at fault", () => {
-  const sensor = { name: "strap", driver: "simulated", settings: {}, link: "connected", battery: null, hasContact: true, fault: null, problem: "", problemCode: null, problemParameters: null, signals: [] };
+  const sensor = { name: "strap", driver: "simulated", settings: {}, link: "connected", battery: null, hasContact: true, fault: null, problem: "", problemCode: null, problemParameters: null, signals: [], leftOut: [] };
   expect(sensorFault(sensor)).toBeNull();
   expect(sensorFault({ ...sensor, fault: "gap" })).toEqual({ kind: "fault", what: "gap" });
   expect(sensorFault({ ...sensor, hasContact: false, fault: "gap" })).toEqual({ kind: "contact", what: "noContact" });

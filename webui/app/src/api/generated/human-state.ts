@@ -68,6 +68,14 @@ export interface HistoryValue {
   status: string;
 }
 
+/** A signal or channel of a sensor of which nothing is computed, and why. */
+export interface LeftOutView {
+  name: string;
+  reason: string;
+  reasonCode: string | null;
+  reasonParameters: Record<string, unknown> | null;
+}
+
 /** The speed limit: fraction of the speed, and the curve that it follows. */
 export interface LimitView {
   fraction: number;
@@ -175,6 +183,7 @@ export interface SensorStateView {
   problemCode: string | null;
   problemParameters: Record<string, unknown> | null;
   signals: string[];
+  leftOut: LeftOutView[];
 }
 
 /** The value of one sensor. */
