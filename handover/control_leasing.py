@@ -1,7 +1,7 @@
 """Who gets the control: leases as people ask for them over the WebSocket, and sessions that end for it."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Final, Protocol
@@ -102,6 +102,33 @@ class Person:
         except Problem:
             return False
         return self.guard.is_valid(self.caller)
+
+
+MODES: Final = ("refuse", "wait", "takeOver")
+TOKEN_PARAMETER: Final = "token"  # noqa: S105 - a name
+
+
+def require_parameters(socket: WebSocket, allowed: Mapping[str, Collection[str] | None]) -> None:
+    """Raise `Problem` 400 for a parameter of the address that is not `allowed`, or has another value.
+
+    None allows every value. What is not known is not ignored: a person relies on what they asked for.
+    """
+    for name, value in socket.query_params.items():
+        if name == TOKEN_PARAMETER:
+            continue
+        if name not in allowed:
+            raise Problem(
+                400,
+                "Unknown parameter",
+                f'the control has no parameter "{name[:40]}"; it has {", ".join(allowed)}',
+            )
+        values = allowed[name]
+        if values is not None and value not in values:
+            raise Problem(
+                400,
+                "Unknown value",
+                f'{name} cannot be "{value[:40]}"; choose {" or ".join(values)}',
+            )
 
 
 async def acquire(  # noqa: PLR0917 - called by `routes` only

@@ -96,11 +96,14 @@ async def receive_input(socket: WebSocket) -> HumanInput | None:
 
 
 def read_input(text: str) -> HumanInput:
-    """Return an input. Raises `InputRefused`, which names the invalid fields."""
+    """Return an input. Raises `InputRefused`, which names the invalid fields.
+
+    Types are strict: a text such as "true" is no dead-man control that is held.
+    """
     if len(text) > MAX_MESSAGE_BYTES:
         raise InputRefused(f"a message has at most {MAX_MESSAGE_BYTES} bytes")
     try:
-        return HumanInput.model_validate_json(text)
+        return HumanInput.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise InputRefused(fault_text(error)) from None
 

@@ -62,8 +62,8 @@ class DeviceControl:
 
     def _input_of(self, line: bytes) -> HumanInput:
         if self._axes is None:
-            return HumanInput.model_validate_json(line)
-        return self._axes.input_of(AxisInput.model_validate_json(line), time.monotonic())
+            return HumanInput.model_validate_json(line, strict=True)
+        return self._axes.input_of(AxisInput.model_validate_json(line, strict=True), time.monotonic())
 
     def _receive(self, text: str) -> None:
         message = orjson.loads(text)
@@ -155,9 +155,9 @@ class DeviceInputs:
             return
         with suppress(ValidationError):
             if b'"axes"' in line:
-                axes = tuple(sorted(AxisInput.model_validate_json(line).axes))
+                axes = tuple(sorted(AxisInput.model_validate_json(line, strict=True).axes))
             else:
-                HumanInput.model_validate_json(line)
+                HumanInput.model_validate_json(line, strict=True)
                 axes = ()
             self._seen[device] = now_s, axes
 

@@ -86,8 +86,7 @@ class MotionPlanning:
     ) -> None:
         self._model = model
         self._limits = limits
-        self._part_size_m = scene.gripper.part_size_m
-        self.part_mass_kg = scene.gripper.part_mass_kg or 0.0
+        self.set_part(scene)
         self._name = name
         self._joints = joints or (lambda: model.home)
         self._held = held
@@ -105,6 +104,11 @@ class MotionPlanning:
     def avoids_obstacles(self) -> bool:
         """Return whether every motion is planned."""
         return bool(self.obstacles) or len(self.space.planners) > 1
+
+    def set_part(self, scene: Scene) -> None:
+        """Take what the gripper of a changed scene holds: the size and the mass of its parts."""
+        self._part_size_m = scene.gripper.part_size_m
+        self.part_mass_kg = scene.gripper.part_mass_kg or 0.0
 
     def set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
         """Change the obstacles; a running motion stops and is planned again."""

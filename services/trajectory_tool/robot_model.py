@@ -18,7 +18,7 @@ from lxml import etree
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
-from handover.robot_xml import loop_faults, mesh_faults
+from handover.robot_xml import link_of, loop_faults, mesh_faults, number_of
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Frame, Pose, Vector, cross, turn
 from services.trajectory_tool.robot import Joints, Unreachable
@@ -116,6 +116,10 @@ class RobotModel:
     """The URDF that the model was read from."""
     base: Frame = IDENTITY
     """Where the root link stands in the frame of the cell; all poses of the model are in that frame."""
+    max_payload_kg: float | None = None
+    """What the robot may carry at its flange, the tool included; None where its maker is not known."""
+    tool_kg: float = 0.0
+    """The mass of what the last moving link carries, by its inertias in the URDF."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -245,6 +249,16 @@ class RobotModel:
 
         return tuple(within(joint, position) for joint, position in zip(self.joints, joints, strict=True))
 
+    def payload_fault(self, payload_kg: float) -> str | None:
+        """Return why the robot may not carry a part of this mass in its tool; None if it may."""
+        if self.max_payload_kg is None or payload_kg + self.tool_kg <= self.max_payload_kg:
+            return None
+        return (
+            f"a part of {payload_kg:g} kg and the tool of {self.tool_kg:g} kg are more than the "
+            f"{self.max_payload_kg:g} kg that {self.name} may carry; choose a lighter part, or correct "
+            "part_mass_kg of the scene, or max_payload_kg of the model"
+        )
+
     def allow(self, joints: Joints) -> Joints:
         """Return `joints` if there is one for each joint, within its limits. Raises `Unreachable`."""
         if len(joints) != len(self.joints):
@@ -292,6 +306,7 @@ def read_model(
     scene: Path | None = None,
     driver_scenes: Mapping[str, Path] | None = None,
     srdf: Path | None = None,
+    max_payload_kg: float | None = None,
 ) -> RobotModel:
     """Return the model of the robot in a URDF file.
 
@@ -320,7 +335,7 @@ def read_model(
             scene=scene,
             semantics=semantics,
         )
-        return replace(model, driver_scenes=driver_scenes or {}, file=urdf)
+        return replace(model, driver_scenes=driver_scenes or {}, file=urdf, max_payload_kg=max_payload_kg)
     except OSError as error:
         raise UsageError(f"the robot description {urdf} cannot be read: {error.strerror}") from None
     except (etree.XMLSyntaxError, UnicodeDecodeError) as error:
@@ -377,6 +392,7 @@ def _model(
             joints.append(_joint(element, limits, labels))
         if element.find("child").get("link") == flange:
             flange_at = number
+    wrist = next((link_of(one, "child") for one in reversed(elements) if one.get("type") != "fixed"), "")
     if not joints:
         raise _InvalidUrdf(f'there is no movable joint between its root and "{tip}"')
     if flange_at == 0 or any(segment.number is not None for segment in segments[flange_at:]):
@@ -401,6 +417,7 @@ def _model(
         scene=scene,
         disabled_pairs=semantics.disabled_pairs,
         poses=poses,
+        tool_kg=_mass_below(root, wrist),
         _to_flange=tuple(segments[:flange_at]),
         _tool=tool,
     )
@@ -410,6 +427,22 @@ def _model(
         except Unreachable as why:
             raise _InvalidUrdf(f"{pose}: {why}") from None
     return model
+
+
+def _mass_below(root: Any, wrist: str) -> float:
+    """Return the mass in kg of the links that the last link of the robot carries."""
+    children: dict[str, list[str]] = {}
+    for joint in root.findall("joint"):
+        children.setdefault(link_of(joint, "parent"), []).append(link_of(joint, "child"))
+    masses = {
+        str(link.get("name")): number_of(link.find("inertial/mass"), "value") for link in root.findall("link")
+    }
+    carried, waiting = 0.0, list(children.get(wrist, ()))
+    while waiting:  # the joints form no loop
+        link = waiting.pop()
+        carried += max(masses.get(link) or 0.0, 0.0)
+        waiting += children.get(link, ())
+    return carried
 
 
 def _positions(pose: str, given: Mapping[str, float], names: list[str]) -> Joints:

@@ -374,6 +374,9 @@ def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: R
 
 def _faults(scene: Scene, models: Sequence[RobotModel]) -> Iterator[str]:
     yield from _repeated_names(scene)
+    for model in models:
+        if (too_heavy := model.payload_fault(scene.gripper.part_mass_kg or 0.0)) is not None:
+            yield f"gripper: {too_heavy}"
     if scene.home is not None:
         if len(models) > 1:
             yield "home: several robots are in the cell; give each its home in the cell file"

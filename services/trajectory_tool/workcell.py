@@ -156,6 +156,7 @@ class Workcell:
             before, self.scene, self.revision = self.scene, scene, changed.revision
             self.contents = self.contents.moved(before, scene)
             for cell in self.cells.values():
+                cell.planning.set_part(scene)
                 cell.planning.set_obstacles(solids)
             for apply in applies:
                 if apply is not None:

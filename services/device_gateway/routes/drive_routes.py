@@ -7,7 +7,15 @@ from fastapi import FastAPI, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from handover.control.lease import Leases
-from handover.control_leasing import OF_ROBOT, OpenSessions, Person, acquire, add_lease_routes
+from handover.control_leasing import (
+    MODES,
+    OF_ROBOT,
+    OpenSessions,
+    Person,
+    acquire,
+    add_lease_routes,
+    require_parameters,
+)
 from handover.control_session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
 from handover.security.caller import Caller
@@ -36,6 +44,7 @@ def add_drive_routes(app: FastAPI, gateway: DeviceGateway, sessions: OpenSession
         await socket.accept()
         session_id, person = uuid4().hex, Person(caller, guard_of(socket), OF_ROBOT(socket))
         try:
+            require_parameters(socket, {"mode": MODES, "record": ("false",)})
             device = gateway.device(robot)
             require_drivable(device)
             await acquire(socket, leases, sessions, robot, session_id, person)

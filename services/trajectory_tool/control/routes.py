@@ -11,7 +11,15 @@ from starlette.websockets import WebSocketDisconnect
 from datamodels.entities import DeviceState
 from handover.background_tasks import BackgroundTasks
 from handover.control.lease import Leases
-from handover.control_leasing import OF_ROBOT, OpenSessions, Person, acquire, add_lease_routes
+from handover.control_leasing import (
+    MODES,
+    OF_ROBOT,
+    OpenSessions,
+    Person,
+    acquire,
+    add_lease_routes,
+    require_parameters,
+)
 from handover.control_session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
 from handover.messages import message
@@ -55,6 +63,7 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
         await socket.accept()
         session_id, person = uuid4().hex, Person(caller, guard_of(socket), OF_ROBOT(socket))
         try:
+            require_parameters(socket, {"mode": MODES, "gamma": None, "record": ("true", "false")})
             cell, others, set_state = find(robot)
             gamma = _gamma(socket.query_params.get("gamma"))
             is_first = await acquire(socket, leases, sessions, cell.name, session_id, person)

@@ -67,7 +67,7 @@ async def _answer(
     if len(text) > max_bytes:
         return _refusal(f"a message has at most {max_bytes} bytes"), "refused"
     try:
-        report = form.model_validate_json(text)
+        report = form.model_validate_json(text, strict=True)
         await receive(report)
     except ValidationError as error:
         return _refusal(fault_text(error)), "refused"

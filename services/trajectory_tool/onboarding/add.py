@@ -226,6 +226,11 @@ def _of_the_model(model: RobotModel) -> list[Finding]:
             f"a URDF has no limits of acceleration and jerk; {urdf.ACCELERATION_OF_SPEED:g} and "
             f"{urdf.JERK_OF_SPEED:g} times the velocity are assumed; correct them in {FILE}",
         ),
+        Finding(
+            "warning",
+            "payload",
+            f"a URDF has no limit of the payload, so none is checked; give max_payload_kg in {FILE}",
+        ),
         Finding("info", "SRDF", f"{checked} pairs of links are checked for collision"),
     ]
     torques = Torques(planner.arm)

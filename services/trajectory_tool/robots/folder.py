@@ -6,6 +6,7 @@
     tip: tool0
     max_acceleration: {shoulder_pan_joint: 8.0, …}
     max_jerk: {shoulder_pan_joint: 80.0, …}
+    max_payload_kg: 5.0             # at the flange, the tool included; not checked without it
 
 `handover robot add` makes one. Robots are looked for by name: those of packages, then in the folder
 `robots` of the data directory; a path names a folder directly.
@@ -55,6 +56,8 @@ class RobotFolder(BaseModel):
     labels: dict[str, dict[str, str]] = Field(default_factory=dict)
     fingers: tuple[FingerEntry, ...] = ()
     scene: Path | None = None
+    max_payload_kg: Positive | None = None
+    """What the robot may carry at its flange, the tool included."""
 
 
 def read_folder(folder: Path) -> RobotModel:
@@ -82,6 +85,7 @@ def read_folder(folder: Path) -> RobotModel:
         labels=entry.labels,
         fingers=tuple(Finger(**finger.model_dump()) for finger in entry.fingers),
         scene=folder / entry.scene if entry.scene is not None else None,
+        max_payload_kg=entry.max_payload_kg,
     )
 
 

@@ -195,7 +195,13 @@ class UrKinematics:
 
 
 def read_ur(
-    folder: Path, file: str, *, name: str, kinematics: UrKinematics, scene: Path | None = None
+    folder: Path,
+    file: str,
+    *,
+    name: str,
+    kinematics: UrKinematics,
+    max_payload_kg: float,
+    scene: Path | None = None,
 ) -> RobotModel:
     """Return the model of an arm with the parallel gripper, from the URDF and SRDF `file` of its folder.
 
@@ -217,6 +223,7 @@ def read_ur(
         inverse=kinematics.nearest,
         solutions=kinematics.inverse,
         scene=scene,
+        max_payload_kg=max_payload_kg,
     )
 
 

@@ -102,7 +102,13 @@ class UniversalRobot(CyclicRobot):
                 f"{len(context.model.joints)}; choose another driver or model for {context.robot_id}"
             )
         known = replace(context, options=with_environment(context.options))
-        return cls(context, known.read_options(UrOptions))
+        options, limit_kg = known.read_options(UrOptions), context.model.max_payload_kg
+        if options.payload_kg is not None and limit_kg is not None and options.payload_kg > limit_kg:
+            raise UsageError(
+                f"payload_kg of {context.robot_id} is {options.payload_kg:g}, and {context.model.name} may "
+                f"carry {limit_kg:g} kg at its flange; correct the option"
+            )
+        return cls(context, options)
 
     def mount(self, app: FastAPI) -> None:
         """Add the routes of the controller."""

@@ -102,7 +102,7 @@ def _read(text: str, role: str) -> PoseMessage | PullMessage | WishMessage | str
     if len(text) > MAX_MESSAGE_CHARS:
         return f"a message has at most {MAX_MESSAGE_CHARS} characters"
     try:
-        given: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text)
+        given: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text, strict=True)
     except ValidationError as error:
         return fault_text(error)[:MAX_REASON_CHARS]
     if isinstance(given, WishMessage) is not (role == "therapist"):

@@ -99,6 +99,9 @@ async def test_any_registered_robot_is_driven_by_its_id(robots: Bench) -> None:
 async def test_a_program_that_follows_no_velocities_is_refused(bench: Bench) -> None:
     body = {"name": "cobot-2", "template": "mycobot280"}
     token = bench.rest.post("/devices", json=body).raise_for_status().json()["token"]
+    async with connect(f"{address(bench, 'cobot-2')}?mode=nonsense", proxy=None) as socket:
+        await socket.wait_closed()
+        assert (socket.close_code, "mode" in (socket.close_reason or "")) == (4400, True)
     for reason in ("is not connected", "follows no velocities"):
         async with connect(address(bench, "cobot-2"), proxy=None) as socket:
             await socket.wait_closed()

@@ -111,9 +111,10 @@ def test_bad_messages_are_answered_and_change_nothing(tool: Tool) -> None:
         '{"fraction": NaN}',
         limit(1.0, stamp=good["stamp"] - 1),
         limit(1.0, extra=1),
+        limit(1.0) | {"fraction": "1"},
         "x" * 20_000,
     )
-    assert [each["accepted"] for each in answers] == [True, *[False] * 6]
+    assert [each["accepted"] for each in answers] == [True, *[False] * 7]
     assert all(each["reason"] for each in answers[1:])
     assert tool.limits()["pace"] == 0.5
 

@@ -138,6 +138,7 @@ def test_inputs_that_are_invalid_or_of_another_role_are_refused_with_a_reason(hu
 
         assert answer({"kind": "pose", "t": 12.5, "tracking": "ok"}) == {"kind": "echo", "t": 12.5}
         assert "does not send" in str(answer({"kind": "wish", "held": True})["reason"])
+        assert "held" in str(answer({"kind": "wish", "held": "true"})["reason"])
         hand = {"position": [1e400, 0, 0], "grip": 0}
         for wrong in ({"kind": "pose"}, {"kind": "pose", "t": 1, "hands": {"left": hand}}, [1]):
             assert answer(wrong)["kind"] == "error"

@@ -50,6 +50,11 @@ def test_a_scene_file_is_read(tmp_path: Path) -> None:
         ),
         ("view: {position: [-0.55", "view: {position: [0.01", r"bins\.bin-1\.view"),
         ("fixtures:", "fixtures: {", "is not YAML"),
+        (
+            "gripper:\n",
+            "gripper:\n  part_mass_kg: 9.1\n",
+            r"gripper: a part of 9\.1 kg and the tool of 1 kg are more than the 10 kg that UR10 may carry",
+        ),
     ],
 )
 def test_a_fault_in_a_scene_is_a_line_that_names_its_place(

@@ -72,6 +72,11 @@ async def test_a_change_is_kept_and_counted(settings: TrajectorySettings) -> Non
     assert "crate" in again.scene.obstacles
     assert again.only.planning.avoids_obstacles
     assert again.contents == first.contents
+    heavier = {**again.scene.gripper.model_dump(mode="json"), "part_mass_kg": 9.0}
+    await again.change_scene(written(again, gripper=heavier))
+    assert again.only.planning.part_mass_kg == 9.0
+    with pytest.raises(UsageError, match="may carry"):
+        await again.change_scene(written(again, gripper=heavier | {"part_mass_kg": 9.5}))
 
 
 async def test_another_scene_file_takes_the_place_of_a_change(

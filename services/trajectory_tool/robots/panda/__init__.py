@@ -17,6 +17,7 @@ ROBOT = read_model(
     flange="panda_link8",
     tip="panda_hand_tcp",
     srdf=FOLDER / "panda.srdf",
+    max_payload_kg=3.0,
     driver_scenes={
         "simulated": FOLDER / "bin_picking.yaml",
         "physics": FOLDER / "bin_picking_physics.yaml",

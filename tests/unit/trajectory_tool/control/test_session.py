@@ -257,11 +257,20 @@ async def test_joints_are_moved_one_by_one_and_invalid_input_is_answered(tool: T
             '{"seq": 1',
             '{"seq": -1, "held": true}',
             '{"seq": 1, "held": true, "linear": [NaN, 0, 0]}',
+            '{"seq": 1, "held": "true"}',
+            '{"seq": 1, "held": 1}',
+            '{"seq": 1, "held": true, "linear": ["0.1", 0, 0]}',
+            '{"seq": 1, "held": true, "mode": "takeOver"}',
             "x" * 5000,
         )
         for text in invalid:
             await anna.socket.send(text)
         await until(lambda: len(anna.errors) >= seen + len(invalid))
+    for query in ("mode=nonsense", "mode=", "record=yes", "gamma=3", "Mode=wait", "speed=2"):
+        async with connect(tool.address(query=f"?{query}"), proxy=None) as socket:
+            await socket.wait_closed()
+            assert socket.close_code == 4400, query
+            assert query.partition("=")[0] in (socket.close_reason or "")
 
 
 async def test_an_autonomous_share_leads_to_the_part_that_is_steered_to(tool: Tool) -> None:

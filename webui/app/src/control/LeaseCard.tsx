@@ -17,7 +17,7 @@ export function LeaseCard({ robot, lease, control: { connection, now } }: { robo
   const [isRecorded, setRecorded] = useState(false);
   const { holder } = lease;
   const isMine = now.phase === "on";
-  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot.service, robot.name, mode, isRecorded);
+  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot.service, robot.name, mode, isRecorded && robot.service === "trajectory-tool");
   return (
     <Card
       className="lease"

@@ -1,0 +1,49 @@
+"""A robot carries no more than its model says, the tool included."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover.errors import UsageError
+from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.robots.folder import read_folder
+from services.trajectory_tool.scene import read_scene
+
+OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
+TOOLS_KG = {"ur10": 1.0, "ur5e": 1.0, "panda": 0.76}
+"""The gripper with its fingers; the link that the gripper is fixed to is one of the robot."""
+
+
+def test_the_payload_of_our_robots_is_known() -> None:
+    assert {name: model.max_payload_kg for name, model in OWN.items()} == {"ur10": 10, "ur5e": 5, "panda": 3}
+    assert {name: model.tool_kg for name, model in OWN.items()} == pytest.approx(TOOLS_KG)
+
+
+@given(name=st.sampled_from(sorted(OWN)), mass_kg=st.floats(0.001, 30))
+def test_a_scene_whose_parts_are_too_heavy_is_refused(name: str, mass_kg: float) -> None:
+    model = OWN[name]
+    content = {"name": "cell", "gripper": {"part_mass_kg": mass_kg}}
+    if mass_kg + TOOLS_KG[name] <= (model.max_payload_kg or 0.0):
+        assert read_scene(content, Path(), "scene", model).gripper.part_mass_kg == mass_kg
+        return
+    with pytest.raises(
+        UsageError, match=r"scene: gripper: a part of .* more than the .* kg that .* may carry"
+    ):
+        read_scene(content, Path(), "scene", *OWN.values())
+
+
+def test_a_robot_of_a_stranger_says_what_it_carries(tmp_path: Path) -> None:
+    ur5e = Path(ROBOTS.own["ur5e"].partition(":")[0].replace(".", "/"))
+    entry = {
+        "name": "mine", "urdf": str(ur5e.absolute() / "ur5e.urdf"), "tip": "tip", "max_acceleration": 5.0,
+        "max_jerk": 50.0,
+    }  # fmt: skip
+    for limit in ({}, {"max_payload_kg": 2.5}):
+        (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**entry, **limit}))
+        assert read_folder(tmp_path).max_payload_kg == limit.get("max_payload_kg")
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**entry, "max_payload_kg": 0}))
+    with pytest.raises(UsageError, match="max_payload_kg"):
+        read_folder(tmp_path)
