@@ -32,6 +32,7 @@ from services.trajectory_tool.universal_robots.faults import (
     MIN_SPEED_FRACTION,
     SAFEGUARD_STOPS,
     fault_of,
+    is_connected,
 )
 from services.trajectory_tool.universal_robots.gripper import (
     Gripper,
@@ -112,7 +113,7 @@ class UniversalRobot(CyclicRobot):
 
     def mount(self, app: FastAPI) -> None:
         """Add the routes of the controller."""
-        add_routes(app, self.robot_id, self.dashboard, self.exchange.report, self.options.silence_s)
+        add_routes(app, self.robot_id, self.dashboard, self.exchange.report, self.options)
 
     async def __aenter__(self) -> Self:
         await self.exchange.__aenter__()
@@ -408,11 +409,11 @@ class UniversalRobot(CyclicRobot):
                 pass
 
     def _is_fresh(self, report: Report) -> bool:
-        return report.is_connected and time.monotonic() - report.stamp_s <= self.options.silence_s
+        return is_connected(report, time.monotonic(), self.options.silence_s)
 
     def _require_connection(self) -> None:
         report = self.exchange.report()
-        if not report.is_connected:
+        if not self._is_fresh(report):
             raise self._fault(report) or _ended(report)
 
     def _fault(self, report: Report) -> RobotFault | None:

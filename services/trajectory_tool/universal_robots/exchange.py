@@ -130,6 +130,12 @@ class Connection:
             raise LinkError("the controller does not speak RTDE version 2; update its software")
         answer = self._ask(PackageType.GET_URCONTROL_VERSION, rtde.package(PackageType.GET_URCONTROL_VERSION))
         self.version = rtde.parse_version(answer)
+        if not self.version.is_supported:
+            raise LinkError(
+                f"the controller has the software {self.version}; the driver needs PolyScope 5.4 or newer of "
+                "the e-Series, or 3.10 or newer of the CB3 series; update the controller (PolyScope X, 10.x, "
+                "is not supported)"
+            )
         self.frequency_hz = self.version.frequency_hz
         outputs = self._ask(PackageType.SETUP_OUTPUTS, rtde.setup_outputs(OUTPUTS, self.frequency_hz))
         self.outputs: Recipe = rtde.parse_recipe(outputs, OUTPUTS)
@@ -252,6 +258,7 @@ class Exchange:
     def _exchange(self, connection: Connection) -> bool:
         """Run cycles; return True when standard input has closed. Raises `LinkError` or `ProtocolError`."""
         silence_s = self._parameters.silence_s
+        reported_s = time.monotonic()
         while True:
             readable, _, _ = select.select([connection, sys.stdin], [], [], silence_s)
             if sys.stdin in readable:
@@ -265,7 +272,10 @@ class Exchange:
                 raise LinkError(f"the controller has sent nothing for {silence_s:g} s")
             values, cycles = connection.latest()
             if values is not None:
+                reported_s = time.monotonic()
                 self._cycle(connection, values, cycles)
+            elif time.monotonic() - reported_s > silence_s:
+                raise LinkError(f"the controller has sent no complete report for {silence_s:g} s")
 
     def _end_program(self, connection: Connection) -> None:
         """Let the program on the controller end, so that the arm stops before the watchdog expires."""

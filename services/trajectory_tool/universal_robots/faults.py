@@ -20,18 +20,26 @@ def fault_of(report: Report, now_s: float, silence_s: float, host: str) -> Messa
 
     A controller whose last report is older than `silence_s` is not connected.
     """
-    if not report.is_connected or now_s - report.stamp_s > silence_s:
+    if not is_connected(report, now_s, silence_s):
         return message(
             "robot.ur_unreachable",
             "the controller {host} is not connected: {reason}; check its power, the network and the "
             "setting host",
             host=host,
-            reason=report.reason or _silence(report, now_s),
+            reason=why_silent(report, now_s),
         )
     return _safety_fault(safety_status(report.safety_status)) or _mode_fault(report)
 
 
-def _silence(report: Report, now_s: float) -> Message:
+def is_connected(report: Report, now_s: float, silence_s: float) -> bool:
+    """Return whether the controller reports; `now_s` is on the monotonic clock."""
+    return report.is_connected and now_s - report.stamp_s <= silence_s
+
+
+def why_silent(report: Report, now_s: float) -> str:
+    """Return why the controller is not connected."""
+    if report.reason:
+        return report.reason
     if report.stamp_s == 0:
         return message("robot.ur_no_report", "it has not reported yet")
     return message(

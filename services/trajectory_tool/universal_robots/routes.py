@@ -12,7 +12,8 @@ from handover.messages import text_of
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
 from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
-from services.trajectory_tool.universal_robots.faults import fault_of
+from services.trajectory_tool.universal_robots.faults import fault_of, is_connected, why_silent
+from services.trajectory_tool.universal_robots.options import UrOptions
 from services.trajectory_tool.universal_robots.shared_memory import Report
 from services.trajectory_tool.universal_robots.states import RuntimeState, robot_mode, safety_status
 
@@ -21,12 +22,14 @@ T = TypeVar("T")
 ControllerView = dict[str, Any]
 
 
-def view_of(report: Report, silence_s: float) -> ControllerView:
+def view_of(report: Report, options: UrOptions) -> ControllerView:
     """Return the state of the controller as JSON; after `silence_s` without a report, it has a fault."""
-    fault = fault_of(report, time.monotonic(), silence_s, "")
+    now_s = time.monotonic()
+    is_fresh = is_connected(report, now_s, options.silence_s)
+    fault = fault_of(report, now_s, options.silence_s, options.host)
     return {
-        "connected": report.is_connected,
-        "reason": report.reason or None,
+        "connected": is_fresh,
+        "reason": None if is_fresh else str(why_silent(report, now_s)),
         "robotMode": robot_mode(report.robot_mode).name,
         "safetyStatus": safety_status(report.safety_status).name,
         "programState": RuntimeState(report.runtime_state).name if report.runtime_state <= 5 else "UNKNOWN",
@@ -40,7 +43,7 @@ def view_of(report: Report, silence_s: float) -> ControllerView:
 
 
 def add_routes(
-    app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report], silence_s: float
+    app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report], options: UrOptions
 ) -> None:
     """Add the routes of the controller of `robot`."""
     path = f"/robots/{robot}/controller"
@@ -61,7 +64,7 @@ def add_routes(
 
         They are read, not assessed: the safety functions are those of the controller.
         """
-        return view_of(report(), silence_s)
+        return view_of(report(), options)
 
     @app.get(
         f"{path}/identity",
@@ -82,7 +85,7 @@ def add_routes(
     async def power_on() -> ControllerView:
         """Power the arm, at the request of a person; the brakes stay closed. 502 when it is rejected."""
         await _answered(dashboard.power_on())
-        return view_of(report(), silence_s)
+        return view_of(report(), options)
 
     @app.post(
         f"{path}/brake-release",
@@ -93,7 +96,7 @@ def add_routes(
     async def brake_release() -> ControllerView:
         """Release the brakes, at the request of a person who sees the arm; it may move a little."""
         await _answered(dashboard.release_brakes())
-        return view_of(report(), silence_s)
+        return view_of(report(), options)
 
 
 async def _answered(asked: Awaitable[T]) -> T:

@@ -7,6 +7,7 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 """
 
 import struct
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -20,6 +21,10 @@ PORT = 30004
 
 HEADER = struct.Struct(">HB")
 MAX_PACKAGE_BYTES = 0xFFFF
+MAX_RECEIVED_BYTES = 4096
+"""No package of these exchanges is nearly as large; waiting for the rest of one would stop all reports."""
+MIN_VERSIONS = {3: 10, 5: 4}
+"""The least minor version of each major version that is supported: CB3 series and e-Series."""
 UNKNOWN_TYPES = frozenset({"NOT_FOUND", "IN_USE"})
 
 Value = float | tuple[float, ...]
@@ -91,6 +96,11 @@ class ControllerVersion:
         """Return the control frequency: 125 Hz up to the CB series, 500 Hz from the e-Series."""
         return 125.0 if self.major < 5 else 500.0
 
+    @property
+    def is_supported(self) -> bool:
+        """Return whether the driver is made for this version."""
+        return self.minor >= MIN_VERSIONS.get(self.major, sys.maxsize)
+
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}.{self.bugfix}.{self.build}"
 
@@ -120,6 +130,11 @@ class PackageReader:
             size, kind = HEADER.unpack_from(buffer, begin)
             if size < HEADER.size:
                 raise ProtocolError(f"an RTDE package of {size} bytes is smaller than its header")
+            if size > MAX_RECEIVED_BYTES:
+                raise ProtocolError(
+                    f"an RTDE package of {size} bytes is larger than {MAX_RECEIVED_BYTES}; is the address "
+                    "that of an RTDE interface?"
+                )
             if len(buffer) - begin < size:
                 break
             packages.append(Package(kind, bytes(buffer[begin + HEADER.size : begin + size])))

@@ -54,6 +54,8 @@ class SimulatedController:
         model: str = "UR10",
     ) -> None:
         self.model = model
+        self.version: tuple[int, int, int, int] | None = None
+        """The version of the software; that of the series if absent."""
         self.cycle_s = 1.0 / frequency_hz
         self.frequency_hz = frequency_hz
         self.time_s = 0.0

@@ -46,6 +46,8 @@ _INPUTS = {"tool_digital_output_mask": "UINT8", "tool_digital_output": "UINT8"}
 
 def version_of(controller: SimulatedController) -> tuple[int, int, int, int]:
     """Return the version of the software: the CB3 series has 125 cycles a second."""
+    if controller.version is not None:
+        return controller.version
     return CB3_VERSION if controller.frequency_hz <= CB3_HZ else E_SERIES_VERSION
 
 
@@ -105,6 +107,11 @@ class RtdeServer:
                 while any(session.awaits_inputs for session in self._sessions):
                     self._received.clear()
                     await self._received.wait()
+
+    def broadcast(self, data: bytes) -> None:
+        """Send bytes to all clients, whatever the protocol says."""
+        for session in self._sessions:
+            session.send(data)
 
     def drop_clients(self) -> None:
         """Close all connections, as a network fault does."""

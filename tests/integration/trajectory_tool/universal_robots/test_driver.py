@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import socket
+import struct
 import threading
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,7 @@ from services.trajectory_tool.universal_robots.arm_model import expected_model, 
 from services.trajectory_tool.universal_robots.driver import UniversalRobot
 from services.trajectory_tool.universal_robots.exchange import INPUTS
 from services.trajectory_tool.universal_robots.options import UrOptions, with_environment
+from services.trajectory_tool.universal_robots.routes import view_of
 from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
 from services.trajectory_tool.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
 from tests.integration.trajectory_tool.universal_robots.conftest import HOME, NewRobot
@@ -243,6 +245,30 @@ async def test_an_absent_controller_is_a_fault_with_its_address(new_robot: NewRo
             assert robot.state().positions == HOME
             with pytest.raises(RobotFault, match=rf"127.0.0.1 is not connected: 127.0.0.1:{port}"):
                 await robot.move(AWAY, 1.0, lambda: 1.0)
+
+
+async def test_what_is_shown_of_a_controller_agrees_with_its_fault(
+    new_robot: NewRobot, controller: RunningController
+) -> None:
+    """Of one whose report never ends, and of one whose software is not supported."""
+
+    def shown(robot: UniversalRobot) -> dict[str, Any]:
+        return view_of(robot.exchange.report(), robot.options)
+
+    async with new_robot(silence_s=2.0) as robot:
+        await until(lambda: shown(robot)["connected"])
+        connections = robot.exchange.report().connections
+        controller.do(lambda _: controller.simulator.rtde.broadcast(struct.pack(">HB", 0xFFFF, ord("U"))))
+        await until(lambda: robot.exchange.report().connections > connections)
+        await until(lambda: shown(robot)["connected"])
+        controller.do(lambda simulated: setattr(simulated, "version", (3, 9, 1, 1)))
+        controller.do(lambda _: controller.simulator.rtde.drop_clients())
+        await until(lambda: "3.9.1.1" in str(shown(robot)["reason"]))
+        found = shown(robot)
+        assert not found["connected"]
+        assert "127.0.0.1 is not connected: the controller has the software 3.9.1.1" in found["fault"]
+        with pytest.raises(RobotFault, match=r"the driver needs PolyScope 5\.4 or newer"):
+            await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
 async def test_registers_of_another_client_are_named(

@@ -78,6 +78,15 @@ def test_a_package_smaller_than_its_header_is_an_error(size: int) -> None:
         PackageReader().feed(struct.pack(">HB", size, PackageType.START))
 
 
+@given(size=st.integers(rtde.MAX_RECEIVED_BYTES + 1, 0xFFFF), sent=packages)
+def test_a_package_too_large_for_any_report_is_an_error_at_its_header(size: int, sent: list[Package]) -> None:
+    """Its rest may never come, and nothing after it would be read."""
+    reader = PackageReader()
+    assert reader.feed(b"".join(map(encoded, sent))) == sent
+    with pytest.raises(ProtocolError, match=f"{size} bytes is larger"):
+        reader.feed(struct.pack(">HB", size, PackageType.DATA_PACKAGE))
+
+
 @given(st.lists(st.sampled_from(sorted(TYPES)), min_size=1, max_size=12), st.data())
 def test_a_data_package_is_decoded_as_it_was_encoded(types: list[str], data: st.DataObject) -> None:
     names = [f"variable_{number}" for number in range(len(types))]
@@ -121,3 +130,17 @@ def test_the_series_of_the_controller_gives_its_control_frequency() -> None:
     e_series = rtde.parse_version(struct.pack(">IIII", 5, 15, 0, 1))
     assert (cb3.frequency_hz, e_series.frequency_hz) == (125.0, 500.0)
     assert str(e_series) == "5.15.0.1"
+
+
+@pytest.mark.parametrize(
+    ("version", "is_supported"),
+    [
+        ((3, 10, 0, 1), True), ((3, 15, 8, 1), True), ((5, 4, 0, 1), True), ((5, 21, 0, 1), True),
+        ((3, 9, 1, 1), False), ((5, 3, 9, 1), False), ((1, 8, 0, 1), False), ((4, 20, 0, 1), False),
+        ((10, 7, 0, 1), False), ((0, 0, 0, 0), False),
+    ],
+)  # fmt: skip
+def test_versions_for_which_the_driver_is_not_made_are_known(
+    version: tuple[int, ...], is_supported: bool
+) -> None:
+    assert rtde.parse_version(struct.pack(">IIII", *version)).is_supported == is_supported
