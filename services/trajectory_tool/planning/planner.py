@@ -344,6 +344,7 @@ class Planner:
     def _timed(self, path: list[Array], motions: Motions, tilt: Tilt | None = None) -> Plan:
         """Return the motion on a path, with corners as round as the obstacles allow."""
         checks = Motions(self.collisions, motions.margin_m / 2)
+        path = timing.distinct(path)
         if len(path) == 2:
             return self._plan(timing.line(path[0], path[1], self.limits), path, motions.margin_m)
         for share in BLEND_SHARES:

@@ -40,6 +40,8 @@ BLEND_SHARE = 0.45
 """A corner is rounded over this share of the shorter of its lines, at most."""
 
 MIN_LENGTH = 1e-9
+MIN_LINE = 1e-6
+"""The shortest line of a path in rad or m: far below what a robot resolves."""
 
 toppra.setup_logging("ERROR")
 
@@ -72,6 +74,18 @@ class Curve(interpolator.AbstractGeometricPath):  # type: ignore[misc]
     def waypoints(self) -> tuple[Array, Array]:
         """Return the points at the grid."""
         return self.grid, self(self.grid)
+
+
+def distinct(path: Sequence[Array]) -> list[Array]:
+    """Return a path without inner points that are where the one before them is, or the last one.
+
+    A line without a length has no direction.
+    """
+    kept = [path[0]]
+    for point in path[1:]:
+        if float(np.abs(point - kept[-1]).max()) >= MIN_LINE:
+            kept.append(point)
+    return [*kept[: max(len(kept) - 1, 1)], path[-1]]
 
 
 class BlendedLines(Curve):
@@ -144,7 +158,7 @@ def line(start: Array, end: Array, limits: Limits, spacing_s: float = SPACING_S)
     given = InputParameter(1)
     given.current_position, given.current_velocity, given.current_acceleration = [0.0], [0.0], [0.0]
     given.target_position = [1.0]
-    moving = np.abs(way) > MIN_LENGTH
+    moving = np.abs(way) >= MIN_LENGTH
     for name, limit in (
         ("max_velocity", limits.velocity),
         ("max_acceleration", limits.acceleration),

@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from handover.errors import HandoverError
 from services.trajectory_tool.obstacles import Attached, Box, World
@@ -18,6 +20,11 @@ EVERY_S = 0.001
 @pytest.fixture(scope="module", params=["ur10", "ur5e", "panda"])
 def planner(request: pytest.FixtureRequest, cell: World) -> Planner:
     return Planner(ROBOTS.load(request.param), world=cell, options=Options(optimise_s=0.0))
+
+
+@pytest.fixture(scope="module")
+def free_planner() -> Planner:
+    return Planner(ROBOTS.load("ur10"), options=Options(optimise_s=0.0))
 
 
 def assert_valid(planner: Planner, plan: Plan) -> None:
@@ -185,3 +192,26 @@ def test_joints_beyond_a_limit_are_refused(planner: Planner, joint: int) -> None
     target[joint] = 9.0
     with pytest.raises(Unreachable, match=r"cannot be at 9\.000 rad"):
         planner.to_joints(planner.model.home, tuple(target))
+
+
+@given(
+    at=st.lists(st.integers(0, 3), min_size=1, max_size=6),
+    apart=st.lists(
+        st.sampled_from((0.0, 1e-12, 1e-9, 2e-9, 1e-7, 9e-7, 1e-6, 2e-6, 1e-4)), min_size=6, max_size=6
+    ),
+)
+@settings(max_examples=25, deadline=None)
+def test_waypoints_may_be_at_the_start_the_target_or_their_neighbours(
+    free_planner: Planner, at: list[int], apart: list[float]
+) -> None:
+    """Each of some places, repeated in any order, with differences of rounding or none."""
+    home = np.array(free_planner.model.home)
+    turns = ([0, 0, 0, 0, 0, 0], [0.3, 0, 0, 0, 0, 0], [0.3, 0.1, 0, 0, 0, 0], [-0.2, 0, 0, 0, 0, 0])
+    places = [home + np.array(turn) for turn in turns]
+    targets = [tuple((places[number] + moved).tolist()) for number, moved in zip(at, apart, strict=False)]
+    plan = free_planner.through(tuple(home.tolist()), targets)
+    assert plan.target == pytest.approx(targets[-1], abs=1e-9)
+    assert not list(plan.trajectory.violations(free_planner.limits))
+    for target in targets:
+        nearest = np.abs(plan.trajectory.positions(0.002) - np.array(target)).max(axis=1).min()
+        assert nearest < 0.15  # a corner is rounded
