@@ -11,17 +11,22 @@ import pytest
 from handover.errors import Problem
 from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.behaviours.rehearsal import (
+    DIRECTIONS_RAD,
     FILE,
     read_rehearsals,
-    rehearsed,
     write_rehearsals,
 )
+from services.whole_body_control.behaviours.rehearsal import TARGET as REHEARSAL_TARGET
+from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.patterns.throwing import ThrowPlanner
 from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.running.motion import Motion
 from services.whole_body_control.running.rehearsals import Rehearsals
 from services.whole_body_control.running.throws import Throws
+from services.whole_body_control.simulation.ball import build_with_ball
+from services.whole_body_control.solvers.compiled import fastest_solver
 from tests.kit.waiting import until
 
 COMAN = humanoid("coman")
@@ -49,22 +54,34 @@ def state(throws: Throws) -> str:
     return str(view["state"])
 
 
-@pytest.mark.slow  # seconds of simulation: both robots, a hand each
-@pytest.mark.parametrize(("name", "hand"), [("coman", "right_hand"), ("talos", "left_hand")])
-def test_the_rehearsals_that_are_shipped_are_those_of_this_controller(name: str, hand: str) -> None:
-    """After a change of the model or the controller: handover humanoid rehearse --robot NAME.
-
-    Only the first throw is compared closely: what it teaches changes the aims of the others, which magnify
-    the rounding errors of another processor to centimetres.
-    """
+@pytest.mark.parametrize("name", ["coman", "talos"])
+def test_the_rehearsals_that_are_shipped_are_of_the_model_and_in_every_direction(name: str) -> None:
+    """After a change of the model or the controller: handover humanoid rehearse --robot NAME."""
     model = humanoid(name)
     shipped = read_rehearsals(folder(name) / FILE, model)
     assert set(shipped) == set(model.grips)
-    made = rehearsed(model, hand)
-    assert len(made) == len(shipped[hand])
-    assert made[0][1] == pytest.approx(shipped[hand][0][1], abs=0.003)
-    for (features, _), (shipped_features, _) in zip(made, shipped[hand], strict=True):
-        assert features == pytest.approx(shipped_features, abs=0.03)
+    for known in shipped.values():
+        directions = [features[2] for features, _ in known]
+        assert directions == pytest.approx([*DIRECTIONS_RAD, 0.0], abs=0.05)
+
+
+@pytest.mark.slow  # seconds of simulation
+@pytest.mark.parametrize(("name", "within_m"), [("coman", 0.05), ("talos", 0.4)])
+def test_a_throw_with_the_rehearsals_that_are_shipped_lands_at_its_target(name: str, within_m: float) -> None:
+    """The numbers of a rehearsal are those of one processor, what they are for is not.
+
+    TALOS turns on its feet while it throws, which magnifies the rounding errors of a processor to
+    decimetres: it must stand, and the ball must fly to the side of the target. COMAN hits it.
+    """
+    model = humanoid(name)
+    game = SimulatedThrow(model, build_with_ball(model), fastest_solver())
+    base, practice = game.controller.start[:2], Practice()
+    for hand, known in read_rehearsals(folder(name) / FILE, model).items():
+        practice.restore(hand, known)
+        planner = ThrowPlanner(Kinematics(model), game.controller.start, model.grips[hand])
+        record = game.throw(planner.plan(practice.aim(hand, base, REHEARSAL_TARGET)))
+        assert np.linalg.norm((record.landed - REHEARSAL_TARGET)[:2]) < within_m
+        assert game.robot.true_configuration()[2] > 0.9 * game.controller.start[2]
 
 
 def test_a_file_is_read_for_the_very_model_that_rehearsed_only(tmp_path: Path) -> None:
