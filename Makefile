@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test lowest nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -120,10 +120,26 @@ ORION_TESTS ?= $(addprefix tests/integration/,alert_router device_gateway gestur
 orion-test: setup  ## the tests of cells with another broker, and what it can do (BROKER=URL; without it one that speaks as Orion-LD)
 	@HANDOVER_TEST_BROKER=$(or $(BROKER),strict) $(PYTEST) $(ORION_TESTS) $(ARGS)
 
+# The lower bounds of pyproject.toml hold if everything works with them. Nothing is locked here: only the lower
+# bounds count, and of what they depend on in turn the newest versions, as `pip install` chooses them.
+LOWEST_VENV := $(VENV)-lowest
+LOWEST_VERSIONS := build/lowest-versions.txt
+LOWEST_TESTS ?= -m "not slow" tests/unit
+
+lowest: setup  ## the unit tests and the demo with the lowest versions that pyproject.toml allows (ARGS="-k cli")
+	@mkdir -p build && rm -rf $(LOWEST_VENV)
+	@$(BIN)/uv pip compile --quiet --resolution lowest-direct --python $(BIN)/python --extra dev pyproject.toml -o $(LOWEST_VERSIONS)
+	@$(BIN)/python -m venv $(LOWEST_VENV)
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(LOWEST_VENV)/bin/python -r $(LOWEST_VERSIONS)
+	@$(BIN)/uv pip install --quiet --python $(LOWEST_VENV)/bin/python --no-deps --no-build-isolation --editable .
+	@$(LOWEST_VENV)/bin/pytest -n $(WORKERS) -p no:cacheprovider $(LOWEST_TESTS) $(ARGS)
+	@data=$$(mktemp -d) && $(LOWEST_VENV)/bin/handover demo --once --data-dir "$$data"; ended=$$?; rm -rf "$$data"; exit $$ended
+
 # Each part fails by itself, after the others have run.
-nightly: setup  ## what takes an hour: cells on another broker, the memory of the humanoid's control process, the containers (Docker, or root and podman)
+nightly: setup  ## what takes an hour: cells on another broker, the lowest versions of our dependencies, the memory of the humanoid's control process, the containers (Docker, or root and podman)
 	@failed=; \
 	$(MAKE) --no-print-directory orion-test ARGS= || failed="$$failed orion-test"; \
+	$(MAKE) --no-print-directory lowest ARGS= || failed="$$failed lowest"; \
 	$(BIN)/python -m benchmarks.whole_body_memory $(ARGS) || failed="$$failed whole_body_memory"; \
 	if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
 		deploy/try-containers || failed="$$failed try-containers"; \
@@ -260,4 +276,4 @@ humanoid-figures: setup  ## the figures of CoSiMA from own runs, in webui/pictur
 	@$(BIN)/handover humanoid figures webui/pictures
 
 clean:  ## remove what setup made (not your data in .handover)
-	rm -rf $(VENV) $(ROS_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS_VENV) $(LOWEST_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
