@@ -9,6 +9,7 @@ written is read (`_PRESENCE`).
 """
 
 import asyncio
+import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -31,6 +32,7 @@ from handover.broker_identity import (
     identity_in,
     is_our_context,
 )
+from handover.clocks import Lifetime
 from handover.errors import HandoverError, Problem
 from handover.free_values import FREE_VALUES, with_texts, without_texts
 from handover.http_client import Address, BodyReadingHttpClient, HttpResponse, SendError, address
@@ -45,6 +47,8 @@ PAGE = 500
 """Entities per page; many brokers refuse more than 1000."""
 MAX_RESPONSE_BYTES = 256 * 1024 * 1024
 
+UNCERTAIN_IDENTITY_S: Final = 10.0
+"""After this time a broker that has not said clearly which one it is, is asked again."""
 MAX_FAULTS: Final = 3
 """A request at which the broker has failed so often (`BrokerFault`) is not repeated."""
 
@@ -144,6 +148,7 @@ class BrokerClient:
         self.credentials = credentials
         self._others: BrokerCredentials | None = credentials_of(settings)
         self._identity: BrokerIdentity | None = None
+        self._identity_life = Lifetime.begin(math.inf)
         self._identifying = asyncio.Lock()
         self._presence_id = settings.entity_id(_PRESENCE, settings.broker_tenant or "cell")
         self._transport = transport
@@ -177,27 +182,42 @@ class BrokerClient:
     async def identity(self) -> BrokerIdentity:
         """Return which broker it is; it is asked again after it could not be reached.
 
-        Raises `BrokerUnavailable`.
+        An answer that may be of the moment, as a sign-in page or 500, makes it a broker without a name for
+        `UNCERTAIN_IDENTITY_S`. Raises `BrokerUnavailable`.
         """
-        if self._identity is not None:
-            return self._identity
+        if (identity := self._current_identity()) is not None:
+            return identity
         async with self._identifying:
-            if self._identity is None:
-                is_ours = is_our_context(await self._look_up(CONTEXT_PATH))
-                self._identity = OURS if is_ours else identity_in(await self._look_up(ORION_VERSION_PATH))
-            return self._identity
+            if (identity := self._current_identity()) is None:
+                context, is_certain = await self._look_up(CONTEXT_PATH)
+                identity = OURS
+                if not is_our_context(context):
+                    version, _ = await self._look_up(ORION_VERSION_PATH)
+                    identity = identity_in(version)
+                is_certain = is_certain or identity != BrokerIdentity()
+                self._identity_life = Lifetime.begin(math.inf if is_certain else UNCERTAIN_IDENTITY_S)
+                self._identity = identity
+            return identity
 
-    async def _look_up(self, path: str) -> Any:
-        """Return the JSON document at a path of the server, without our credentials; None if it has none."""
+    def _current_identity(self) -> BrokerIdentity | None:
+        return None if self._identity_life.is_over() else self._identity
+
+    async def _look_up(self, path: str) -> tuple[Any, bool]:
+        """Return the JSON document at a path of the server, and whether that is certain.
+
+        It is None if the server has none. Our credentials are not sent.
+        """
         others = _NO_CREDENTIALS if self._others is None else await _headers_of(self._others)
         url = replace(self._base, target=f"{self._root}{path}")
         response = await self._send("GET", url, (*self._headers, *others.items()), b"")
         if response.status in _TRANSIENT:
             raise _refusal(response, f"GET {path}")
+        if response.status >= 300:
+            return None, response.status in _NO_SUCH_PATH
         try:
-            return orjson.loads(response.body) if response.status < 300 else None
+            return orjson.loads(response.body), True
         except orjson.JSONDecodeError:
-            return None
+            return None, False
 
     async def request(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
@@ -523,6 +543,17 @@ _TRANSIENT: Final = frozenset(
 )
 """Refusals that concern the moment and not the request."""
 _NO_ACCESS: Final = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
+_NO_SUCH_PATH: Final = frozenset(
+    {
+        HTTPStatus.BAD_REQUEST,
+        HTTPStatus.NOT_FOUND,
+        HTTPStatus.METHOD_NOT_ALLOWED,
+        HTTPStatus.NOT_ACCEPTABLE,
+        HTTPStatus.GONE,
+        HTTPStatus.NOT_IMPLEMENTED,
+    }
+)
+"""Answers of a server that does not have a path, and will not have it at the next request."""
 _FINAL: Final = frozenset({HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED})
 """Those above 500 that concern the request: the broker will never perform it."""
 

@@ -147,6 +147,49 @@ async def test_a_broker_that_replaces_ours_gets_no_credentials_of_ours() -> None
     assert (ours.tokens(), other.tokens()) == ([OWN], [None])
 
 
+@pytest.mark.parametrize(
+    "answer",
+    [
+        HTMLResponse("<html>Sign in</html>"),
+        RedirectResponse("https://id.example/login"),
+        HTMLResponse("<html>Sign in</html>", 401),
+        JSONResponse({"title": "denied"}, 403),
+        JSONResponse({"title": "Internal Server Error"}, 500),
+    ],
+)
+async def test_a_broker_behind_a_proxy_that_recovers_is_recognized(
+    answer: Response, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("handover.broker.UNCERTAIN_IDENTITY_S", 0.0)
+    ours = Server(lamp, is_ours=True)
+    serving = [Server(lambda _: answer)]
+
+    async def current(scope: Scope, receive: Receive, send: Send) -> None:
+        await serving[0](scope, receive, send)
+
+    transport = httpx.ASGITransport(current)  # type: ignore[arg-type]
+    settings = Settings.load(_env_file=None)
+    async with BrokerClient(settings, credentials=OwnCredentials(), transport=transport) as client:
+        assert not (await client.identity()).is_ours
+        with suppress(BrokerError):
+            await client.retrieve(LAMP)
+        assert set(serving[0].tokens()) == {None}
+        serving[0] = ours
+        await client.retrieve(LAMP)
+        assert (await client.identity()).is_ours
+    assert ours.tokens() == [OWN]
+
+
+async def test_a_broker_of_others_is_asked_once_which_one_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handover.broker.UNCERTAIN_IDENTITY_S", 0.0)
+    other = Server(lambda one: lamp(one) if "v1" in one.url.path else JSONResponse({}, 404))
+    async with client_of(other, OwnCredentials()) as client:
+        for _ in range(3):
+            await client.retrieve(LAMP)
+    asked = [one.url.path for one in other.received if "/entities/" not in one.url.path]
+    assert asked == ["/context.jsonld", "/ngsi-ld/ex/v1/version"]
+
+
 async def test_the_token_in_a_file_is_sent_and_a_replaced_one_used(tmp_path: Path) -> None:
     file = tmp_path / "token"
     valid = ["one"]
