@@ -7,6 +7,7 @@ A route accepts only JSON, unless `accepts` names other media types: a page of a
 only as plain text or as a form.
 """
 
+import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from http import HTTPStatus
@@ -50,6 +51,8 @@ _CHANGES: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _WEBSOCKET_CODES_FROM: Final = 4000
 """A refused WebSocket is closed with 4000 plus the HTTP status: 4401, 4403, 4503."""
 MAX_FAULTS_LISTED: Final = 20
+CHECK_TIMEOUT_S: Final = 2.5
+"""Limit of each check, so that `/readyz` names a dependency that hangs before its client gives up."""
 CLIENT_CLOSED_REQUEST: Final = 499
 """The status that nginx logs for a client that disconnected before the response; it is not sent."""
 
@@ -194,12 +197,8 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
     @app.get("/readyz", tags=["operations"])
     async def readyz() -> Response:
         """Return whether all dependencies are ready: 200, or 503 with those that are not."""
-        failures: dict[str, str] = {}
-        for name, check in checks.items():
-            try:
-                await check()
-            except Exception as error:  # noqa: BLE001 - any failure of a probe is its answer
-                failures[name] = str(error) or type(error).__name__
+        reasons = await asyncio.gather(*map(_failure_of, checks.values()))
+        failures = {name: reason for name, reason in zip(checks, reasons, strict=True) if reason is not None}
         status = HTTPStatus.SERVICE_UNAVAILABLE if failures else HTTPStatus.OK
         return JSONResponse({"status": "not ready" if failures else "ready", **failures}, status)
 
@@ -214,6 +213,18 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
         from datamodels.contexts import handover_context  # noqa: PLC0415 - read only when somebody asks
 
         return JSONResponse(handover_context(), media_type="application/ld+json")
+
+
+async def _failure_of(check: Check) -> str | None:
+    """Return why a dependency is not ready; None if it is."""
+    try:
+        async with asyncio.timeout(CHECK_TIMEOUT_S) as limit:
+            await check()
+    except Exception as error:  # noqa: BLE001 - any failure of a probe is its answer
+        if limit.expired():
+            return f"no answer within {CHECK_TIMEOUT_S} s"
+        return str(error) or type(error).__name__
+    return None
 
 
 def json_response(content: Any, status: int = 200) -> Response:

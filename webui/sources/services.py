@@ -18,7 +18,8 @@ from webui.sources.extra_services import ExtraService
 from webui.sources.source import Source
 
 POLL_INTERVAL_S = 2.0
-REQUEST_TIMEOUT_S = 1.5
+REQUEST_TIMEOUT_S = 4.0
+"""It is longer than `handover.service.CHECK_TIMEOUT_S`: a service says which dependency hangs."""
 RATE_WINDOW_S = 6.0
 
 State = Literal["up", "degraded", "down"]

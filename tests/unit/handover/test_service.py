@@ -1,5 +1,6 @@
 """A service: health, readiness, metrics, and errors as problem details."""
 
+import asyncio
 from collections.abc import AsyncIterator
 
 import httpx
@@ -48,6 +49,20 @@ async def test_a_service_lives_though_what_it_needs_is_away(http: httpx.AsyncCli
     ready = await http.get("/readyz")
     assert ready.status_code == 503
     assert ready.json() == {"status": "not ready", "lamp": "the lamp is away"}
+
+
+async def test_what_hangs_is_named_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handover.service.CHECK_TIMEOUT_S", 0.05)
+    checks = {"broker": asyncio.Event().wait, "lamp": is_away, "power": works}
+    transport = httpx.ASGITransport(create_app("lamp", description="A lamp.", checks=checks))
+    async with httpx.AsyncClient(transport=transport, base_url="http://lamp") as client:
+        ready = await asyncio.wait_for(client.get("/readyz"), 60)
+    assert ready.status_code == 503
+    assert ready.json() == {
+        "status": "not ready",
+        "broker": "no answer within 0.05 s",
+        "lamp": "the lamp is away",
+    }
 
 
 async def test_metrics_are_those_of_prometheus(http: httpx.AsyncClient) -> None:
