@@ -3,7 +3,7 @@
 Nothing is tried on entities of others, and nothing is sent that is known to damage a broker: attributes with
 several instances in a batch make an entity of Orion-LD 1.6 unreadable for ever, so `BrokerIdentity` decides
 about them. What is known of a version counts for it (`_KNOWN`); what was found is kept for each address,
-tenant and version in the data directory.
+tenant and version in the data directory, and at the next start only what was missing is tried.
 """
 
 import secrets
@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import orjson
 
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.broker import MAX_FAULTS, BrokerClient, BrokerError, BrokerFault, BrokerUnavailable
 from handover.broker_identity import BrokerIdentity
 from handover.durable_files import replace_durably
 from handover.settings import Settings
@@ -73,10 +73,12 @@ async def find_abilities(broker: BrokerClient, settings: Settings) -> FoundAbili
         return FoundAbilities(identity, dict.fromkeys((one.name for one in ABILITIES), True))
     file = settings.data_dir / FILE
     key = [broker.url, settings.broker_tenant or "", identity.name, identity.version]
-    found = _kept(file, key) if identity.version else None
-    if found is None:
-        known = _KNOWN.get((identity.name, identity.version), {})
-        found = {one.name: await _has(broker, settings, one, known) for one in ABILITIES}
+    kept = _kept(file, key) if identity.version else {}
+    # What was missing is tried again: a flag of the broker, or a service beside it, may have added it.
+    known = {name: True for name, is_there in kept.items() if is_there}
+    known |= _KNOWN.get((identity.name, identity.version), {})
+    found = {one.name: await _has(broker, settings, one, known) for one in ABILITIES}
+    if found != kept:
         with suppress(OSError):  # it is found again at the next start
             replace_durably(file, orjson.dumps({"broker": key, "abilities": found}))
     result = FoundAbilities(identity, found)
@@ -85,14 +87,14 @@ async def find_abilities(broker: BrokerClient, settings: Settings) -> FoundAbili
     return result
 
 
-def _kept(file: Path, key: list[str]) -> dict[str, bool] | None:
+def _kept(file: Path, key: list[str]) -> dict[str, bool]:
     try:
         kept: Any = orjson.loads(file.read_bytes())
         found = {str(name): bool(is_there) for name, is_there in kept["abilities"].items()}
         is_whole = kept["broker"] == key and found.keys() == {one.name for one in ABILITIES}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        return None
-    return found if is_whole else None
+        return {}
+    return found if is_whole else {}
 
 
 async def _has(broker: BrokerClient, settings: Settings, ability: Ability, known: Mapping[str, bool]) -> bool:
@@ -100,16 +102,20 @@ async def _has(broker: BrokerClient, settings: Settings, ability: Ability, known
         return known[ability.name]
     if ability.probe is None:
         return False
-    entity = settings.entity_id(TYPE, f"{ability.name}-{secrets.token_hex(4)}")
-    try:
-        return await ability.probe(broker, entity)
-    except BrokerUnavailable:
-        raise
-    except BrokerError:
-        return False
-    finally:
-        with suppress(BrokerError):
-            await broker.delete(entity)
+    for _ in range(MAX_FAULTS):
+        entity = settings.entity_id(TYPE, f"{ability.name}-{secrets.token_hex(4)}")
+        try:
+            return await ability.probe(broker, entity)
+        except BrokerFault:
+            continue
+        except BrokerUnavailable:
+            raise
+        except BrokerError:
+            return False
+        finally:
+            with suppress(BrokerError):
+                await broker.delete(entity)
+    return False
 
 
 def _entity(entity: str, content: Any = 1) -> dict[str, Any]:

@@ -140,7 +140,9 @@ def _broker(settings: Settings) -> Iterator[Finding]:
 
 
 async def _abilities(settings: Settings) -> FoundAbilities:
-    async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
+    """Probe the broker without our @context, which it can fetch only from a cell that runs."""
+    without_context = settings.model_copy(update={"context_url": ""})
+    async with cli_access(settings) as access, BrokerClient(without_context, credentials=access) as broker:
         return await find_abilities(broker, settings)
 
 

@@ -1,5 +1,6 @@
 """What another broker can do: found out by probes, kept, shown by the doctor, on the page and as metrics."""
 
+import json
 import re
 import subprocess
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from handover.broker import BrokerClient, BrokerUnavailable
+from handover.broker import MAX_FAULTS, BrokerClient, BrokerUnavailable
 from handover.broker_abilities import ABILITIES, FILE, TYPE, find_abilities
 from handover.python_processes import module_command
 from handover.settings import Settings
@@ -59,9 +60,35 @@ async def test_a_known_version_is_not_tried_and_what_was_found_is_kept(
         tried = [body for _, body in proxy.accepted if b"HandoverProbe" in body]
         assert len(tried) == 1, "lists of one depend on a flag"
         assert (await find_abilities(broker, settings)).are_there == first.are_there
-        assert [body for _, body in proxy.accepted if b"HandoverProbe" in body] == tried
+        again = [body for _, body in proxy.accepted if b"HandoverProbe" in body]
+        assert len(again) == 2, "lists of one are there as soon as the flag is"
         (tmp_path / FILE).write_text("{")
         assert (await find_abilities(broker, settings)).are_there == first.are_there
+
+
+async def test_what_is_there_is_not_tried_again(
+    shared_cell: Cell, proxy: RefusingProxy, tmp_path: Path
+) -> None:
+    settings = settings_for(proxy.url, tmp_path, shared_cell)
+    async with BrokerClient(settings) as broker:
+        await find_abilities(broker, settings)
+        document = json.loads((tmp_path / FILE).read_text())
+        document["abilities"]["listsOfOne"] = True
+        (tmp_path / FILE).write_text(json.dumps(document))
+        proxy.accepted.clear()
+        assert "listsOfOne" not in {one.name for one in (await find_abilities(broker, settings)).missing()}
+    assert not [body for _, body in proxy.accepted if b"HandoverProbe" in body]
+
+
+async def test_an_ability_at_which_the_broker_fails_is_missing(
+    shared_cell: Cell, proxy: RefusingProxy, tmp_path: Path
+) -> None:
+    settings = settings_for(proxy.url, tmp_path, shared_cell)
+    proxy.refused, proxy.status = frozenset({b'/entities{"id":"urn:ngsi-ld:HandoverProbe'}), 500
+    async with BrokerClient(settings) as broker:
+        found = await find_abilities(broker, settings)
+    assert {one.name for one in found.missing()} == MISSING
+    assert proxy.refusals == MAX_FAULTS
 
 
 async def test_our_own_broker_can_do_everything_and_is_not_tried(shared_cell: Cell, tmp_path: Path) -> None:
@@ -81,6 +108,17 @@ async def test_a_broker_that_cannot_be_reached_has_no_abilities(
         with pytest.raises(BrokerUnavailable):
             await find_abilities(broker, settings)
     assert not (tmp_path / FILE).exists()
+
+
+def test_the_doctor_says_it_before_a_cell_runs(proxy: RefusingProxy, tmp_path: Path) -> None:
+    """Nothing serves our @context then."""
+    given = {"HANDOVER_BROKER_URL": proxy.url, "HANDOVER_CONTEXT_URL": "http://127.0.0.1:9/none"}
+    environment = {**processes.clean_environment(), "HANDOVER_DATA_DIR": str(tmp_path), **given}
+    command = [*processes.module_command("handover.cli"), "doctor"]
+    run = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert re.search(r"ok +broker http://\S+: Orion-LD 1\.6\.0", run.stdout)
 
 
 def test_the_doctor_the_page_and_the_metrics_say_it(proxy: RefusingProxy, tmp_path: Path) -> None:
