@@ -163,7 +163,8 @@ class EntityEvents:
 
     async def _find_alerts(self, watched: Mapping[str, Watched]) -> None:
         """Clear the Alerts of an earlier run about filters that are gone, and remember the others."""
-        pattern = f"^{alert_id(self._settings, _refused_key('.'))}$".replace("-.-", "-.*-")
+        pattern = alert_id(self._settings, _refused_key(".")).replace(".", "[.]")
+        pattern = f"^{pattern.removesuffix('[.]-refused')}.*-refused$"
         alerts = await self._broker.query(type="Alert", id_pattern=pattern)
         active = {str(alert["id"]) for alert in alerts if "validTo" not in alert}
         for key in watched:

@@ -55,6 +55,8 @@ class Orders:
     def __init__(self, name: str, resource: str, settings: Settings, broker: BrokerClient) -> None:
         self.resource = resource
         self.prefix = settings.entity_id("Task", f"{name}-order-")
+        self.id_pattern = f"^{self.prefix.replace('.', '[.]')}.*"
+        """Matches the ids of these orders only: names of cells and robots may have dots."""
         self._settings = settings
         self._broker = broker
         self._changed = asyncio.Event()
@@ -70,7 +72,7 @@ class Orders:
             "id": self._settings.entity_id("Subscription", f"{self.prefix.rsplit(':', 1)[-1]}s"),
             "type": "Subscription",
             "description": f"Orders for {self.resource}",
-            "entities": [{"type": Task.ngsi_type(), "idPattern": f"^{self.prefix}.*"}],
+            "entities": [{"type": Task.ngsi_type(), "idPattern": self.id_pattern}],
             "watchedAttributes": ["status"],
             "notification": {"endpoint": endpoint},
         }
@@ -145,7 +147,7 @@ class Orders:
 
     async def end_old(self) -> None:
         """End the orders of an earlier run of the tool. Raises `BrokerError`, `RobotFault`."""
-        for old in await self._broker.find(Task, id_pattern=f"^{self.prefix}.*"):
+        for old in await self._broker.find(Task, id_pattern=self.id_pattern):
             log.info("order of an earlier run cancelled", order=old.id)
             self._task = old
             await self.cancel(old.id)
