@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, Self
 
 from datamodels.entities import Alert, Cell, DataModelError
 from datamodels.states import CellState
-from handover.broker import BrokerClient, BrokerError
+from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.cells import cell_of
 from handover.errors import Problem
 from handover.telemetry import get_logger
@@ -61,7 +61,10 @@ class Cells:
 
     async def _of(self, tenant: str) -> list[CellSummary]:
         broker = self._brokers[tenant]
-        cells = await broker.query(type=Cell.ngsi_type())
+        try:
+            cells = await broker.query(type=Cell.ngsi_type())
+        except NotFound:
+            return []  # our broker has no such tenant before the cell in it has started
         alerts = await broker.query(type=Alert.ngsi_type(), attrs=["dateIssued", "validTo"])
         active = Counter(cell_of(str(alert["id"])) for alert in alerts if "validTo" not in alert)
         now = datetime.now(UTC)

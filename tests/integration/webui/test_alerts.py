@@ -14,6 +14,8 @@ from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.settings import Settings
 from tests.kit.waiting import until
+from webui.settings import WebuiSettings
+from webui.sources.cells import Cells
 
 pytestmark = pytest.mark.slow
 
@@ -74,6 +76,16 @@ async def test_alerts_of_another_cell_are_counted_and_not_shown(
         assert found == {"north": ("running", 3), "south": ("silent", 0)}
         assert listed["north"]["completedLastHour"] == 7
         await broker.delete_batch([f"urn:ngsi-ld:Cell:{name}:{name}" for name in ("north", "south")])
+
+
+async def test_a_tenant_of_no_cell_yet_hides_no_other_cell(cell: Any) -> None:
+    cell.run("context_broker")
+    settings = WebuiSettings.load(broker_url=cell.url("context_broker"), cell_tenants=("later",))
+    async with BrokerClient(settings) as broker:
+        await broker.upsert([other_cell("north")])
+        async with Cells(settings, broker) as cells:
+            assert "north" in {each["name"] for each in await cells.summaries()}
+        await broker.delete("urn:ngsi-ld:Cell:north:north")
 
 
 async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(

@@ -16,7 +16,13 @@ def orders(cell: str, robot: str) -> Orders:
 
 @pytest.mark.parametrize(
     ("cell", "robot"),
-    [("line-1", "arm.1"), ("line.1", "arm-1"), ("line.1.2", "arm.1"), ("line", "arm.1"), ("line.1", "arm.11")],
+    [
+        ("line-1", "arm.1"),
+        ("line.1", "arm-1"),
+        ("line.1.2", "arm.1"),
+        ("line", "arm.1"),
+        ("line.1", "arm.11"),
+    ],
 )
 def test_orders_of_other_cells_and_robots_are_not_these(cell: str, robot: str) -> None:
     """Those of an earlier run are cancelled at the start."""
