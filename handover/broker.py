@@ -209,7 +209,8 @@ class BrokerClient:
         """
         others = _NO_CREDENTIALS if self._others is None else await _headers_of(self._others)
         url = replace(self._base, target=f"{self._root}{path}")
-        response = await self._send("GET", url, (*self._headers, *others.items()), b"")
+        # Without the Link header: a broker that cannot fetch the @context now has nothing to do with it here.
+        response = await self._send("GET", url, (("Accept", JSON), *others.items()), b"")
         if response.status in _TRANSIENT:
             raise _refusal(response, f"GET {path}")
         if response.status >= 300:
