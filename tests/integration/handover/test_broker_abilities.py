@@ -15,6 +15,7 @@ from handover.python_processes import module_command
 from handover.settings import Settings
 from tests.kit.cell import Cell, new_cell
 from tests.kit.other_broker.running import orion_like
+from tests.kit.processes import clean_environment
 from tests.kit.refusing_proxy import RefusingProxy, refusing_proxy
 from tests.kit.waiting import wait_for
 
@@ -113,11 +114,9 @@ async def test_a_broker_that_cannot_be_reached_has_no_abilities(
 def test_the_doctor_says_it_before_a_cell_runs(proxy: RefusingProxy, tmp_path: Path) -> None:
     """Nothing serves our @context then."""
     given = {"HANDOVER_BROKER_URL": proxy.url, "HANDOVER_CONTEXT_URL": "http://127.0.0.1:9/none"}
-    environment = {**processes.clean_environment(), "HANDOVER_DATA_DIR": str(tmp_path), **given}
-    command = [*processes.module_command("handover.cli"), "doctor"]
-    run = subprocess.run(
-        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    environment = {**clean_environment(), "HANDOVER_DATA_DIR": str(tmp_path), **given}
+    command = [*module_command("handover.cli"), "doctor"]
+    run = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert re.search(r"ok +broker http://\S+: Orion-LD 1\.6\.0", run.stdout)
 
 
