@@ -12,6 +12,7 @@ import { fingers } from "~/hand/geometry";
 import { useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
 import { useChoice } from "~/route/choice";
+import { MayNot } from "~/session/MayNot";
 import { changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
 import { GuidedCard } from "./GuidedCard";
@@ -122,15 +123,16 @@ function ByHand({ glove }: { glove: string }) {
           />
         ))}
       </div>
+      <MayNot permission="configure" />
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <div className="calibrate__actions" data-unsaved={changes !== null || undefined}>
-        <Button kind="main" isDisabled={changes === null} onPress={save}>
+        <Button permission="configure" kind="main" isDisabled={changes === null} onPress={save}>
           {t("save")}
         </Button>
-        <Button isDisabled={changes === null} onPress={forget}>
+        <Button permission="configure" isDisabled={changes === null} onPress={forget}>
           {t("back")}
         </Button>
-        <Button onPress={restore}>{t("restore")}</Button>
+        <Button permission="configure" onPress={restore}>{t("restore")}</Button>
         <p role="status">
           {changes !== null ? (
             <StatusBadge tone="attention">{t("unsaved", { count: Object.keys(changes).length })}</StatusBadge>

@@ -87,7 +87,7 @@ function OnItsWay({ guide, glove, onStop }: { guide: GuideView; glove: string; o
         <div className="guided__bar" data-phase={guide.phase} aria-hidden>
           <span style={{ width: `${Math.min(Math.max(share, 0), 1) * 100}%` }} />
         </div>
-        <Button size="large" onPress={onStop}>
+        <Button permission="configure" size="large" onPress={onStop}>
           {t("guided.stop")}
         </Button>
       </div>
@@ -120,7 +120,7 @@ function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
   }
   return (
     <p className="guided__learnt">
-      {t("guided.learnt")} <Button onPress={onUse}>{t("guided.useModel")}</Button>
+      {t("guided.learnt")} <Button permission="configure" onPress={onUse}>{t("guided.useModel")}</Button>
     </p>
   );
 }
@@ -139,7 +139,7 @@ function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture:
         options={gestures.map(({ name, code }) => ({ value: name, hands: [{ code: code ?? "", side: "right" as const }] }))}
         onChange={choose}
       />
-      <Button isDisabled={isDisabled || gesture === ""} onPress={() => onShow(gesture)}>
+      <Button permission="configure" isDisabled={isDisabled || gesture === ""} onPress={() => onShow(gesture)}>
         {t("guided.show")}
       </Button>
     </div>

@@ -8,6 +8,7 @@ import { Button as AriaButton, Dialog, Heading, Input, Label, ListBox, ListBoxIt
 import { useTranslation } from "react-i18next";
 import "~/design/ConfirmDialog.css";
 import { Button } from "~/design/Button";
+import { mayDo, type Permission } from "~/session/session";
 import { Hand, useGestureName } from "./Hand";
 import "./GesturePicker.css";
 
@@ -26,9 +27,11 @@ export interface GesturePickerProps {
   value: string;
   options: readonly GestureOption[];
   onChange: (value: string) => void;
+  /** What a choice needs; users without it see the present one. */
+  permission?: Permission;
 }
 
-export function GesturePicker({ label, value, options, onChange }: GesturePickerProps) {
+export function GesturePicker({ label, value, options, onChange, permission }: GesturePickerProps) {
   const { t, i18n } = useTranslation("hand");
   const gestureName = useGestureName();
   const id = useId();
@@ -52,7 +55,7 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
       <span id={`${id}-label`} className="gesture-picker__label">
         {label}
       </span>
-      <AriaButton className="gesture-picker__button" id={id} aria-labelledby={`${id}-label ${id}-value`} aria-haspopup="dialog" onPress={() => open(true)}>
+      <AriaButton className="gesture-picker__button" id={id} aria-labelledby={`${id}-label ${id}-value`} aria-haspopup="dialog" isDisabled={permission !== undefined && !mayDo(permission)} onPress={() => open(true)}>
         {chosen !== undefined && <Hands option={chosen} size="56px" />}
         <span id={`${id}-value`}>{chosen === undefined ? "–" : nameOf(chosen)}</span>
         <ChevronDown aria-hidden size={18} />

@@ -37,7 +37,7 @@ export function GesturesView() {
         <h2>{t("title")}</h2>
         {loaded.failure !== null && <ErrorMessage>{loaded.failure}</ErrorMessage>}
         {people.length > 0 && <PeopleTable people={people} name={name} onOpen={choose} />}
-        <Button icon={<UserPlus aria-hidden size={18} />} onPress={() => setAdding(true)}>
+        <Button permission="managePeople" icon={<UserPlus aria-hidden size={18} />} onPress={() => setAdding(true)}>
           {t("add.act")}
         </Button>
       </aside>
@@ -53,7 +53,7 @@ export function GesturesView() {
               icon={<Users aria-hidden size={32} />}
               title={t("none.title")}
               act={
-                <Button kind="main" onPress={() => setAdding(true)}>
+                <Button permission="managePeople" kind="main" onPress={() => setAdding(true)}>
                   {t("add.act")}
                 </Button>
               }

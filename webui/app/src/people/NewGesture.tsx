@@ -112,7 +112,7 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
       )}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <div className="new-gesture__actions">
-        <Button
+        <Button permission="configure"
           kind="main"
           icon={way === "make" ? <HandIcon aria-hidden size={18} /> : undefined}
           isDisabled={isBusy || name.trim() === "" || how() === null}

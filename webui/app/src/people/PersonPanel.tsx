@@ -15,6 +15,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { GesturePicker } from "~/hand/GesturePicker";
 import { useGestureName } from "~/hand/Hand";
 import { useGloveNames } from "~/live/names";
+import { MayNot } from "~/session/MayNot";
 import { GesturePicture } from "./GesturePicture";
 import { NewGesture } from "./NewGesture";
 import {
@@ -54,6 +55,7 @@ export function PersonPanel({ name, people, revision, onChange, onRemoved }: Per
         {person.title !== null && <span className="quiet">{person.name}</span>}
         <Profile person={person} act={act} onRemoved={onRemoved} />
       </header>
+      <MayNot permission="configure" />
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {person.faults.map((fault) => (
         <StatusBadge key={fault} tone="attention">
@@ -114,13 +116,14 @@ function Commands({ person, act }: { person: PersonInFull; act: Act }) {
         return (
           <li key={command} data-own={isOwn || undefined}>
             <GesturePicker
+              permission="configure"
               label={t("commands.command", { command })}
               value={gesture ?? NONE}
               options={options}
               onChange={(chosen) => void act(giveCommands(person.name, exchanged(person, command, chosen === NONE ? null : chosen)))}
             />
             {isOwn && (
-              <Button
+              <Button permission="configure"
                 kind="quiet"
                 label={t("commands.asSite", { command })}
                 icon={<RotateCcw aria-hidden size={16} />}
@@ -145,7 +148,7 @@ function OwnGestures({ person, act }: { person: PersonInFull; act: Act }) {
         <li key={gesture.name}>
           <GesturePicture gesture={gesture} size="88px" />
           <strong>{gestureName(gesture.name)}</strong>
-          <Button
+          <Button permission="configure"
             kind="quiet"
             label={t("own.delete", { gesture: gesture.name })}
             icon={<Trash2 aria-hidden size={16} />}
@@ -173,9 +176,9 @@ function Profile({ person, act, onRemoved }: { person: PersonInFull; act: Act; o
           if (first !== undefined) void act(first.text().then((yaml) => takeProfile(person.name, yaml)));
         }}
       >
-        <Button icon={<FileUp aria-hidden size={18} />}>{t("profile.load")}</Button>
+        <Button permission="configure" icon={<FileUp aria-hidden size={18} />}>{t("profile.load")}</Button>
       </FileTrigger>
-      <Button kind="quiet" icon={<Trash2 aria-hidden size={18} />} onPress={() => setAsking(true)}>
+      <Button permission="managePeople" kind="quiet" icon={<Trash2 aria-hidden size={18} />} onPress={() => setAsking(true)}>
         {t("forget.open")}
       </Button>
       <ConfirmDialog

@@ -26,7 +26,7 @@ export function HandOver({ robot }: { robot: RobotView }) {
   return (
     <section className="hand-over" role="status">
       <p>{part === null ? t("handOver.take") : t("handOver.give", { part })}</p>
-      <Button kind="main" size="large" icon={<Handshake aria-hidden size={24} />} isDisabled={confirmed === task} onPress={confirm}>
+      <Button permission="performTasks" kind="main" size="large" icon={<Handshake aria-hidden size={24} />} isDisabled={confirmed === task} onPress={confirm}>
         {part === null ? t("handOver.confirmTake") : t("handOver.confirmGive")}
       </Button>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}

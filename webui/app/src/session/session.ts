@@ -1,5 +1,6 @@
 /** Who is signed in. Loaded before the page is rendered; signing in and out loads the page again. */
 import { useSyncExternalStore } from "react";
+import rolesOf from "./roles.json";
 
 export interface SignedInUser {
   subject: string;
@@ -55,6 +56,13 @@ export function isSignedIn(): boolean {
   return !session.hasAccounts || session.user !== null;
 }
 
-export function mayDo(permission: string): boolean {
+export type Permission = keyof typeof rolesOf;
+
+/** The roles that include a permission. */
+export function rolesWith(permission: Permission): readonly string[] {
+  return rolesOf[permission];
+}
+
+export function mayDo(permission: Permission): boolean {
   return session.user === null || session.user.permissions.includes(permission);
 }

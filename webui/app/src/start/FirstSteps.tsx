@@ -11,6 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { useFamily, useTopic } from "~/live/hooks";
+import { MayNot } from "~/session/MayNot";
 
 const DEMO = "bin-picking";
 const DEFAULT_GLOVE = "glove-1";
@@ -51,6 +52,7 @@ function ProcessCard() {
   return (
     <StartCard title={t("start.process.title")} icon={<Workflow aria-hidden size={22} />} state={state}>
       <p>{t("start.process.what")}</p>
+      <MayNot permission="runProcesses" />
       {!isReady && <p className="quiet">{definition?.unusable ?? t("start.process.missing")}</p>}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {running ? (
@@ -58,7 +60,7 @@ function ProcessCard() {
           {t("start.process.see")}
         </Button>
       ) : (
-        <Button
+        <Button permission="runProcesses"
           kind="main"
           icon={<Play aria-hidden size={18} />}
           isDisabled={!isReady || busy}
@@ -95,12 +97,12 @@ function GloveCard() {
       {operator?.detail != null && <p className="quiet">{operator.detail}</p>}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {operator?.running === true ? (
-        <Button isDisabled={busy} onPress={() => perform(stopOperator)}>
+        <Button permission="configure" isDisabled={busy} onPress={() => perform(stopOperator)}>
           {t("start.glove.stop")}
         </Button>
       ) : (
         connected === undefined && (
-          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(firstGlove?.glove ?? DEFAULT_GLOVE))}>
+          <Button permission="configure" isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(firstGlove?.glove ?? DEFAULT_GLOVE))}>
             {t("start.glove.simulate")}
           </Button>
         )

@@ -101,7 +101,7 @@ function Begin({ open }: { open: (session: string) => void }) {
         {glove !== "" && <Wearer person={person} />}
         <p className="quiet">{t("begin.code", { code: leaderCode() })}</p>
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-        <Button type="submit" kind="main" isDisabled={busy}>
+        <Button permission="conductStudies" type="submit" kind="main" isDisabled={busy}>
           {t("begin.act")}
         </Button>
       </form>
@@ -191,8 +191,8 @@ function useColumns(open: (session: string) => void, onDelete: (session: Session
         id: "acts", name: t("sessions.column.acts"), width: "minmax(180px, 1.6fr)",
         cell: (session) => (
           <>
-            {session.endedAt === null && <Button onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
-            <Button kind="quiet" onPress={() => onDelete(session)}>
+            {session.endedAt === null && <Button permission="conductStudies" onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
+            <Button permission="conductStudies" kind="quiet" onPress={() => onDelete(session)}>
               {t("sessions.delete", { who: session.pseudonym })}
             </Button>
           </>

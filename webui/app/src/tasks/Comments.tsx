@@ -71,7 +71,7 @@ export function Comments({ subject, comments, onComment }: CommentsProps) {
       >
         <TextBox label={t("comments.new")} value={draft.text} onChange={type} maxLength={MAX_LENGTH} />
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-        <Button type="submit" icon={<MessageSquarePlus aria-hidden size={18} />} isDisabled={busy || draft.text.trim() === ""}>
+        <Button permission="performTasks" type="submit" icon={<MessageSquarePlus aria-hidden size={18} />} isDisabled={busy || draft.text.trim() === ""}>
           {t("comments.send")}
         </Button>
       </form>

@@ -149,7 +149,7 @@ function Acts({ task, onChange, onEnd, onNews }: ActsProps) {
   if (task.endedAt !== null) return null;
   const isOwn = task.claimedBy !== null && task.claimedBy === user;
   const decline = (
-    <Button icon={<X aria-hidden size={18} />} isDisabled={busy} onPress={() => setDeclines(true)} data-act="decline">
+    <Button permission="performTasks" icon={<X aria-hidden size={18} />} isDisabled={busy} onPress={() => setDeclines(true)} data-act="decline">
       {t("decline.act")}
     </Button>
   );
@@ -158,7 +158,7 @@ function Acts({ task, onChange, onEnd, onNews }: ActsProps) {
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {task.claimedBy === null && task.isClaimable && (
         <div className="tasklist__acts">
-          <Button kind="main" icon={<Hand aria-hidden size={18} />} isDisabled={busy} onPress={() => perform(claim(false), t("news.claimed"))}>
+          <Button permission="performTasks" kind="main" icon={<Hand aria-hidden size={18} />} isDisabled={busy} onPress={() => perform(claim(false), t("news.claimed"))}>
             {t("claim")}
           </Button>
           {decline}
@@ -173,7 +173,7 @@ function Acts({ task, onChange, onEnd, onNews }: ActsProps) {
             onEnd();
           }}
         >
-          <Button icon={<Undo2 aria-hidden size={18} />} isDisabled={busy} onPress={() => perform((by) => returnTask(task.id, { by }), t("news.returned"))} data-act="return">
+          <Button permission="performTasks" icon={<Undo2 aria-hidden size={18} />} isDisabled={busy} onPress={() => perform((by) => returnTask(task.id, { by }), t("news.returned"))} data-act="return">
             {t("return")}
           </Button>
           {decline}

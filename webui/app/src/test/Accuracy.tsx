@@ -80,7 +80,7 @@ function Planning({ glove }: { glove: string }) {
       <p className="quiet">{t("plan.means")}</p>
       <div className="test__plan">
         <SegmentedControl label={t("plan.rounds")} value={howOften} options={rounds.map((round) => ({ value: round, name: t("plan.times", { count: Number(round) }) }))} onChange={setHowOften} />
-        <Button kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
+        <Button permission="configure" kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
           {t("plan.begin", { count: chosen.length * often })}
         </Button>
       </div>
@@ -139,8 +139,8 @@ function Earlier({ tests, selected, show, reload }: EarlierProps) {
         id: "acts", name: t("earlier.column.acts"), width: "minmax(160px, 1.4fr)",
         cell: (test) => (
           <>
-            {test.phase === "interrupted" && <Button onPress={() => goOn(test)}>{t("earlier.continue")}</Button>}
-            <Button kind="quiet" onPress={() => setLeaving(test)}>
+            {test.phase === "interrupted" && <Button permission="configure" onPress={() => goOn(test)}>{t("earlier.continue")}</Button>}
+            <Button permission="configure" kind="quiet" onPress={() => setLeaving(test)}>
               {t("earlier.delete")}
             </Button>
           </>

@@ -44,9 +44,9 @@ export function FreeTrial({ glove }: { glove: string }) {
       title={t("try.title")}
       aside={
         isTesting ? (
-          <Button onPress={() => change(false)}>{t("try.off")}</Button>
+          <Button permission="configure" onPress={() => change(false)}>{t("try.off")}</Button>
         ) : (
-          <Button kind="main" onPress={() => change(true)}>
+          <Button permission="configure" kind="main" onPress={() => change(true)}>
             {t("try.on")}
           </Button>
         )

@@ -76,7 +76,7 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
       );
     case "noGlove":
       return (
-        <Button size="large" isDisabled={acting.busy} onPress={() => acting.perform(() => declareGlove(situation.chosen ?? "glove-1"))}>
+        <Button permission="configure" size="large" isDisabled={acting.busy} onPress={() => acting.perform(() => declareGlove(situation.chosen ?? "glove-1"))}>
           {t("by.screen")}
         </Button>
       );
@@ -92,7 +92,7 @@ function CancelButton({ process, acting }: { process: ProcessView; acting: Actio
   const { withName, question } = useWithName("large");
   return (
     <>
-      <Button size="large" icon={<Ban aria-hidden size="1.1em" />} isDisabled={acting.busy} onPress={() => setAsks(true)}>
+      <Button permission="runProcesses" size="large" icon={<Ban aria-hidden size="1.1em" />} isDisabled={acting.busy} onPress={() => setAsks(true)}>
         {t("by.cancel", { title: process.title })}
       </Button>
       <ConfirmDialog

@@ -9,6 +9,8 @@ import { duration } from "~/design/times";
 import { useGestureName } from "~/hand/Hand";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { GloveView } from "~/live/messages";
+import { MayNot } from "~/session/MayNot";
+import { mayDo } from "~/session/session";
 import { startCode, waitAfter, waiting } from "./confirmation";
 import { Figure } from "./Figure";
 import type { ActionState } from "./useAction";
@@ -61,24 +63,25 @@ export function StartStage({ glove, startable, completed, acting, onStart }: Sta
             {t("idle.none")} <Link href="/processes">{t("idle.noneDo")}</Link>
           </p>
         ) : (
-          <p className="work__task">
+          mayDo("runProcesses") && <p className="work__task">
             {acting.busy ? t("idle.starting") : glove.connected ? t("idle.gesture", { gesture, title: first.title }) : t("idle.button", { title: first.title })}
           </p>
         )}
+        <MayNot permission="runProcesses" className="work__message" />
         {glove.testing && <p className="work__notice">{t("testing")}</p>}
         {!glove.connected && (
           <div className="work__aside">
             <p>{t("idle.noGlove", { glove: glove.glove })}</p>
-            <Button size="large" isDisabled={acting.busy} onPress={() => acting.perform(() => startOperator(glove.glove))}>
+            <Button permission="configure" size="large" isDisabled={acting.busy} onPress={() => acting.perform(() => startOperator(glove.glove))}>
               {t("by.simulate")}
             </Button>
           </div>
         )}
-        {others.length > 0 && (
+        {others.length > 0 && mayDo("runProcesses") && (
           <div className="work__aside">
             <p>{t("idle.more")}</p>
             {others.slice(0, 3).map((definition) => (
-              <Button key={definition.name} size="large" isDisabled={acting.busy} onPress={() => onStart(definition)}>
+              <Button permission="runProcesses" key={definition.name} size="large" isDisabled={acting.busy} onPress={() => onStart(definition)}>
                 {t("by.start", { title: definition.title })}
               </Button>
             ))}

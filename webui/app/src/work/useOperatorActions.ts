@@ -3,6 +3,7 @@ import { useTranslation } from "react-i18next";
 import { retryToken, startOperator, startProcess } from "~/api/actions";
 import type { DefinitionView } from "~/api/generated/task-orchestrator";
 import type { Outcome } from "~/live/messages";
+import { mayDo } from "~/session/session";
 import { answerByHand, endTesting, pauseGlove, requestStatus, resumeGlove } from "./actions";
 import { startKey } from "./confirmation";
 import { latest, parametersFor, type Scene, type Situation } from "./situation";
@@ -29,7 +30,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
   const { perform } = acting;
   const complete = completeAct();
   const pause = pauseAct();
-  const start = "startable" in situation ? startWith(situation.glove.glove) : null;
+  const start = "startable" in situation && mayDo("runProcesses") ? startWith(situation.glove.glove) : null;
   const report = complete === null || needsPin() ? null : reportWith();
   return { main: mainAct(), complete, report, pause, start };
 
@@ -45,6 +46,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
   }
 
   function completeAct(): Act | null {
+    if (!mayDo("performTasks")) return null;
     if (situation.kind !== "prompt" && situation.kind !== "gloveLost") return null;
     if (situation.glove.testing) return null;
     if (needsPin()) return { name: t("by.pin"), do: askPin };
@@ -59,6 +61,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
   }
 
   function pauseAct(): OperatorActions["pause"] {
+    if (!mayDo("performTasks")) return null;
     const act = (goesOn: boolean, does: () => Promise<unknown>) => ({
       name: t(goesOn ? "strip.goOn" : "strip.pause"),
       goesOn,
@@ -96,6 +99,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
       case "paused":
         return pause;
       case "incident": {
+        if (!mayDo("runProcesses")) return null;
         const { process, incident } = situation;
         return { name: t("by.retry"), do: () => perform(() => withName((name) => retryToken(process.id, incident.token, { by: name }))) };
       }
@@ -106,17 +110,19 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
       case "idle":
         return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.start");
       case "noGlove":
-        return { name: t("by.simulate"), do: () => perform(() => startOperator(situation.chosen ?? "glove-1")) };
+        return mayDo("configure") ? { name: t("by.simulate"), do: () => perform(() => startOperator(situation.chosen ?? "glove-1")) } : null;
       default:
         return null;
     }
   }
 
-  function leaveTesting(glove: string): Act {
+  function leaveTesting(glove: string): Act | null {
+    if (!mayDo("configure")) return null;
     return { name: t("by.endTesting"), do: () => perform(() => endTesting(glove)) };
   }
 
   function startAct(words: "by.start" | "by.startAgain"): Act | null {
+    if (!mayDo("runProcesses")) return null;
     const definition = "startable" in situation ? situation.startable[0] : undefined;
     if (definition === undefined || start === null) return null;
     return { name: t(words, { title: definition.title }), do: () => start(definition) };

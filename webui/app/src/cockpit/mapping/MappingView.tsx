@@ -16,6 +16,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { localizedText } from "~/i18n/server";
+import { MayNot } from "~/session/MayNot";
 import { useWithName } from "~/shell/userName";
 import { useAgents } from "../agents/AgentsView";
 import { EntryDialog } from "./EntryDialog";
@@ -53,6 +54,7 @@ export function MappingView() {
   return (
     <section className="cockpit__section" aria-label={t("view.mapping")}>
       {failure !== null && <ErrorMessage>{t("unread", { why: failure })}</ErrorMessage>}
+      <MayNot permission="deployProcesses" />
       {present !== null && (
         <Confirmation
           mapping={present}
@@ -73,7 +75,7 @@ export function MappingView() {
         <Card
           title={t("mapping.entries")}
           aside={
-            <Button icon={<Plus aria-hidden size={16} />} onPress={() => open({ kind: "topic", name: "", target: "resource", value: "", definition: "", parameters: "" }, null)}>
+            <Button permission="deployProcesses" icon={<Plus aria-hidden size={16} />} onPress={() => open({ kind: "topic", name: "", target: "resource", value: "", definition: "", parameters: "" }, null)}>
               {t("mapping.add")}
             </Button>
           }
@@ -165,7 +167,7 @@ function Confirmation({ mapping, base, entries, isChanged, onBase, onConflict, o
       <span className="mapping__acts">
         {isChanged && <Button onPress={onReset}>{t("mapping.reset")}</Button>}
         {(isChanged || (mapping.by === null && entries.length > 0)) && (
-          <Button kind="main" isDisabled={isOld} onPress={() => setAsks(true)}>
+          <Button permission="deployProcesses" kind="main" isDisabled={isOld} onPress={() => setAsks(true)}>
             {t("mapping.confirm")}
           </Button>
         )}
@@ -214,8 +216,8 @@ function Entries({ entries, use, onOpen, onRemove }: EntriesProps) {
         id: "acts", name: t("mapping.acts"), width: "96px",
         cell: (entry) => (
           <span className="mapping__row-acts">
-            <Button kind="quiet" label={t("mapping.changeOne", { name: entry.name })} icon={<Pencil aria-hidden size={16} />} onPress={() => onOpen(entry)} />
-            <Button kind="quiet" label={t("mapping.removeOne", { name: entry.name })} icon={<Trash2 aria-hidden size={16} />} onPress={() => onRemove(entry)} />
+            <Button permission="deployProcesses" kind="quiet" label={t("mapping.changeOne", { name: entry.name })} icon={<Pencil aria-hidden size={16} />} onPress={() => onOpen(entry)} />
+            <Button permission="deployProcesses" kind="quiet" label={t("mapping.removeOne", { name: entry.name })} icon={<Trash2 aria-hidden size={16} />} onPress={() => onRemove(entry)} />
           </span>
         ),
       },
@@ -241,7 +243,7 @@ function Unmapped({ names, isLoaded, onMap }: { names: readonly UsedNameView[]; 
           </span>
         ),
       },
-      { id: "acts", name: t("mapping.acts"), width: "110px", cell: (used) => <Button onPress={() => onMap(used)} aria-label={t("mapping.mapOne", { name: used.name })}>{t("mapping.map")}</Button> },
+      { id: "acts", name: t("mapping.acts"), width: "110px", cell: (used) => <Button permission="deployProcesses" onPress={() => onMap(used)} aria-label={t("mapping.mapOne", { name: used.name })}>{t("mapping.map")}</Button> },
     ],
     [t, onMap],
   );

@@ -16,6 +16,7 @@ import { useFamily, useTopic } from "~/live/hooks";
 import { UnknownAddress } from "~/route/choice";
 import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
+import { MayNot } from "~/session/MayNot";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { shortTitle } from "../names";
@@ -76,7 +77,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
             onChange={(one) => setAsked(Number(one) === newest ? "" : one)}
           />
           <DownloadButton name={definition.name} version={definition.version} />
-          <Button
+          <Button permission="runProcesses"
             kind="main"
             icon={<Play aria-hidden size={18} />}
             isDisabled={definition.unusable !== undefined}
@@ -85,6 +86,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
             {t("start.act", { title: shortTitle(definition.title) })}
           </Button>
         </div>
+        <MayNot permission="runProcesses" />
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
       <Body definition={definition} newest={newest} />

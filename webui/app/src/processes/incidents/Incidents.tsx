@@ -64,16 +64,16 @@ export function Incidents({ process, elements, moving, onMove, onTarget, onPick 
             ) : (
               <div className="incident__acts">
                 <RetryButton process={process} token={incident.token} step={incidentName(incident, elements)} kind="main" />
-                <Button icon={<Braces aria-hidden size={18} />} onPress={() => setAsking({ act: "retry", incident })}>
+                <Button permission="runProcesses" icon={<Braces aria-hidden size={18} />} onPress={() => setAsking({ act: "retry", incident })}>
                   {t("incident.retryWith")}
                 </Button>
-                <Button icon={<SkipForward aria-hidden size={18} />} onPress={() => setAsking({ act: "skip", incident })}>
+                <Button permission="runProcesses" icon={<SkipForward aria-hidden size={18} />} onPress={() => setAsking({ act: "skip", incident })}>
                   {t("incident.skip")}
                 </Button>
-                <Button icon={<ArrowRightLeft aria-hidden size={18} />} onPress={() => onMove(incident)}>
+                <Button permission="runProcesses" icon={<ArrowRightLeft aria-hidden size={18} />} onPress={() => onMove(incident)}>
                   {t("incident.move")}
                 </Button>
-                <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsking({ act: "cancel", incident })}>
+                <Button permission="runProcesses" icon={<Ban aria-hidden size={18} />} onPress={() => setAsking({ act: "cancel", incident })}>
                   {t("incident.cancel")}
                 </Button>
               </div>

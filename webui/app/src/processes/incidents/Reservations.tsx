@@ -65,7 +65,7 @@ export function Reservations({ process, elements, onPick }: ReservationsProps) {
             )}
           </p>
           {each.state === "held" && (
-            <Button icon={<LockOpen aria-hidden size={18} />} onPress={() => setAsking(each)}>
+            <Button permission="runProcesses" icon={<LockOpen aria-hidden size={18} />} onPress={() => setAsking(each)}>
               {t("reservation.release")}
             </Button>
           )}

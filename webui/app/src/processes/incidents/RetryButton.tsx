@@ -24,7 +24,7 @@ export function RetryButton({ process, token, step, kind }: RetryButtonProps) {
   const retry = (by: string) => retryToken(process.id, token, { by });
   return (
     <>
-      <Button
+      <Button permission="runProcesses"
         kind={kind}
         icon={<RotateCcw aria-hidden size={18} />}
         isDisabled={busy}

@@ -90,7 +90,7 @@ export function ProcessList({ place, onStart, onUpload, offers, onOffers }: Proc
           {item.kind === "definition" ? <Definition definition={item.definition} /> : <Process row={item.row} />}
         </Link>
         {item.kind === "definition" && item.definition.unusable === undefined && (
-          <Button
+          <Button permission="runProcesses"
             kind="quiet"
             label={t("start.act", { title: item.definition.title })}
             icon={<Play aria-hidden size={18} />}
@@ -104,7 +104,7 @@ export function ProcessList({ place, onStart, onUpload, offers, onOffers }: Proc
     <aside className="process-list" aria-label={t("list.label")} {...handlers}>
       <div className="process-list__head">
         {bar}
-        <Button icon={<FileUp aria-hidden size={18} />} onPress={onUpload}>
+        <Button permission="deployProcesses" icon={<FileUp aria-hidden size={18} />} onPress={onUpload}>
           {t("list.upload")}
         </Button>
         {offers > 0 && (

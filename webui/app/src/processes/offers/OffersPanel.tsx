@@ -99,10 +99,10 @@ function Offer({ offer, onAct }: { offer: OfferView; onAct: (act: Act) => void }
         })}
       />
       <div className="offer__acts">
-        <Button kind="main" icon={<Check aria-hidden size={18} />} isDisabled={faults.length > 0} onPress={() => onAct("accept")}>
+        <Button permission="deployProcesses" kind="main" icon={<Check aria-hidden size={18} />} isDisabled={faults.length > 0} onPress={() => onAct("accept")}>
           {t("offers.accept.act")}
         </Button>
-        <Button icon={<X aria-hidden size={18} />} onPress={() => onAct("reject")}>
+        <Button permission="deployProcesses" icon={<X aria-hidden size={18} />} onPress={() => onAct("reject")}>
           {t("offers.reject.act")}
         </Button>
       </div>

@@ -21,7 +21,7 @@ export function PaceButton({ pace, of }: PaceButtonProps) {
   const act = t(`pace.${pace}.${scope}`, { title });
   return (
     <>
-      <Button icon={pace === "pause" ? <Pause aria-hidden size={18} /> : <Play aria-hidden size={18} />} onPress={() => setAsks(true)}>
+      <Button permission="runProcesses" icon={pace === "pause" ? <Pause aria-hidden size={18} /> : <Play aria-hidden size={18} />} onPress={() => setAsks(true)}>
         {act}
       </Button>
       {asks && (

@@ -71,14 +71,14 @@ function Acts({ process }: { process: ProcessView }) {
   return (
     <div className="process__actions">
       {process.endedAt === null && newest > 1 && (
-        <Button icon={<GitBranch aria-hidden size={18} />} onPress={() => setMigrates(true)}>
+        <Button permission="runProcesses" icon={<GitBranch aria-hidden size={18} />} onPress={() => setMigrates(true)}>
           {t("migration.open")}
         </Button>
       )}
       {migrates && <MigrateDialog process={process} newest={newest} onClose={() => setMigrates(false)} />}
       {process.endedAt === null && <PaceButton pace={process.status === "paused" ? "resume" : "pause"} of={{ process: process.id, title: process.title }} />}
       {process.endedAt === null && (
-        <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
+        <Button permission="runProcesses" icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
           {t("cancel.act", { title: shortTitle(process.title) })}
         </Button>
       )}

@@ -16,7 +16,7 @@ export function Values({ process }: { process: ProcessView }) {
       <Listed title={t("values.parameters")} values={process.parameters} empty={t("values.noParameters")} />
       <Listed title={t("values.variables")} values={process.variables} empty={t("values.noVariables")}>
         {process.endedAt === null && (
-          <Button icon={<Braces aria-hidden size={18} />} onPress={() => setEdits(true)}>
+          <Button permission="runProcesses" icon={<Braces aria-hidden size={18} />} onPress={() => setEdits(true)}>
             {t("values.edit")}
           </Button>
         )}

@@ -47,7 +47,7 @@ export function AlertButtons({ alerts, acts }: { alerts: readonly AlertView[]; a
   const count = (of: readonly AlertView[]) => ({ count: of.length });
   return (
     <>
-      <Button
+      <Button permission="acknowledgeAlerts"
         kind={toAcknowledge.length > 0 ? "main" : "plain"}
         isDisabled={acts.isBusy || toAcknowledge.length === 0}
         icon={<UserCheck aria-hidden size={18} />}
@@ -55,11 +55,11 @@ export function AlertButtons({ alerts, acts }: { alerts: readonly AlertView[]; a
       >
         {t("alert.acknowledge", count(toAcknowledge))}
       </Button>
-      <Button isDisabled={acts.isBusy || toShelve.length === 0} icon={<BellOff aria-hidden size={18} />} onPress={() => acts.askShelving(toShelve)}>
+      <Button permission="acknowledgeAlerts" isDisabled={acts.isBusy || toShelve.length === 0} icon={<BellOff aria-hidden size={18} />} onPress={() => acts.askShelving(toShelve)}>
         {t("alert.shelve", count(toShelve))}
       </Button>
       {shelved.length > 0 && (
-        <Button isDisabled={acts.isBusy} icon={<BellRing aria-hidden size={18} />} onPress={() => acts.unshelve(shelved)}>
+        <Button permission="acknowledgeAlerts" isDisabled={acts.isBusy} icon={<BellRing aria-hidden size={18} />} onPress={() => acts.unshelve(shelved)}>
           {t("alert.unshelve", count(shelved))}
         </Button>
       )}

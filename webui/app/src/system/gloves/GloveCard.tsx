@@ -13,6 +13,8 @@ import { Hand, useGestureName } from "~/hand/Hand";
 import { useNow } from "~/live/clock";
 import { useLive, useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
+import { MayNot } from "~/session/MayNot";
+import { mayDo } from "~/session/session";
 import { Battery } from "../Battery";
 
 const BendStrip = lazy(() => import("./BendStrip"));
@@ -142,6 +144,7 @@ function Modes({ glove }: { glove: string }) {
     <div className="glove__modes">
       <Mode name={t("glove.testing")} means={t("glove.testingMeans")} isOn={testing} onChange={(on) => put({ testing: on })} />
       <Mode name={t("glove.filtering")} means={t(filtering ? "glove.filteringMeans" : "glove.filteringOff")} isOn={filtering} onChange={(on) => put({ filtering: on })} />
+      <MayNot permission="configure" />
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
     </div>
   );
@@ -151,7 +154,7 @@ function Modes({ glove }: { glove: string }) {
 function Mode({ name, means, isOn, onChange }: { name: string; means: string; isOn: boolean; onChange: (on: boolean) => void }) {
   const { t } = useTranslation("system");
   return (
-    <SwitchField className="switch" isSelected={isOn} onChange={onChange}>
+    <SwitchField className="switch" isSelected={isOn} isDisabled={!mayDo("configure")} onChange={onChange}>
       <SwitchButton className="switch__button">
         <span className="switch__track" aria-hidden>
           <span className="switch__knob" />

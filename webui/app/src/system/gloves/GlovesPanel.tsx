@@ -39,7 +39,7 @@ function NoGlove() {
       icon={<Hand aria-hidden size={32} />}
       title={t("glove.none.title")}
       act={
-        <Button kind="main" isDisabled={isRunning !== false} onPress={start}>
+        <Button permission="configure" kind="main" isDisabled={isRunning !== false} onPress={start}>
           {t("glove.none.act")}
         </Button>
       }

@@ -20,7 +20,7 @@ export function Gripper({ robot }: { robot: string }) {
         <h3>{t("gripper.title")}</h3>
         <p>{interrupted !== null ? t(`gripper.interrupted.${interrupted}`) : holds !== null ? t("gripper.holds", { part: holds }) : isClosed ? t("gripper.closed") : t("gripper.open")}</p>
       </div>
-      <Button isDisabled={works || (!isClosed && interrupted === null)} onPress={() => setAsks(true)}>
+      <Button permission="moveRobots" isDisabled={works || (!isClosed && interrupted === null)} onPress={() => setAsks(true)}>
         {t("gripper.free")}
       </Button>
       <p className="gripper__why quiet small">{works ? t("gripper.notNow") : ""}</p>

@@ -92,7 +92,7 @@ function ByPerson({ path, label, means, onDone }: { path: string; label: string;
   };
   return (
     <>
-      <Button onPress={() => setIsAsking(true)}>{label}</Button>
+      <Button permission="moveRobots" onPress={() => setIsAsking(true)}>{label}</Button>
       <ConfirmDialog isOpen={isAsking} onClose={() => setIsAsking(false)} title={label} act={label} kind="stop" isDisabled={name.trim() === ""} onAct={act}>
         <p>{means}</p>
         <Field label={t("limit.name")} value={name} onChange={setName} isRequired />

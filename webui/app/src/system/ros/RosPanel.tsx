@@ -96,7 +96,7 @@ function useColumns(turn: (rule: RuleView, on: boolean) => void): readonly Colum
       {
         id: "act", name: t("ros.act"), width: "minmax(124px, 0.8fr)",
         cell: (rule) => (
-          <Button label={t(rule.enabled ? "ros.turnOff" : "ros.turnOn", { rule: rule.name })} onPress={() => turn(rule, !rule.enabled)}>
+          <Button permission="configure" label={t(rule.enabled ? "ros.turnOff" : "ros.turnOn", { rule: rule.name })} onPress={() => turn(rule, !rule.enabled)}>
             {t(rule.enabled ? "ros.off" : "ros.on")}
           </Button>
         ),
