@@ -27,7 +27,15 @@ class ProcessStart(BaseModel):
     version: int | None = Field(None, description="a version of it; the latest if absent")
     parameters: dict[str, Any] = Field(default_factory=dict, description="its parameters")
     key: str | None = Field(
-        None, pattern=r"^[^\x00]{1,200}$", description="a second request with the same key starts no process"
+        None,
+        pattern=r"^[^\x00]{1,200}$",
+        description="the business key, which people see; a second request with the same key starts no process",
+    )
+    request: str | None = Field(
+        None,
+        pattern=r"^[0-9a-f]{12}$",
+        description="a random number of the request, which nobody sees; the end of the id of the process, so "
+        "that the same request sent again starts no second one",
     )
 
 

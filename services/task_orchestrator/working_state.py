@@ -107,6 +107,7 @@ class WorkingState:
         variables: Mapping[str, Any],
         *,
         key: str | None = None,
+        process_id: str | None = None,
         partner: str | None = None,
         at: str | None = None,
         results: Mapping[str, Any] | None = None,
@@ -114,7 +115,7 @@ class WorkingState:
         """Start a process in a step and return its id; raise `Problem` if that is impossible."""
         now = self.clock()
         record = ProcessRecord(
-            id=f"{deployed.name}-{secrets.token_hex(6)}",
+            id=process_id or f"{deployed.name}-{secrets.token_hex(6)}",
             definition=deployed.name,
             version=deployed.version,
             key=key,

@@ -34,14 +34,18 @@ class ProcessControl:
         *,
         version: int | None = None,
         key: str | None = None,
+        request: str | None = None,
     ) -> tuple[str, bool]:
-        """Start a process; return its id, and False if `key` had started it before.
+        """Start a process; return its id, and False if `key` or `request` had started it before.
 
         Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it or its form.
         """
         state, registry = self._state, self._state.registry
         if key is not None and (known := await state.on_disk(state.store.by_key, key)) is not None:
             return known.id, False
+        process_id = None if request is None else f"{definition}-{request}"
+        if process_id is not None and await state.on_disk(state.store.processes, [process_id]):
+            return process_id, False
         check_variables(parameters)
         with suppress(Problem):  # a process that `key` started meanwhile is returned, whatever its definition
             await registry.prepare(registry.record(definition, version))
@@ -50,11 +54,13 @@ class ProcessControl:
             earlier = None if key is None else state.active_processes.with_key(key)
             if earlier is not None:
                 return earlier.record.id, False
+            if process_id is not None and process_id in state.active_processes.processes:
+                return process_id, False
             deployed = registry.record(definition, version)
             plan = registry.plan_of(deployed)
             form = FormOfStart(plan.definition, state.allocator.forms, deployed.deployed_at, state.clock())
             variables = form.arguments(parameters)
-            return state.start(step, deployed, variables, key=key), True
+            return state.start(step, deployed, variables, key=key, process_id=process_id), True
 
         return await self._writer.apply(act)
 

@@ -57,14 +57,14 @@ def add_processes(app: FastAPI, at: Components) -> None:
     )
     @max_body(MAX_PARAMETERS_BYTES)
     async def start(body: ProcessStart, connection: Request) -> JSONResponse:
-        """Start a process: 201, or 200 if the same key has started it before."""
+        """Start a process: 201, or 200 if the same key or request has started it before."""
         at.guard.require(
             await authenticated(connection),
             Permission.RUN_PROCESSES,
             definition_id(registry, body.definition, body.version),
         )
         process_id, created = await orchestrator.processes.start(
-            body.definition, body.parameters, version=body.version, key=body.key
+            body.definition, body.parameters, version=body.version, key=body.key, request=body.request
         )
         view = await shown_after_change(process_content(at, process_id))
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})

@@ -335,6 +335,19 @@ async def test_the_same_key_never_starts_a_second_process(
     assert (await api.post("/processes", json=order)).json()["status"] == "completed"
 
 
+async def test_the_same_request_never_starts_a_second_process_and_is_no_business_key(
+    joined: httpx.AsyncClient,
+) -> None:
+    await deployed(joined)
+    body = {"definition": "p", "request": "0123456789ab"}
+    answers = await asyncio.gather(*(joined.post("/processes", json=body) for _ in range(4)))
+    assert sorted(each.status_code for each in answers) == [200, 200, 200, 201]
+    assert {each.json()["id"] for each in answers} == {"p-0123456789ab"}
+    assert answers[0].json()["key"] is None
+    await joined.post("/processes/p-0123456789ab/cancel")
+    assert (await joined.post("/processes", json=body)).status_code == 200
+
+
 @pytest.mark.parametrize(
     ("body", "status", "detail"),
     [

@@ -3,8 +3,8 @@ import type { LiveEvent } from "~/live/messages";
 import type { CancelRequest, MendRequest, MigrationOfAllRequest, MigrationOfAllView, MigrationRequest, MigrationView, MoveRequest, PausedProcesses, PauseRequest, ProcessStart, ProcessView } from "./generated/task-orchestrator";
 import { request, requestService, type ProblemDetails } from "./http";
 
-export function startProcess(definition: string, parameters: Record<string, unknown> = {}, key?: string): Promise<ProcessView> {
-  const json: ProcessStart = { definition, parameters, ...(key === undefined ? {} : { key }) };
+export function startProcess(definition: string, parameters: Record<string, unknown> = {}, more: Partial<ProcessStart> = {}): Promise<ProcessView> {
+  const json: ProcessStart = { definition, parameters, ...more };
   return requestService("task-orchestrator", "processes", { method: "POST", json });
 }
 

@@ -23,14 +23,21 @@ export function nameOf(task: Pick<TaskView, "name" | "element">): string {
   return task.name === "" ? task.element : task.name;
 }
 
+const MADE_BY_PAGE = /^[lm][0-9a-z]{7}-[0-9a-z]{7,8}$|^\S+ by \S+ after \S+$/;
+
+/** The business key of a process; null without one, and for the random keys that earlier versions of this page have made. */
+export function businessKey({ key }: Pick<ProcessView, "key">): string | null {
+  return key === null || MADE_BY_PAGE.test(key) ? null : key;
+}
+
 /** The title of a process with its business key: "Bin picking · order 7"; without a key, with its id. */
 export function fullName(process: Pick<ProcessView, "id" | "key" | "title">): string {
-  return process.key === null ? `${process.title} · ${process.id.slice(process.id.lastIndexOf("-") + 1)}` : `${process.title} · ${process.key}`;
+  return `${process.title} · ${businessKey(process) ?? process.id.slice(process.id.lastIndexOf("-") + 1)}`;
 }
 
 /** Identifies a process of its definition: the business key, else the time of its start. */
 export function markOf(process: Pick<ProcessView, "key" | "startedAt">, language: string): string {
-  return process.key ?? exactTime(process.startedAt, language);
+  return businessKey(process) ?? exactTime(process.startedAt, language);
 }
 
 /** A Task within its process, short enough for a URL: "pick-2" is the second visit to `pick`. */

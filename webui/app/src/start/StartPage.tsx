@@ -19,6 +19,7 @@ import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import { processState } from "~/live/processState";
 import { pathOf } from "~/processes/address";
+import { businessKey } from "~/processes/names";
 import { FirstSteps } from "./FirstSteps";
 import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
 import "./StartPage.css";
@@ -220,7 +221,7 @@ function ProcessName({ process }: { process: ProcessView }) {
   const { i18n } = useTranslation();
   return (
     <Link href={pathOf({ kind: "process", id: process.id })} title={exactTime(process.startedAt, i18n.language)}>
-      {process.key === null ? process.title : `${process.title} · ${process.key}`}
+      {businessKey(process) === null ? process.title : `${process.title} · ${businessKey(process) ?? ""}`}
     </Link>
   );
 }

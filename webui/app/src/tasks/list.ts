@@ -2,6 +2,7 @@
 import type { ProcessView } from "~/api/generated/task-orchestrator";
 import type { TasklistView } from "~/live/messages";
 import { shortName } from "~/live/urn";
+import { businessKey } from "~/processes/names";
 
 export const VIEWS = ["all", "mine", "groups", "free"] as const;
 export type View = (typeof VIEWS)[number];
@@ -23,7 +24,7 @@ export interface ListedTask {
 }
 
 export function listedTasks(tasks: readonly TasklistView[], processes: readonly ProcessView[]): ListedTask[] {
-  const names = new Map(processes.map((process) => [process.id, process.key ?? process.title]));
+  const names = new Map(processes.map((process) => [process.id, businessKey(process) ?? process.title]));
   return tasks.map((task) => ({ task, processName: names.get(task.process) ?? null }));
 }
 

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { GloveView } from "~/live/messages";
-import { startKey, waitAfter, waiting, type Wait } from "./confirmation";
+import { startRequest, waitAfter, waiting, type Wait } from "./confirmation";
 import { glove, task } from "./scene.fixture";
 
 const open = glove({ states: "00000" });
@@ -43,8 +43,9 @@ describe("a hold that starts a process", () => {
   });
 
   it("has one key for all screens of a glove, and another after each process", () => {
-    expect(startKey("glove-1", "bin-picking", "p-1")).toBe(startKey("glove-1", "bin-picking", "p-1"));
-    expect(startKey("glove-1", "bin-picking", "p-1")).not.toBe(startKey("glove-1", "bin-picking", "p-2"));
-    expect(startKey("glove-1", "bin-picking", null)).not.toBe(startKey("glove-2", "bin-picking", null));
+    expect(startRequest("glove-1", "bin-picking", "p-1")).toBe(startRequest("glove-1", "bin-picking", "p-1"));
+    expect(startRequest("glove-1", "bin-picking", "p-1")).not.toBe(startRequest("glove-1", "bin-picking", "p-2"));
+    expect(startRequest("glove-1", "bin-picking", null)).toMatch(/^[0-9a-f]{12}$/);
+    expect(startRequest("glove-1", "bin-picking", null)).not.toBe(startRequest("glove-2", "bin-picking", null));
   });
 });

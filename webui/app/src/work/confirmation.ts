@@ -33,9 +33,17 @@ export function showsStart(glove: GloveView, code: string = startCode): boolean 
 }
 
 /**
-* Return the idempotency key of a manual start: the same for every screen of this glove until a
-* process has started, so that two screens start one process.
+ * The number of the request of a manual start: the same for every screen of this glove until a process has
+ * started, so that two screens start one process.
  */
-export function startKey(glove: string, definition: string, after: string | null): string {
-  return `${definition} by ${glove} after ${after ?? "nothing"}`.slice(0, 200);
+export function startRequest(glove: string, definition: string, after: string | null): string {
+  const words = JSON.stringify([definition, glove, after]);
+  return [0, 1].map((turn) => hashed(words, turn)).join("").slice(0, 12);
+}
+
+/** FNV-1a of 32 bits, as 8 hexadecimal digits. */
+function hashed(words: string, turn: number): string {
+  let hash = 0x811c9dc5 ^ turn;
+  for (let index = 0; index < words.length; index += 1) hash = Math.imul(hash ^ words.charCodeAt(index), 0x01000193);
+  return (hash >>> 0).toString(16).padStart(8, "0");
 }

@@ -5,7 +5,7 @@ import type { DefinitionView } from "~/api/generated/task-orchestrator";
 import type { Outcome } from "~/live/messages";
 import { mayDo } from "~/session/session";
 import { answerByHand, endTesting, pauseGlove, requestStatus, resumeGlove } from "./actions";
-import { startKey } from "./confirmation";
+import { startRequest } from "./confirmation";
 import { latest, parametersFor, type Scene, type Situation } from "./situation";
 import type { ActionState } from "./useAction";
 
@@ -36,8 +36,8 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
 
   function startWith(glove: string) {
     return (definition: DefinitionView) => {
-      const key = startKey(glove, definition.name, latest(scene.processes)?.id ?? null);
-      perform(() => startProcess(definition.name, parametersFor(definition, glove), key));
+      const request = startRequest(glove, definition.name, latest(scene.processes)?.id ?? null);
+      perform(() => startProcess(definition.name, parametersFor(definition, glove), { request }));
     };
   }
 

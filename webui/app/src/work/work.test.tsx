@@ -8,6 +8,7 @@ import type { GloveView } from "~/live/messages";
 import { LiveStore } from "~/live/store";
 import { setUserName } from "~/shell/userName";
 import { incident } from "~/testing/views";
+import { startRequest } from "./confirmation";
 import { completed, definition, failed, glove, process, robot, robotTask, service, stopped, task, userTask } from "./scene.fixture";
 import WorkPage from "./WorkPage";
 
@@ -173,7 +174,7 @@ describe("the operator's page", () => {
     expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
   });
 
-  it("starts a process once when the hand is held to the end, with a key that all screens share", async () => {
+  it("starts a process once when the hand is held to the end, with a request that all screens share", async () => {
     const sent: unknown[] = [];
     vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
       sent.push([url, JSON.parse(body)]);
@@ -190,7 +191,7 @@ describe("the operator's page", () => {
       });
     }
     expect(sent).toEqual([
-      ["/api/task-orchestrator/processes", { definition: "bin-picking", parameters: {}, key: "bin-picking by glove-1 after bin-picking-1" }],
+      ["/api/task-orchestrator/processes", { definition: "bin-picking", parameters: {}, request: startRequest("glove-1", "bin-picking", "bin-picking-1") }],
     ]);
   });
 

@@ -577,6 +577,7 @@ export interface ProcessStart {
   version?: number | null;
   parameters?: Record<string, unknown>;
   key?: string | null;
+  request?: string | null;
 }
 
 /** A process as an element of a list; `retry` is the first failed Task among the incidents. */

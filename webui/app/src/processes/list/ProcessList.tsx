@@ -19,7 +19,7 @@ import { shortName } from "~/live/urn";
 import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
-import { markOf } from "../names";
+import { businessKey, markOf } from "../names";
 import { PaceButton } from "../pause/PaceButton";
 import { useHistory } from "./history";
 import { activityOf, found, foundDefinitions, held, sameSections, SORT_ORDERS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
@@ -161,7 +161,7 @@ function Process({ row }: { row: ProcessRow }) {
   const state = processState(row);
   return (
     <>
-      <span className="process-list__title">{row.key ?? row.title}</span>
+      <span className="process-list__title">{businessKey(row) ?? row.title}</span>
       <span className="process-list__more">
         <StatusBadge tone={processTone[state]}>{t(`common:processStatus.${state}`)}</StatusBadge>
         <span className="process-list__time quiet">
@@ -169,7 +169,7 @@ function Process({ row }: { row: ProcessRow }) {
         </span>
       </span>
       <span className="process-list__where quiet">
-        {[row.key === null ? markOf(row, i18n.language) : row.title, activity || null].filter(Boolean).join(" · ")}
+        {[businessKey(row) === null ? markOf(row, i18n.language) : row.title, activity || null].filter(Boolean).join(" · ")}
       </span>
     </>
   );

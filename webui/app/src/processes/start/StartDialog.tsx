@@ -32,7 +32,8 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
   const parameters = definition.parameters.filter((parameter) => !paths.has(parameter.name));
   const [faults, setFaults] = useState<Record<string, string>>({});
   // The same press twice, or an answer lost on the way, never starts two.
-  const [key] = useState(() => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 10)}`);
+  const [sent] = useState(() => [...crypto.getRandomValues(new Uint8Array(6))].map((byte) => byte.toString(16).padStart(2, "0")).join(""));
+  const [key, setKey] = useState("");
 
   const start = async () => {
     const filled = filledIn(parameters, typed);
@@ -44,7 +45,7 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
     setFaults(found);
     if (Object.keys(found).length > 0) throw new Error(t("start.mend"));
     try {
-      onStarted(await begun(definition.name, version, { ...filled.values, ...result.values }, key));
+      onStarted(await begun(definition.name, version, { ...filled.values, ...result.values }, { request: sent, ...(key.trim() === "" ? {} : { key: key.trim() }) }));
     } catch (error) {
       const refused = faultsOf(error);
       if (Object.keys(refused).length > 0) setFaults(refused);
@@ -59,6 +60,7 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
       {version !== null && <p className="quiet">{t("start.older", { version })}</p>}
       {form?.id != null && form.version === null && <p className="quiet">{ofForm("formMissing", { form: form.id })}</p>}
       <FormFields fields={fields} draft={entries} faults={faults} onChange={(path, entry) => setEntries((before) => ({ ...before, [path]: entry }))} />
+      <Field label={t("start.key")} hint={t("start.keyHint")} value={key} onChange={setKey} maxLength={200} />
       {parameters.length === 0 && fields.length === 0 && <p className="quiet">{t("start.noParameters")}</p>}
       {parameters.map((parameter) => (
         <ParameterField
@@ -137,8 +139,6 @@ function ParameterField({ parameter, text, error, onChange }: ParameterFieldProp
   );
 }
 
-function begun(name: string, version: number | null, values: Record<string, unknown>, key: string): Promise<ProcessView> {
-  if (version === null) return startProcess(name, values, key);
-  const json: ProcessStart = { definition: name, version, parameters: values, key };
-  return requestService("task-orchestrator", "processes", { method: "POST", json });
+function begun(name: string, version: number | null, values: Record<string, unknown>, more: Partial<ProcessStart>): Promise<ProcessView> {
+  return startProcess(name, values, version === null ? more : { ...more, version });
 }
