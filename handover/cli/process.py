@@ -96,7 +96,8 @@ def list_processes(
         print_json({"definitions": definitions, "processes": processes})
         return
     for definition in definitions:
-        print(f"definition  {definition['name']:<24} version {definition['version']}")
+        held = ", ".join(hold["kind"] for hold in definition["holds"])
+        print(f"definition  {definition['name']:<24} version {definition['version']}  {held}".rstrip())
     for process in processes:
         waits = f", waits at {', '.join(process['waiting'])}" if process["waiting"] else ""
         of = f"{process['definition']} version {process['version']}"
@@ -297,6 +298,33 @@ def _pause(what: str, by: str, process: str | None, definition: str | None, why:
     query = {} if definition is None else {"definition": definition}
     answer = ask("POST", f"/{what}", json=body, params=query)
     print("\n".join(answer["processes"]) or "no process runs")
+
+
+@app.command()
+def suspend(
+    by: By, definition: Annotated[str, typer.Argument(help="The definition.")], why: Why = None
+) -> None:
+    """Let no process of a definition start; those that run continue."""
+    ask("POST", f"/definitions/{definition}/suspend", json={"by": by, "why": why})
+    print(f"{definition} is suspended")
+
+
+@app.command()
+def activate(
+    by: By, definition: Annotated[str, typer.Argument(help="The definition.")], why: Why = None
+) -> None:
+    """Let processes of a suspended definition start again."""
+    ask("POST", f"/definitions/{definition}/activate", json={"by": by, "why": why})
+    print(f"{definition} is active")
+
+
+@app.command()
+def delete(
+    by: By, definition: Annotated[str, typer.Argument(help="The definition.")], why: Why = None
+) -> None:
+    """Delete a definition with all versions, if no process of it runs."""
+    ask("DELETE", f"/definitions/{definition}", params={"by": by, **({"why": why} if why else {})})
+    print(f"{definition} is deleted")
 
 
 @app.command()

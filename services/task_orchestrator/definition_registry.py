@@ -13,9 +13,15 @@ from handover.messages import message, text_of
 from services.task_orchestrator.entities import definition_entities
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.state import Library, RunFailed
+from services.task_orchestrator.languages.base import quote_names
 from services.task_orchestrator.model import Definition, Fault
 from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.records import DefinitionRecord
+from services.task_orchestrator.records import (
+    EVERY_DEFINITION,
+    DefinitionHold,
+    DefinitionRecord,
+    HoldKind,
+)
 from services.task_orchestrator.settings import OrchestratorSettings
 
 
@@ -48,6 +54,8 @@ class DefinitionRegistry(Library):
         self._settings = settings
         self._records: dict[str, list[DefinitionRecord]] = {}
         self._plans: dict[tuple[str, int], Plan] = {}
+        self.holds: dict[tuple[str, HoldKind], DefinitionHold] = {}
+        """What is withheld from definitions."""
 
     def add(self, records: Iterable[DefinitionRecord]) -> None:
         """Add `records`, in the order of their versions."""
@@ -55,14 +63,41 @@ class DefinitionRegistry(Library):
             self._records.setdefault(record.name, []).append(record)
 
     def latest(self) -> list[DefinitionRecord]:
-        """Return the latest version of each definition."""
-        return [self._records[name][-1] for name in sorted(self._records)]
+        """Return the latest version of each definition that is not deleted."""
+        return [self._records[name][-1] for name in sorted(self._records) if not self._is_deleted(name)]
+
+    def holds_of(self, name: str) -> list[DefinitionHold]:
+        """Return what is withheld from a definition, or from every one."""
+        keys = ((each, kind) for each in (name, EVERY_DEFINITION) for kind in HoldKind)
+        return [self.holds[key] for key in keys if key in self.holds]
+
+    def is_startable(self, name: str) -> bool:
+        """Return whether processes of a definition may start: it is neither suspended nor deleted."""
+        return all(hold.kind is HoldKind.PAUSED for hold in self.holds_of(name))
+
+    def require_startable(self, name: str) -> None:
+        """Raise `Problem` 409 if no process of a definition may start."""
+        hold = next((each for each in self.holds_of(name) if each.kind is not HoldKind.PAUSED), None)
+        if hold is not None:
+            raise Problem(
+                409,
+                "Definition is suspended",
+                message(
+                    "process.definition_suspended",
+                    'no process of "{name}" starts: {by} has suspended or deleted it; activate or deploy it',
+                    name=name,
+                    by=hold.by,
+                ),
+            )
+
+    def _is_deleted(self, name: str) -> bool:
+        return (name, HoldKind.DELETED) in self.holds
 
     def record(self, name: str, version: int | None = None) -> DefinitionRecord:
         """Return a version of a definition, by default the latest; raise `Problem` 404 if there is none."""
         versions = self._records.get(name)
-        if not versions:
-            known = ", ".join(sorted(self._records)) or "none yet"
+        if not versions or (version is None and self._is_deleted(name)):
+            known = quote_names(record.name for record in self.latest())
             raise Problem(
                 404,
                 "No such definition",
@@ -108,6 +143,10 @@ class DefinitionRegistry(Library):
 
     def find(self, name: str, version: int | None, tag: str | None) -> Plan:
         """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
+        try:
+            self.require_startable(name)
+        except Problem as problem:
+            raise RunFailed(text_of(problem)) from problem
         if tag is None:
             try:
                 return self.plan_of(self.record(name, version))
@@ -156,8 +195,9 @@ class DefinitionRegistry(Library):
             *(r for r in beside if r.name == definition.name),
         ]
         digest = _digest(definition.xml)
+        is_new = self._is_deleted(definition.name) and not only_if_never_seen
         for record in versions if only_if_never_seen else versions[-1:]:
-            if record.digest == digest:
+            if record.digest == digest and not is_new:
                 return record, False
         record = DefinitionRecord(
             name=definition.name,

@@ -96,9 +96,8 @@ class EntityDelivery:
 
     def add_definition(self, definition: Definition) -> None:
         """Take the filters and the start events of the latest version of a definition."""
+        self.remove_definition(definition.name)
         self._definitions[definition.name] = definition
-        for key, starts in list(self._starts.items()):
-            self._starts[key] = [each for each in starts if each.definition.name != definition.name]
         for node in definition.scope.nodes.values():
             on = entity_filter(node)
             if node.kind is not Kind.START_EVENT or on is None:
@@ -112,6 +111,12 @@ class EntityDelivery:
                 event if isinstance(event, ConditionalEvent) else None,
             )
             self._starts.setdefault(on.key, []).append(start)
+
+    def remove_definition(self, name: str) -> None:
+        """Remove the filters and start events of a definition."""
+        self._definitions.pop(name, None)
+        for key, starts in list(self._starts.items()):
+            self._starts[key] = [each for each in starts if each.definition.name != name]
 
     def user_of(self, key: str) -> tuple[str, str]:
         """Return the ProcessDefinition that uses a filter, and the name of the event as it is drawn."""

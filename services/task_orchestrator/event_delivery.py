@@ -4,7 +4,7 @@ A message that nobody waits for is stored until somebody does, or until it expir
 """
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime, timedelta
 from typing import Any, Protocol
 
@@ -53,8 +53,15 @@ class ProcessStarter(Protocol):
 class EventDelivery:
     """The messages that wait, the processes and start events that wait for messages and signals."""
 
-    def __init__(self, processes: Mapping[str, Process], start: ProcessStarter, ttl_s: float) -> None:
+    def __init__(
+        self,
+        processes: Mapping[str, Process],
+        start: ProcessStarter,
+        ttl_s: float,
+        is_startable: Callable[[str], bool],
+    ) -> None:
         self._processes = processes
+        self._is_startable = is_startable
         self._start = start
         self._ttl = timedelta(seconds=ttl_s)
         self._starts: dict[Name, dict[str, EventStart]] = {}
@@ -66,10 +73,27 @@ class EventDelivery:
 
     def add_definition(self, definition: Definition) -> None:
         """Take the start events of the latest version of a definition."""
-        for starts in self._starts.values():
-            starts.pop(definition.name, None)
+        self.remove_definition(definition.name)
         for name, start in event_starts(definition):
             self._starts.setdefault(name, {})[definition.name] = start
+
+    def remove_definition(self, definition: str) -> None:
+        """Remove the start events of a definition."""
+        for starts in self._starts.values():
+            starts.pop(definition, None)
+
+    def start_stored(self, step: Step, definition: str) -> None:
+        """Bring the stored messages that a definition could not take while it was suspended to its starts."""
+        names = [
+            name
+            for (type_, name), starts in self._starts.items()
+            if type_ is WaitType.MESSAGE and definition in starts
+        ]
+        for record in self.stored.named(names):
+            if record.process is None and record.id not in step.messages_taken:
+                step.messages_taken.add(record.id)
+                start = self._starts[WaitType.MESSAGE, record.name][definition]
+                self._start(step, start, record.variables, partner=record.sender)
 
     def add_process(self, process: Process) -> None:
         """Index a process that was loaded from the database."""
@@ -122,6 +146,8 @@ class EventDelivery:
             receiver.process.deliver(receiver.subscription.wait, variables, step, now)
             reached[receiver.process.record.id] = None
         for start in list(self._starts.get((WaitType.SIGNAL, name), {}).values()):
+            if not self._is_startable(start.definition):
+                continue
             try:
                 reached[self._start(step, start, variables, partner=None)] = None
             except Problem as problem:
@@ -214,7 +240,7 @@ class EventDelivery:
             process.deliver(found[0].subscription.wait, record.variables, step, now)
             return MessageOutcome.DELIVERED, process.record.id
         starts = self._starts.get((WaitType.MESSAGE, record.name), {}) if record.process is None else {}
-        for start in starts.values():
+        for start in (each for each in starts.values() if self._is_startable(each.definition)):
             started = self._start(step, start, record.variables, partner=record.sender)
             return MessageOutcome.STARTED, started
         if record.expires_at <= now:

@@ -12,6 +12,7 @@ from handover.telemetry import get_logger
 from services.task_orchestrator.cell_presence import CellPresence
 from services.task_orchestrator.operations.archiving import Archiving
 from services.task_orchestrator.operations.broker_changes import BrokerChanges
+from services.task_orchestrator.operations.definition_holds import DefinitionHolds
 from services.task_orchestrator.operations.deployments import Deployments
 from services.task_orchestrator.operations.device_leases import DeviceLeases
 from services.task_orchestrator.operations.due_timers import DueTimers
@@ -50,6 +51,7 @@ class Orchestrator:
         self.outbox = Outbox(settings, broker, self._on_rejected, may_deliver=self.cell.wait)
         self.writer = StepWriter(self.state, self.outbox)
         self.deployments = Deployments(self.state, self.writer)
+        self.holds = DefinitionHolds(self.state, self.writer)
         self.processes = ProcessControl(self.state, self.writer)
         self.broker_changes = BrokerChanges(self.state, self.writer)
         self.tasklist = Tasklist(self.state, self.writer, self.broker_changes, broker)

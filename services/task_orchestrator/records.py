@@ -37,6 +37,33 @@ class DefinitionRecord:
     """Whether its start events and filters of entities are needed at start-up; else it is read when used."""
 
 
+class HoldKind(StrEnum):
+    """What is withheld from a definition."""
+
+    PAUSED = "paused"
+    """Its timer start events wait."""
+    SUSPENDED = "suspended"
+    """No process of it starts, by whatever means."""
+    DELETED = "deleted"
+    """Likewise, and it is not listed; processes of it that have ended can be read."""
+
+
+EVERY_DEFINITION = "*"
+"""The name under which all definitions are paused."""
+
+
+@dataclass(frozen=True, slots=True)
+class DefinitionHold:
+    """That a definition is paused, suspended or deleted, with the person who has decided it."""
+
+    definition: str
+    kind: HoldKind
+    by: str
+    why: str | None
+    at: datetime
+    verified: bool = False
+
+
 class OfferStatus(StrEnum):
     """What has become of an offer."""
 
@@ -490,6 +517,8 @@ class Step:
     offer_files: dict[str, bytes] = field(default_factory=dict)
     """BPMN files of offers."""
     offers_deleted: set[str] = field(default_factory=set)
+    holds: dict[tuple[str, HoldKind], DefinitionHold | None] = field(default_factory=dict)
+    """Holds of definitions that begin; None: that end."""
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
     tally: Tally = field(default_factory=Tally)
@@ -523,6 +552,7 @@ class Step:
             or self.messages_taken
             or self.start_timers
             or self.entities_seen
+            or self.holds
             or self.offers
             or self.offers_deleted
             or self.requests

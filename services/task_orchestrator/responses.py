@@ -13,7 +13,13 @@ from typing_extensions import TypedDict
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.allocation.mapping import NameKind
-from services.task_orchestrator.records import ActKind, MessageOutcome, OfferStatus, ReservationState
+from services.task_orchestrator.records import (
+    ActKind,
+    HoldKind,
+    MessageOutcome,
+    OfferStatus,
+    ReservationState,
+)
 
 
 def json_response(content: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Response:
@@ -29,6 +35,16 @@ class DefinitionParameter(TypedDict):
     default: Any
 
 
+class DefinitionHoldView(TypedDict):
+    """That a definition is paused (its start timers wait) or suspended (no process of it starts)."""
+
+    kind: HoldKind
+    by: str
+    why: str | None
+    at: str
+    verified: bool
+
+
 class DefinitionView(TypedDict):
     """A version of a definition; `unusable` is the reason why this release cannot run it."""
 
@@ -38,6 +54,7 @@ class DefinitionView(TypedDict):
     title: str
     deployedAt: str
     parameters: list[DefinitionParameter]
+    holds: list[DefinitionHoldView]
     unusable: NotRequired[str]
 
 

@@ -168,6 +168,10 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> D
         "title": record.title,
         "deployedAt": iso(record.deployed_at),
         "parameters": [],
+        "holds": [
+            {"kind": hold.kind, "by": hold.by, "why": hold.why, "at": iso(hold.at), "verified": hold.verified}
+            for hold in registry.holds_of(record.name)
+        ],
     }
     try:
         definition = registry.plan_of(record).definition

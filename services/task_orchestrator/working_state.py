@@ -25,7 +25,14 @@ from services.task_orchestrator.event_delivery import EventDelivery
 from services.task_orchestrator.model import Definition
 from services.task_orchestrator.offer_rules import Offers
 from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import DefinitionRecord, ProcessRecord, StartTimer, Step
+from services.task_orchestrator.records import (
+    DefinitionHold,
+    DefinitionRecord,
+    HoldKind,
+    ProcessRecord,
+    StartTimer,
+    Step,
+)
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.store import Store
 from services.task_orchestrator.stored_messages import StoredMessages
@@ -63,7 +70,10 @@ class WorkingState:
         self.offers = Offers()
         self.active_processes = ActiveProcesses(settings, self.registry, store, on_disk, self.allocator)
         self.events = EventDelivery(
-            self.active_processes.processes, self.start_by_event, settings.message_ttl_s
+            self.active_processes.processes,
+            self.start_by_event,
+            settings.message_ttl_s,
+            self.registry.is_startable,
         )
         self.entities = EntityDelivery(
             settings, self.active_processes.processes, self.events, self.start_by_event
@@ -78,6 +88,8 @@ class WorkingState:
         """Load everything from the database."""
         await self.on_disk(self.store.migrate)
         self.registry.add(await self.on_disk(self.store.definitions))
+        holds: list[DefinitionHold] = await self.on_disk(self.store.definition_holds)
+        self.registry.holds = {(each.definition, each.kind): each for each in holds}
         self.allocator.forms.add(await self.on_disk(self.store.forms))
         table: MappingTable | None = await self.on_disk(self.store.mapping)
         if table is not None:
@@ -113,6 +125,7 @@ class WorkingState:
         results: Mapping[str, Any] | None = None,
     ) -> str:
         """Start a process in a step and return its id; raise `Problem` if that is impossible."""
+        self.registry.require_startable(deployed.name)
         now = self.clock()
         record = ProcessRecord(
             id=process_id or f"{deployed.name}-{secrets.token_hex(6)}",
@@ -194,6 +207,7 @@ class WorkingState:
 
     def apply(self, step: Step) -> None:
         """Take over what a step has written to the database."""
+        self._apply_holds(step)
         self._add_definitions(step.definitions)
         for table in step.mappings:
             self.allocator.rules.mapping = table
@@ -208,6 +222,17 @@ class WorkingState:
             self.on_entity_waits()
         self.start_timers |= step.start_timers
         self.due_changed.set()
+
+    def _apply_holds(self, step: Step) -> None:
+        for (definition, kind), hold in step.holds.items():
+            if hold is None:
+                self.registry.holds.pop((definition, kind), None)
+                continue
+            self.registry.holds[definition, kind] = hold
+            if kind is HoldKind.DELETED:
+                self.events.remove_definition(definition)
+                self.entities.remove_definition(definition)
+                self.on_entity_waits()
 
     def _allocate_waiting(self, step: Step) -> None:
         """Try again to find performers for waiting activities, if agents or their Tasks have changed."""

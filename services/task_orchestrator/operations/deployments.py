@@ -17,7 +17,7 @@ from services.task_orchestrator.forms.form_js import FormFile, read_form
 from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.notation.faults import as_json
 from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
-from services.task_orchestrator.records import MessageKind, Step
+from services.task_orchestrator.records import HoldKind, MessageKind, Step
 from services.task_orchestrator.start_timers import start_timers
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
@@ -171,6 +171,7 @@ def deploy_into(
         if created:
             registry.keep(Plan(definition, record.version))
             step.definitions.append(record)
+            step.holds[record.name, HoldKind.DELETED] = None
             step.start_timers[record.name] = start_timers(definition, now)
             entities = registry.entities(record)
             if entities:

@@ -28,7 +28,12 @@ class DueTimers:
     def next_due(self) -> datetime | None:
         """Return when the next timer is due, or a stored message expires."""
         state = self._state
-        starts = (timer.due for timers in state.start_timers.values() for timer in timers)
+        starts = (
+            timer.due
+            for definition, timers in state.start_timers.items()
+            if not state.registry.holds_of(definition)
+            for timer in timers
+        )
         moments = (state.active_processes.next_due(), state.events.next_expiry(), *starts)
         return min((moment for moment in moments if moment is not None), default=None)
 
@@ -51,9 +56,9 @@ class DueTimers:
             active_processes.postpone(process_id, now + timedelta(seconds=RETRY_TICK_AFTER_S))
 
     def _start_processes(self, step: Step, now: datetime) -> None:
-        """Start the processes whose timer start events are due."""
+        """Start the processes whose timer start events are due; those of a paused definition wait."""
         for definition, timers in self._state.start_timers.items():
-            if all(timer.due > now for timer in timers):
+            if self._state.registry.holds_of(definition) or all(timer.due > now for timer in timers):
                 continue
             kept = []
             for timer in timers:

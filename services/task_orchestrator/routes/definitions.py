@@ -1,10 +1,14 @@
 """Routes: deploy, check and read definitions."""
 
-from fastapi import FastAPI, Request, Response
+from typing import Annotated
+
+from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
+from handover.database_outage import shown_after_change
 from handover.messages import message
+from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.service import XML_TYPES, accepts
@@ -14,7 +18,7 @@ from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
 from services.task_orchestrator.operations.start_forms import FormOfStart
 from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.requests import FormData
+from services.task_orchestrator.requests import FormData, Name, PauseRequest
 from services.task_orchestrator.responses import (
     DefinitionView,
     DefinitionWithActivities,
@@ -23,7 +27,7 @@ from services.task_orchestrator.responses import (
     VersionStatistics,
     json_response,
 )
-from services.task_orchestrator.routes.resources import of_definition
+from services.task_orchestrator.routes.resources import acting_name, of_definition
 from services.task_orchestrator.tasklist_responses import TaskForm
 from services.task_orchestrator.tasklist_views import form_view
 from services.task_orchestrator.views import (
@@ -102,6 +106,45 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         view = {"activities": activity_views(read), "allocation": allocation}
         return json_response({**definition_view(registry, record), **view})
 
+    @app.post(
+        "/definitions/{name}/suspend",
+        tags=["definitions"],
+        responses={200: {"model": DefinitionView}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_definition(registry))],
+    )
+    @lowers()
+    async def suspend(name: str, body: PauseRequest) -> Response:
+        """Suspend a definition: no process of it starts, those that run continue."""
+        await orchestrator.holds.suspend(name, acting_name(body.by), body.why)
+        return json_response(await shown_after_change(_view(orchestrator, name)))
+
+    @app.post(
+        "/definitions/{name}/activate",
+        tags=["definitions"],
+        responses={200: {"model": DefinitionView}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_definition(registry))],
+    )
+    async def activate(name: str, body: PauseRequest) -> Response:  # noqa: ARG001 - for the audit log
+        """Let processes of a suspended definition start again; messages that wait for it start some."""
+        await orchestrator.holds.activate(name)
+        return json_response(await shown_after_change(_view(orchestrator, name)))
+
+    @app.delete(
+        "/definitions/{name}",
+        status_code=204,
+        tags=["definitions"],
+        dependencies=[require(Permission.DEPLOY_PROCESSES, of_definition(registry))],
+    )
+    async def delete(
+        name: str, by: Name, why: Annotated[str | None, Query(max_length=1000)] = None
+    ) -> Response:
+        """Delete a definition with all versions: 409 while processes of it run.
+
+        Processes of it that have ended can be read as before. A deployment of its file makes a new version.
+        """
+        await orchestrator.holds.delete(name, acting_name(by), why)
+        return Response(status_code=204)
+
     @app.get(
         "/definitions/{name}/statistics",
         tags=["definitions"],
@@ -140,6 +183,13 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def bpmn(name: str, version: int | None = None) -> Response:
         """Return the BPMN file as it was deployed."""
         return Response(registry.record(name, version).xml, media_type="application/xml")
+
+
+async def _view(orchestrator: Orchestrator, name: str) -> DefinitionView:
+    registry = orchestrator.state.registry
+    record = registry.record(name)
+    await registry.prepare(record)
+    return definition_view(registry, record)
 
 
 async def _body(request: Request) -> bytes:

@@ -62,7 +62,11 @@ def add_pausing(app: FastAPI, at: Components) -> None:
     )
     @lowers()
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
-        """Pause all running processes, or those of a definition. Processes can still be started."""
+        """Pause all running processes and timer start events, or those of a definition.
+
+        Processes can still be started by a request, a message, a signal or an entity.
+        """
+        await orchestrator.holds.pause_starts(definition, acting_name(body.by), body.why)
         paused = await orchestrator.processes.pause_all(
             ActKind.PAUSE, by=acting_name(body.by), why=body.why, definition=definition
         )
@@ -75,7 +79,8 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
     )
     async def resume_all(body: PauseRequest, definition: str | None = None) -> Response:
-        """Continue all paused processes, or those of a definition."""
+        """Continue all paused processes and timer start events, or those of a definition."""
+        await orchestrator.holds.resume_starts(definition)
         resumed = await orchestrator.processes.pause_all(
             ActKind.RESUME, by=acting_name(body.by), why=body.why, definition=definition
         )

@@ -18,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 _meta = MetaData()
 definitions = Table(
@@ -33,6 +33,16 @@ definitions = Table(
     Column("deployed_at", String(40), nullable=False),
     Column("is_event_driven", Boolean, nullable=False),
     Column("source", Text),
+)
+definition_holds = Table(
+    "orchestrator_definition_holds",
+    _meta,
+    Column("definition", String(64), primary_key=True),
+    Column("kind", String(10), primary_key=True),
+    Column("by", String(200), nullable=False),
+    Column("why", Text),
+    Column("at", String(40), nullable=False),
+    Column("verified", Boolean, nullable=False),
 )
 processes = Table(
     "orchestrator_processes",
@@ -265,7 +275,7 @@ def migrate(engine: Engine) -> None:
         _meta,
         component="orchestrator",
         version=SCHEMA_VERSION,
-        steps={1: _add_verified, 2: _add_addressee},
+        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds},
     )
 
 
@@ -278,3 +288,8 @@ def _add_verified(connection: Connection) -> None:
 def _add_addressee(connection: Connection) -> None:
     """Add the process for which a stored message is; it is null, which is any, for what was stored before."""
     connection.exec_driver_sql(f"ALTER TABLE {messages.name} ADD COLUMN process VARCHAR(100)")
+
+
+def _add_holds(connection: Connection) -> None:
+    """Add the table of paused, suspended and deleted definitions; none is."""
+    definition_holds.create(connection)

@@ -23,7 +23,9 @@ from handover.database import DatabaseLock
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.records import (
+    DefinitionHold,
     DefinitionRecord,
+    HoldKind,
     Message,
     MessageKind,
     MessageRecord,
@@ -347,6 +349,13 @@ class Store:
             timer = StartTimer(**{**row, "due": to_time(row["due"])})
             found[timer.definition] = (*found.get(timer.definition, ()), timer)
         return found
+
+    def definition_holds(self) -> list[DefinitionHold]:
+        """Return what is withheld from definitions."""
+        return [
+            DefinitionHold(**{**row, "kind": HoldKind(row["kind"]), "at": to_time(row["at"])})
+            for row in self._rows(select(schema.definition_holds))
+        ]
 
     def stored_messages(self) -> list[MessageRecord]:
         """Return the messages to processes that nobody waited for yet, in the order of their sending."""

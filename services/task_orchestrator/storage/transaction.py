@@ -94,6 +94,7 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_archived(connection, step.archived)
     _write_stored_messages(connection, step)
     _write_entities_seen(connection, step)
+    _write_holds(connection, step)
     _write_offers(connection, step)
     for request in step.requests:
         record_request(connection, request)
@@ -145,6 +146,13 @@ def _write_stored_messages(connection: Connection, step: Step) -> None:
     )
     for taken in in_parts(list(step.messages_taken)):
         connection.execute(delete(schema.messages).where(schema.messages.c.id.in_(taken)))
+
+
+def _write_holds(connection: Connection, step: Step) -> None:
+    table = schema.definition_holds
+    for definition, kind in step.holds:
+        connection.execute(delete(table).where(table.c.definition == definition, table.c.kind == kind.value))
+    _insert(connection, table, [plain_row(each) for each in step.holds.values() if each is not None])
 
 
 def _write_offers(connection: Connection, step: Step) -> None:

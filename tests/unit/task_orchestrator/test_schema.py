@@ -45,6 +45,7 @@ def test_a_database_of_an_earlier_version_is_migrated(tmp_path: Path) -> None:
     with engine.begin() as connection:
         connection.execute(text("UPDATE orchestrator_version SET version = 2"))
         connection.execute(text("ALTER TABLE orchestrator_messages DROP COLUMN process"))
+        connection.execute(text("DROP TABLE orchestrator_definition_holds"))
         connection.execute(
             text("INSERT INTO orchestrator_messages VALUES ('m', 'go', 'null', '{}', NULL, :at, :at)"),
             {"at": "2026-05-04T08:00:00+00:00"},
@@ -76,7 +77,7 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_not_changed(tm
         connection.execute(text("UPDATE orchestrator_version SET version = 99"))
         connection.execute(text("DROP TABLE orchestrator_start_timers"))
     before = tables(engine)
-    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 3; install [^\n]*$"):
+    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 4; install [^\n]*$"):
         schema.migrate(engine)
     assert tables(engine) == before
     engine.dispose()

@@ -151,6 +151,15 @@ export interface DefinitionActivity {
   description: string | null;
 }
 
+/** That a definition is paused (its start timers wait) or suspended (no process of it starts). */
+export interface DefinitionHoldView {
+  kind: HoldKind;
+  by: string;
+  why: string | null;
+  at: string;
+  verified: boolean;
+}
+
 /** A parameter of a process definition. */
 export interface DefinitionParameter {
   name: string;
@@ -180,6 +189,7 @@ export interface DefinitionView {
   title: string;
   deployedAt: string;
   parameters: DefinitionParameter[];
+  holds: DefinitionHoldView[];
   unusable?: string;
 }
 
@@ -191,6 +201,7 @@ export interface DefinitionWithActivities {
   title: string;
   deployedAt: string;
   parameters: DefinitionParameter[];
+  holds: DefinitionHoldView[];
   unusable?: string;
   activities: DefinitionActivity[];
   allocation: ActivityAllocation[];
@@ -210,6 +221,7 @@ export interface Deployment {
   title: string;
   deployedAt: string;
   parameters: DefinitionParameter[];
+  holds: DefinitionHoldView[];
   unusable?: string;
   definitions: DefinitionView[];
   warnings: BpmnWarning[];
@@ -325,6 +337,9 @@ export interface FormView {
   created?: boolean;
   warnings?: string[];
 }
+
+/** What is withheld from a definition. */
+export type HoldKind = "paused" | "suspended" | "deleted";
 
 /**
  * A token that cannot continue at `element`; `task` is the failed Task if one is the reason.

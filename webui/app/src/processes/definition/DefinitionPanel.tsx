@@ -21,6 +21,7 @@ import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { shortTitle } from "../names";
 import { MigrateAllDialog } from "../migration/MigrateAllDialog";
+import { Holds } from "../pause/Holds";
 import { PaceButton } from "../pause/PaceButton";
 import { bpmnPath, SERVICE, useBpmn } from "../records";
 import { Activities } from "./Activities";
@@ -80,13 +81,14 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
           <Button permission="runProcesses"
             kind="main"
             icon={<Play aria-hidden size={18} />}
-            isDisabled={definition.unusable !== undefined}
+            isDisabled={definition.unusable !== undefined || definition.holds.some(({ kind }) => kind === "suspended")}
             onPress={() => onStart(definition, definition.version)}
           >
             {t("start.act", { title: shortTitle(definition.title) })}
           </Button>
         </div>
         <MayNot permission="runProcesses" />
+        <Holds definition={definition} onChanged={record.reload} />
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
       <Body definition={definition} newest={newest} />

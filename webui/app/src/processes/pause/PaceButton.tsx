@@ -11,9 +11,10 @@ export interface PaceButtonProps {
   pace: Pace;
   /** What is paused: a process, the processes of a definition, or everything. */
   of: { process: string; title: string } | { definition: string; title: string } | "everything";
+  onDone?: () => void;
 }
 
-export function PaceButton({ pace, of }: PaceButtonProps) {
+export function PaceButton({ pace, of, onDone = () => undefined }: PaceButtonProps) {
   const { t } = useTranslation("processes");
   const [asks, setAsks] = useState(false);
   const scope = of === "everything" ? of : "process" in of ? "process" : "definition";
@@ -31,7 +32,10 @@ export function PaceButton({ pace, of }: PaceButtonProps) {
           means={t(`pace.${pace}.means`)}
           kind={pace === "pause" ? "stop" : "main"}
           onClose={() => setAsks(false)}
-          onAct={(decision) => (of !== "everything" && "process" in of ? changePace(of.process, pace, decision) : changePaceOfAll(pace, decision, of === "everything" ? undefined : of.definition))}
+          onAct={async (decision) => {
+            await (of !== "everything" && "process" in of ? changePace(of.process, pace, decision) : changePaceOfAll(pace, decision, of === "everything" ? undefined : of.definition));
+            onDone();
+          }}
         />
       )}
     </>

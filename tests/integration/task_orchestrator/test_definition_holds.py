@@ -1,0 +1,127 @@
+"""Definitions are paused, suspended, activated and deleted, and all of that survives a restart."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import httpx
+
+from handover.broker import BrokerClient
+from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.records import ActKind, MessageOutcome
+from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.storage.process_filter import ProcessFilter
+from tests.integration.task_orchestrator.rest import XML, service, settings_in
+from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, drawing, end, path
+
+CALL = '<bpmn:callActivity id="call" calledElement="p"/>'
+GO = '<bpmn:message id="go" name="go"/>'
+CYCLE = "<bpmn:timerEventDefinition><bpmn:timeCycle>R/PT1S</bpmn:timeCycle></bpmn:timerEventDefinition>"
+BY = {"by": "Olga", "why": "shift change"}
+
+
+def started_by(definition: str) -> str:
+    return f'<bpmn:startEvent id="s">{definition}</bpmn:startEvent>' + activity("work") + end()
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = NOW
+
+    def __call__(self) -> datetime:
+        return self.now
+
+
+@asynccontextmanager
+async def orchestrating(settings: OrchestratorSettings, clock: Clock) -> AsyncIterator[Orchestrator]:
+    async with BrokerClient(settings) as broker, Orchestrator(settings, broker, clock=clock) as working:
+        yield working
+
+
+async def processes_of(orchestrator: Orchestrator, name: str) -> int:
+    filters = ProcessFilter(definition=name)
+    return len(await orchestrator.read(orchestrator.store.page, filters, before=None, limit=100))
+
+
+async def passes(orchestrator: Orchestrator, clock: Clock) -> None:
+    clock.now += timedelta(seconds=10)
+    await orchestrator.timers.tick()
+
+
+async def test_timer_starts_wait_during_a_pause(tmp_path: Path) -> None:
+    settings, clock = settings_in(tmp_path), Clock()
+    xml = drawing(started_by(CYCLE) + path("s", "work", "end"))
+    async with orchestrating(settings, clock) as orchestrator:
+        await orchestrator.deployments.deploy(xml)
+        await orchestrator.deployments.deploy(drawing(started_by(CYCLE) + path("s", "work", "end"), name="q"))
+        await passes(orchestrator, clock)
+        assert [await processes_of(orchestrator, name) for name in "pq"] == [1, 1]
+        await orchestrator.processes.pause_all(ActKind.PAUSE, by="Olga", why=None, definition="p")
+        await orchestrator.holds.pause_starts("p", "Olga", None)
+        await passes(orchestrator, clock)
+        assert [await processes_of(orchestrator, name) for name in "pq"] == [1, 2]
+        await orchestrator.holds.pause_starts(None, "Olga", None)
+        due = orchestrator.timers.next_due()  # that of a Task: what waits keeps nobody busy
+        assert due is not None
+        assert due > clock.now
+    async with orchestrating(settings, clock) as orchestrator:  # a pause survives a restart
+        await passes(orchestrator, clock)
+        assert [await processes_of(orchestrator, name) for name in "pq"] == [1, 2]
+        await orchestrator.holds.resume_starts("p")  # all definitions are still paused
+        await passes(orchestrator, clock)
+        await orchestrator.holds.resume_starts(None)
+        await passes(orchestrator, clock)
+        assert [await processes_of(orchestrator, name) for name in "pq"] == [2, 3]
+
+
+async def test_no_process_of_a_suspended_definition_starts(tmp_path: Path) -> None:
+    settings, clock = settings_in(tmp_path), Clock()
+    waiting = '<bpmn:messageEventDefinition messageRef="go"/>'
+    async with orchestrating(settings, clock) as orchestrator:
+        xml = drawing(started_by(waiting) + path("s", "work", "end"), beside=GO)
+        await orchestrator.deployments.deploy(xml)
+        await orchestrator.holds.suspend("p", "Olga", None)
+        assert (await orchestrator.processes.publish("go", variables={}))[0] is MessageOutcome.STORED
+    async with orchestrating(settings, clock) as orchestrator:
+        assert (await orchestrator.processes.publish("go", variables={}))[0] is MessageOutcome.STORED
+        assert await processes_of(orchestrator, "p") == 0
+        await orchestrator.holds.activate("p")
+        assert await processes_of(orchestrator, "p") == 2  # both messages have waited
+        assert not orchestrator.state.events.stored.named(["go"])
+
+
+async def test_a_definition_is_suspended_and_deleted_over_rest(tmp_path: Path) -> None:
+    async with service(settings_in(tmp_path)) as api:
+        await _deploy(api, drawing(ONE_STEP))
+        frame = '<bpmn:startEvent id="start"/>' + CALL + end() + path("start", "call", "end")
+        await _deploy(api, drawing(frame, name="caller"))
+        process = (await api.post("/processes", json={"definition": "p"})).json()["id"]
+        view = (await api.post("/definitions/p/suspend", json=BY)).json()
+        assert [(hold["kind"], hold["by"], hold["why"]) for hold in view["holds"]] == [
+            ("suspended", "Olga", "shift change")
+        ]
+        refused = await api.post("/processes", json={"definition": "p"})
+        assert (refused.status_code, "Olga has suspended" in refused.json()["detail"]) == (409, True)
+        caller = (await api.post("/processes", json={"definition": "caller"})).json()
+        assert "Olga has suspended" in caller["incidents"][0]["reason"]
+        runs = await api.delete("/definitions/p", params=BY)
+        assert (runs.status_code, "1 processes of" in runs.json()["detail"]) == (409, True)
+        await api.post(f"/processes/{process}/cancel")
+        assert (await api.post("/definitions/p/activate", json=BY)).json()["holds"] == []
+        assert (await api.delete("/definitions/p", params=BY)).status_code == 204
+        assert [each["name"] for each in (await api.get("/definitions")).json()] == ["bin-picking", "caller"]
+        assert (await api.get("/definitions/p")).status_code == 404
+        assert (await api.post("/processes", json={"definition": "p"})).status_code == 404
+        assert (await api.get(f"/processes/{process}")).json()["status"] == "failed"  # it can still be read
+        assert (await api.delete("/definitions/none", params=BY)).status_code == 404
+    async with service(settings_in(tmp_path)) as api:
+        assert (await api.get("/definitions/p")).status_code == 404
+        assert (await _deploy(api, drawing(ONE_STEP)))["version"] == 2
+        assert (await api.post("/processes", json={"definition": "p"})).status_code == 201
+
+
+async def _deploy(api: httpx.AsyncClient, xml: bytes) -> dict[str, object]:
+    answer = await api.post("/definitions", content=xml, headers=XML)
+    assert answer.status_code == 201, answer.text
+    return dict(answer.json())

@@ -1,0 +1,45 @@
+/** What is paused or suspended of a definition, by whom and why, and the buttons that change it. */
+import { CircleOff, CirclePlay } from "lucide-react";
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import type { DefinitionView } from "~/api/generated/task-orchestrator";
+import { requestService } from "~/api/http";
+import { Button } from "~/design/Button";
+import { StatusBadge } from "~/design/StatusBadge";
+import { MendDialog } from "../incidents/MendDialog";
+import { shortTitle } from "../names";
+import { SERVICE } from "../records";
+import { PaceButton } from "./PaceButton";
+
+export function Holds({ definition, onChanged }: { definition: DefinitionView; onChanged: () => void }) {
+  const { t } = useTranslation("processes");
+  const [asks, setAsks] = useState(false);
+  const { name, holds } = definition;
+  const title = shortTitle(definition.title);
+  const does = holds.some(({ kind }) => kind === "suspended") ? "activate" : "suspend";
+  const act = t(`hold.${does}.act`, { title });
+  return (
+    <div className="definition__holds">
+      {holds.map(({ kind, by, why, at }) => (
+        <StatusBadge key={`${kind} ${at}`} tone="attention">
+          {t(`hold.${kind === "suspended" ? "suspended" : "paused"}`, { by })}
+          {why !== null && why !== "" && `: ${why}`}
+        </StatusBadge>
+      ))}
+      {holds.some(({ kind }) => kind === "paused") && <PaceButton pace="resume" of={{ definition: name, title }} onDone={onChanged} />}
+      <Button icon={does === "suspend" ? <CircleOff aria-hidden size={18} /> : <CirclePlay aria-hidden size={18} />} onPress={() => setAsks(true)}>
+        {act}
+      </Button>
+      {asks && (
+        <MendDialog
+          title={`${act}?`}
+          act={act}
+          means={t(`hold.${does}.means`)}
+          kind={does === "suspend" ? "stop" : "main"}
+          onClose={() => setAsks(false)}
+          onAct={(json) => requestService(SERVICE, `definitions/${encodeURIComponent(name)}/${does}`, { method: "POST", json }).then(onChanged)}
+        />
+      )}
+    </div>
+  );
+}
