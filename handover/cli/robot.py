@@ -50,12 +50,11 @@ def add(  # noqa: PLR0917 - options of a command
 
     It fails if the shapes of two links refuse more than 2 % of the positions that their meshes allow.
     """
-    if not name.isascii() or not all(sign.isalnum() or sign in "_.-" for sign in name):
-        raise UsageError(f'the name "{name}" may have letters, digits, "_", "." and "-" only')
     _require_planning()
     from services.trajectory_tool.onboarding.add import add_robot  # noqa: PLC0415 - needs the extra
-    from services.trajectory_tool.robots.folder import robots_folder  # noqa: PLC0415
+    from services.trajectory_tool.robots.folder import require_free_name, robots_folder  # noqa: PLC0415
 
+    require_free_name(name)
     folder = into or robots_folder(_data_dir(data_dir))
     added = add_robot(source, name, folder, tip=tip, srdf=srdf, replaces=replace)
     model = added.model
@@ -74,13 +73,11 @@ def list_robots(data_dir: DataDir = None, as_json: AsJson = False) -> None:
     from services.trajectory_tool.robots import ROBOTS  # noqa: PLC0415 - only this command needs it
     from services.trajectory_tool.robots.folder import FILE, robots_folder  # noqa: PLC0415
 
-    robots = [
-        *((name, "of Handover" if name in ROBOTS.own else "of a package") for name in ROBOTS.names()),
-        *(
-            (path.parent.name, str(path.parent))
-            for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}"))
-        ),
-    ]
+    robots = [(name, "of Handover" if name in ROBOTS.own else "of a package") for name in ROBOTS.names()]
+    for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}")):
+        name = path.parent.name
+        unused = f" (not used: {name} is of Handover)" if name in ROBOTS.own else ""
+        robots.append((name, f"{path.parent}{unused}"))
     if as_json:
         print_json([{"name": name, "source": source} for name, source in robots])
         return

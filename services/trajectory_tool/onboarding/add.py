@@ -22,9 +22,10 @@ from services.trajectory_tool.onboarding.comparison import (
     decide,
     link_pairs,
 )
+from services.trajectory_tool.onboarding.home import Home, find_home
 from services.trajectory_tool.onboarding.hulls import Piece
 from services.trajectory_tool.onboarding.refinement import SEED, Shaping, unchecked_on_purpose
-from services.trajectory_tool.onboarding.semantics import FROM_SRDF, Semantics, home_of
+from services.trajectory_tool.onboarding.semantics import FROM_SRDF, Semantics
 from services.trajectory_tool.onboarding.shapes import replace_meshes
 from services.trajectory_tool.onboarding.sources import find_urdf
 from services.trajectory_tool.onboarding.urdf import Examined, Finding, examine, read_urdf
@@ -98,10 +99,13 @@ def _settle(
     shaping = Shaping(read_folder(folder), examined.root, pieces, examined.surfaces)
     excluded = shaping.settle(given, samples)
     arm = shaping.arm(excluded)
-    home = home_of(arm, SEED)
-    if home is None:
-        raise UsageError(f"{name}: no position of the joints is free of contact; check its collision shapes")
-    semantics = Semantics(excluded, {"home": home, **_given_poses(arm, given, examined.findings)})
+    try:
+        home = find_home(arm, SEED)
+    except UsageError as fault:
+        raise UsageError(f"{name}: {fault}") from None
+    semantics = Semantics(excluded, {"home": home.joints, **_given_poses(arm, given, examined.findings)})
+    if semantics.poses["home"] == home.joints:
+        examined.findings.append(_about(home, arm))
     _write_urdf(folder, name, examined)
     (folder / f"{name}.srdf").write_bytes(semantics.written(name, arm.model.joint_names))
     model = read_folder(folder)
@@ -118,6 +122,18 @@ def _settle(
         for one in comparison.unchecked
     ]
     return model, comparison
+
+
+def _about(home: Home, arm: Arm) -> Finding:
+    values = ", ".join(f"{round(value, 2) + 0.0:g}" for value in home.joints)
+    place = ", ".join(f"{value:.2f}" for value in arm.tool(home.joints).translation)
+    why = (
+        "the tool points down there, as near to the middle of the joints as it moves well"
+        if home.is_tool_down
+        else "no such position with the tool down is free, so it is one near the middle of the joints"
+    )
+    text = f"[{values}] was chosen, with the tip at ({place}) m: {why}; correct it in the SRDF"
+    return Finding("info", "home", text)
 
 
 def _given_poses(arm: Arm, given: Srdf, findings: list[Finding]) -> dict[str, Joints]:

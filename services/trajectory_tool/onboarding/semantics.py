@@ -1,4 +1,4 @@
-"""The SRDF of a robot: which pairs of links need no check, and a home position.
+"""The SRDF of a robot: which pairs of links need no check, and its positions.
 
 Neighbours in the tree always touch, so they are disabled, as are the pairs that a given SRDF disables. Of the
 others, the meshes decide: pairs that touch in nearly all random positions are disabled, and so are those that
@@ -19,7 +19,7 @@ from lxml import etree
 
 from services.trajectory_tool.obstacles import World
 from services.trajectory_tool.onboarding.comparison import Decided, link_pairs, shapes_within
-from services.trajectory_tool.planning.arm import Arm, Array
+from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, link_of
 from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.srdf import LinkPair, Srdf
@@ -27,13 +27,6 @@ from services.trajectory_tool.srdf import LinkPair, Srdf
 ALWAYS_SHARE = 0.95
 MAX_JOINTS_BETWEEN = 2
 MAX_BOXES = 4000
-
-HOME_CLEARANCES_M = (0.03, 0.02, 0.01, 0.005, 0.0025)
-"""The largest one that some position has. A motion needs 2 mm at its start, see `Options.margins_m`."""
-
-DEXTERITY_SHARE = 0.3
-"""Of the best sampled manipulability: at less, the tool is nearly stuck in some direction."""
-
 
 FROM_SRDF = "of the given SRDF"
 
@@ -129,26 +122,3 @@ def adjacent(arm: Arm) -> set[LinkPair]:
         for pair in itertools.combinations(links, 2)
         if abs(arm.joint_of_link(pair[0]) - arm.joint_of_link(pair[1])) < 2
     }
-
-
-def home_of(arm: Arm, seed: int) -> Joints | None:
-    """Return a position with room around all links, from which the tool moves well in all directions.
-
-    All joints at 0 if that is one, else the one nearest to the middle of the joints; None where none is free.
-    """
-    collisions, random = Collisions(arm, World()), np.random.default_rng(seed)
-    middle = (arm.lower + arm.upper) / 2
-    half = np.minimum((arm.upper - arm.lower) / 2, math.pi)  # a full turn leads to the same place
-    zero = np.zeros(arm.n)
-    spread = random.uniform(middle - half, middle + half, (500, arm.n))
-    tries: list[Array] = [zero] if arm.is_within(zero) else []
-    tries += [middle, *sorted(spread, key=lambda joints: float(np.abs(joints - middle).max()))]
-    dexterity = [arm.manipulability(joints) for joints in tries]
-    enough = DEXTERITY_SHARE * max(dexterity)
-    dexterous = [joints for joints, one in zip(tries, dexterity, strict=True) if one >= enough]
-    for candidates in (dexterous, tries):
-        for clearance_m in HOME_CLEARANCES_M:
-            for joints in candidates:
-                if collisions.is_free(joints, clearance_m):
-                    return tuple(joints.tolist())
-    return None

@@ -12,6 +12,7 @@
 `robots` of the data directory; a path names a folder directly.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,12 +22,16 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import UnknownExtension
+from handover.telemetry import get_logger
 from handover.validation import fault_lines
 from services.trajectory_tool.robot_model import Finger, RobotModel, read_model
 from services.trajectory_tool.robots import ROBOTS
 
+log = get_logger(__name__)
+
 FILE = "robot.yaml"
 
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
@@ -94,9 +99,31 @@ def robots_folder(data_dir: Path) -> Path:
     return data_dir / "robots"
 
 
+def require_free_name(name: str) -> None:
+    """Raise `UsageError` for a name that an added robot cannot have.
+
+    One of a robot that is installed would be ambiguous, and "..", a folder of something else.
+    """
+    if not NAME.fullmatch(name):
+        raise UsageError(
+            f'the name "{name}" must begin with a letter or digit, and may have letters, digits, "_", "." '
+            'and "-" only'
+        )
+    if name in ROBOTS.names():
+        owner = "Handover" if name in ROBOTS.own else "an installed package"
+        raise UsageError(
+            f'"{name}" is a robot of {owner}, which that name means everywhere; choose another one: '
+            f"--name my-{name}"
+        )
+
+
 def load_robot(name: str, data_dir: Path, folder: Path) -> RobotModel:
     """Return the robot `name`: of a package, an added one, or a path from `folder`. Raises `UsageError`."""
     if name in ROBOTS.own:
+        if (added := robots_folder(data_dir) / name / FILE).is_file():
+            log.warning(
+                "robot of Handover is used, not the added one of its name", robot=name, added=str(added)
+            )
         own: RobotModel = ROBOTS.load(name)
         return own
     places = [robots_folder(data_dir) / name, folder / name]

@@ -10,13 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
+from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
 from handover.cli.main import app
 from handover.errors import UsageError
 from services.trajectory_tool.obstacles import Mesh, World
 from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robots import ur5e
+from services.trajectory_tool.robot_model import read_model
+from services.trajectory_tool.robots import ROBOTS, ur5e
 from services.trajectory_tool.robots.folder import load_robot
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.workcell import Workcell
@@ -25,7 +27,9 @@ if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)
 
 from services.trajectory_tool.onboarding.add import Added, add_robot
+from services.trajectory_tool.onboarding.home import find_home
 from services.trajectory_tool.onboarding.hulls import MAX_CORNERS, MAX_PIECES, enclosing, pieces_of
+from services.trajectory_tool.onboarding.refinement import SEED
 from services.trajectory_tool.onboarding.shapes import Fitted, fit
 from services.trajectory_tool.planning.arm import Arm, corners_of
 from services.trajectory_tool.planning.collision import Collisions, geometry_of, link_of
@@ -423,6 +427,70 @@ def test_a_bent_link_is_cut_at_its_bend() -> None:
 def test_the_home_position_has_room_for_a_first_motion(added: Any) -> None:
     planner = Planner(added(arm()).model)
     assert planner.collisions.is_free(np.array(planner.model.home), 0.01)
+
+
+def tool_of(model: Any, joints: Any) -> Any:
+    return Arm(model).tool(np.array(joints))
+
+
+@pytest.mark.parametrize("name", ["ur10", "ur5e", "panda", "arm"])
+def test_the_home_position_has_the_tool_down_near_the_middle_of_the_joints(name: str, added: Any) -> None:
+    model = added(arm()).model if name == "arm" else ROBOTS.load(name)
+    home = find_home(Arm(model), SEED)
+    tool, planner = tool_of(model, home.joints), Planner(model)
+    assert home.is_tool_down
+    assert tool.rotation[:, 2] == pytest.approx([0, 0, -1], abs=0.01)
+    assert tool.translation[2] > 0
+    assert planner.collisions.is_free(np.array(home.joints), 0.01)
+    assert planner.arm.manipulability(np.array(home.joints)) > 0.02
+    low, high = planner.arm.lower, planner.arm.upper
+    away = np.abs(np.array(home.joints) - (low + high) / 2) / np.minimum((high - low) / 2, np.pi)
+    assert away.max() < 0.75
+    assert np.linalg.norm(away) < 1.1
+
+
+def test_the_home_position_is_named_with_the_reason(added: Any) -> None:
+    found = added(arm())
+    assert "info home: [" in texts(found)
+    assert "the tool points down there" in texts(found)
+    beside = joint("j1", "l0", "l1", axis="0 0 1") + joint("j2", "l1", "l2", axis="0 0 1")
+    upright = added(robot(link("l0"), link("l1"), link("l2"), beside), replaces=True)
+    assert "no such position with the tool down is free" in texts(upright)
+
+
+def test_an_arm_that_always_touches_itself_is_refused_with_the_pair(tmp_path: Path) -> None:
+    ball = '<collision><geometry><sphere radius="0.6"/></geometry></collision>'
+    file = tmp_path / "arm.urdf"
+    text = arm(l0=link("l0", ball), l3=link("l3", ball))
+    file.write_text(text.replace('ixx="1"', 'ixx="1" ixy="0" ixz="0" iyz="0"'))
+    model = read_model(file, name="arm", tip="l6", max_acceleration=1.0, max_jerk=10.0)
+    with pytest.raises(UsageError, match=r"free of contact: l0 and l3 in 100 % of the positions"):
+        find_home(Arm(model), SEED)
+
+
+@pytest.mark.parametrize("name", ["ur10", "ur5e", "panda", "..", ".", "-x", "a/b", "", "ä"])
+def test_a_name_that_means_something_else_is_refused_and_nothing_is_lost(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(arm())
+    kept = tmp_path / "robots" / "kept.txt"
+    kept.parent.mkdir()
+    kept.write_text("x")
+    options = ["--data-dir", str(tmp_path), "--replace"]
+    done = CliRunner().invoke(app, ["robot", "add", str(file), f"--name={name}", *options])
+    assert isinstance(done.exception, UsageError)
+    assert "name" in str(done.exception)
+    assert [path.name for path in kept.parent.iterdir()] == ["kept.txt"]
+
+
+def test_a_robot_that_was_added_under_a_name_of_handover_is_not_used_silently(
+    tmp_path: Path,
+) -> None:
+    add_robot(str(UR5E), "ur10", tmp_path / "robots", tip="tip", samples=200)
+    with capture_logs() as logs:
+        assert load_robot("ur10", tmp_path, tmp_path).name == "UR10"
+    assert any("not the added one" in line["event"] for line in logs)
+    listed = CliRunner().invoke(app, ["robot", "list", "--data-dir", str(tmp_path)]).output
+    assert "(not used: ur10 is of Handover)" in listed.replace("\n", " ")
 
 
 def test_an_arm_with_meshes_is_free_where_arms_of_this_kind_work(tmp_path: Path) -> None:
