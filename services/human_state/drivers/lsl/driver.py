@@ -6,6 +6,7 @@ runner as of any device.
 """
 
 import asyncio
+import importlib
 import math
 from typing import Any, ClassVar, Final
 
@@ -65,7 +66,11 @@ class LslDriver(SensorDriver):
 
     async def run(self, sink: Sink) -> None:
         lsl = _pylsl()
-        inlet = await asyncio.to_thread(self._open, lsl)
+        lost = _lost_errors(lsl)
+        try:
+            inlet = await asyncio.to_thread(self._open, lsl)
+        except lost as error:
+            raise LinkLost(f"the LSL stream cannot be opened: {_reason(error)}") from error
         sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED))
         (info,) = self.signals
         try:
@@ -78,8 +83,8 @@ class LslDriver(SensorDriver):
                 if stamps:
                     sink(self._samples(info, values, np.asarray(stamps) + correction_s))
                 await asyncio.sleep(PULL_S)
-        except (lsl.LostError, lsl.TimeoutError) as error:
-            raise LinkLost(f"the LSL stream was lost: {error}") from error
+        except lost as error:
+            raise LinkLost(f"the LSL stream was lost: {_reason(error)}") from error
         finally:
             await asyncio.to_thread(inlet.close_stream)
 
@@ -129,6 +134,16 @@ class LslDriver(SensorDriver):
         lsl = _pylsl()
         streams = await asyncio.to_thread(lsl.resolve_streams, timeout_s)
         return [FoundDevice(one.source_id() or one.uid(), f"{one.name()} ({one.type()})") for one in streams]
+
+
+def _lost_errors(lsl: Any) -> tuple[type[Exception], ...]:
+    """Return what pylsl raises for a stream that has ended; from 1.18 on, its package does not export it."""
+    module = lsl if hasattr(lsl, "LostError") else importlib.import_module("pylsl.util")
+    return module.LostError, module.TimeoutError
+
+
+def _reason(error: Exception) -> str:
+    return str(error) or "its outlet has ended, or does not answer"
 
 
 def _pylsl() -> Any:
