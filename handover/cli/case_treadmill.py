@@ -49,7 +49,7 @@ class Participant:
 
 
 PARTICIPANTS: Final = (
-    Participant("30 years, active", Physiology.of_age(30, is_active=True, rest_bpm=60.0), Habits(0.9)),
+    Participant("30 years, active", Physiology.of_age(30, is_active=True, rest_bpm=66.0), Habits(0.9)),
     Participant("55 years, sedentary", Physiology.of_age(55), Habits(0.7)),
     Participant("72 years, sedentary", Physiology.of_age(72), Habits(0.6)),
 )

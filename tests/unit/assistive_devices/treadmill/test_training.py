@@ -4,6 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handover.cli.case import print_study
+from handover.errors import UsageError
 from services.assistive_devices.machines.treadmill.belt import BeltState, StopReason
 from services.assistive_devices.machines.treadmill.coach import Advice, Intensity, Reason
 from services.assistive_devices.machines.treadmill.figures import figures_of
@@ -124,15 +126,32 @@ def test_a_session_that_missed_the_zone_or_an_intervention_is_no_success() -> No
     ]
 
 
-def test_a_belt_at_its_limit_decides_nothing_about_the_zone() -> None:
-    """In the paper too the limit of 1.3 m/s kept people below the zone."""
-    training = trained(begun(Plan(300.0), pace_mps=1.4), 305, bpm=80.0)
+@pytest.mark.parametrize(
+    ("pace_mps", "why"), [(1.4, "the belt was at its limit"), (0.5, "0 % once reached (never)")]
+)
+def test_a_person_who_was_never_in_the_zone_is_no_success_whatever_the_reason(
+    pace_mps: float, why: str
+) -> None:
+    training = trained(begun(Plan(300.0), pace_mps=pace_mps), 305, bpm=80.0)
     trial = Trial(300.0)
+    compare(trial, training.figures(), training.plan, training.belt.reason)
+    trial.is_running = False
+    zone = next(one for one in trial.figures if one.name.startswith("time within"))
+    assert zone.passed is False
+    assert zone.ours.startswith("0 %")
+    assert why in zone.ours
+    assert not trial.passed
+    with pytest.raises(UsageError, match="time within 85 to 95 bpm"):
+        print_study("treadmill", trial, lambda _: None)
+
+
+def test_a_short_session_says_that_its_share_decides_nothing() -> None:
+    training = trained(begun(Plan(60.0), pace_mps=0.5), 65, bpm=80.0)
+    trial = Trial(60.0)
     compare(trial, training.figures(), training.plan, training.belt.reason)
     zone = next(one for one in trial.figures if one.name.startswith("time within"))
     assert zone.passed is None
-    assert "0 %" in zone.ours
-    assert "the belt was at its limit" in zone.ours
+    assert "not judged below 5 min" in zone.ours
 
 
 @pytest.mark.parametrize(
