@@ -74,6 +74,12 @@ def walk(
     humanoid = robots.humanoid(robot)
     controller = WalkingController(humanoid, fastest_solver())
     simulated = SimulatedRobot(humanoid, controller.start, TYPICAL_NOISE, seed)
+    for asked, most, unit in (
+        (speed, float(controller.fastest.velocity[0]), "m/s"),
+        (turn, controller.fastest.yaw_rate, "rad/s"),
+    ):
+        if abs(asked) > most:
+            print(f"{robot} cannot step so far: {most:.3g} {unit} at most, instead of {abs(asked):g} {unit}")
     record = SimulatedWalk(controller, simulated).run(seconds, lambda _: Wish(np.array([speed, 0.0]), turn))
     way = simulated.true_configuration()[:2] - controller.start[:2]
     print(f"{record.time_s[-1]:.1f} s simulated, {np.linalg.norm(way):.2f} m from the start")
@@ -85,7 +91,7 @@ def walk(
         raise UsageError(f"{robot} fell after {record.time_s[-1]:.1f} s; try a smaller --speed or --turn")
 
 
-@app.command()
+@app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
 def throw(  # noqa: PLR0917 - options of a command
     x: Annotated[float, typer.Argument(help="Where the ball is to land, ahead of the robot in m.")] = 0.8,
     y: Annotated[float, typer.Argument(help="To its left in m.")] = 0.0,
@@ -101,7 +107,7 @@ def throw(  # noqa: PLR0917 - options of a command
     robots = _imported()
     from services.whole_body_control.behaviours.rehearsal import rehearse  # noqa: PLC0415
     from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow  # noqa: PLC0415
-    from services.whole_body_control.behaviours.throwing import Practice  # noqa: PLC0415
+    from services.whole_body_control.behaviours.throwing import Practice, aimed_throw  # noqa: PLC0415
     from services.whole_body_control.model.kinematics import Kinematics  # noqa: PLC0415
     from services.whole_body_control.patterns.throwing import ThrowPlanner  # noqa: PLC0415
     from services.whole_body_control.simulation.ball import build_with_ball  # noqa: PLC0415
@@ -114,9 +120,10 @@ def throw(  # noqa: PLR0917 - options of a command
     game = SimulatedThrow(humanoid, build_with_ball(humanoid), fastest_solver(), TYPICAL_NOISE, seed)
     start, practice, target = game.controller.start, Practice(), np.array([x, y, z])
     planner = ThrowPlanner(Kinematics(humanoid), start, humanoid.grips[hand])
+    planner.plan(target)  # what is out of reach is refused before the rehearsal
     rehearse(practice, humanoid, [hand], target, fastest_solver())
     for number in range(1, throws + 1):
-        planned = planner.plan(practice.aim(hand, start[:2], target))
+        _, planned = aimed_throw(planner, practice, hand, start[:2], target)
         record = game.throw(planned)
         practice.learn(hand, start[:2], planned.landing, record.predicted)
         missed = 1e3 * float(np.linalg.norm(record.landed - target))

@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon
 from services.whole_body_control.behaviours.rehearsal import rehearse
 from services.whole_body_control.behaviours.simulated_person import SCRIPTS, Lead, LedRecord, LedWalk
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow, ThrowRecord
-from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.behaviours.throwing import Practice, aimed_throw
 from services.whole_body_control.behaviours.walking import SIDES
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
@@ -88,7 +88,7 @@ def _throw(humanoid: Humanoid, hand: str, seed: int, throws: int) -> tuple[list[
     for _ in range(throws):
         direction = random.uniform(-SPREAD_RAD, SPREAD_RAD)
         target = np.array([DISTANCE_M * np.cos(direction), DISTANCE_M * np.sin(direction), HEIGHT_M])
-        planned = planner.plan(practice.aim(hand, start[:2], target))
+        _, planned = aimed_throw(planner, practice, hand, start[:2], target)
         record = game.throw(planned)
         practice.learn(hand, start[:2], planned.landing, record.predicted)
         targets.append(target)

@@ -13,6 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from handover.errors import UsageError
 from services.whole_body_control.balance.contact_forces import FeedForward, shares
 from services.whole_body_control.balance.estimation import StateEstimator
 from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors
@@ -24,7 +25,7 @@ from services.whole_body_control.patterns.ballistics import landing_point
 from services.whole_body_control.patterns.minimum_jerk import moved, rate
 from services.whole_body_control.patterns.pendulum import Pendulum
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
-from services.whole_body_control.patterns.throwing import Throw
+from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
 from services.whole_body_control.solvers.problem import Solver
 from services.whole_body_control.tasks.base import Level
 from services.whole_body_control.tasks.constraints import JointLimits
@@ -125,6 +126,21 @@ class Practice:
         missed = _axes(base, aimed).T @ (landed - aimed)[:2]
         if np.isfinite(missed).all():
             self._throws.setdefault(grip, deque(maxlen=self.KEPT)).append((_features(base, aimed), missed))
+
+
+def aimed_throw(
+    planner: ThrowPlanner, practice: Practice, grip: str, base: Array, target: Array
+) -> tuple[Array, Throw]:
+    """Return where to aim so that the ball lands at `target`, and the throw that does.
+
+    Where aiming off is beyond reach, the throw is to the target itself, so that `OutOfReach` names what was
+    asked for.
+    """
+    aimed = practice.aim(grip, base, target)
+    try:
+        return aimed, planner.plan(aimed)
+    except UsageError:
+        return target, planner.plan(target)
 
 
 def _features(base: Array, target: Array) -> Array:

@@ -179,6 +179,13 @@ class WalkingController:
         return found
 
     @property
+    def fastest(self) -> Wish:
+        """Return the highest speed ahead and turn that the steps allow; a higher wish is walked like it."""
+        limits = self._limits
+        step_s = (limits.single + limits.double) * PERIOD_S
+        return Wish(np.array([limits.max_length_m / step_s, 0.0]), limits.max_yaw / step_s)
+
+    @property
     def step_limits(self) -> StepLimits:
         """Return what the robot can step."""
         return self._limits

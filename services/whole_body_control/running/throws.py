@@ -22,7 +22,7 @@ import numpy as np
 from handover.errors import Problem, UsageError
 from handover.messages import message, with_code
 from handover.telemetry import get_logger
-from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.behaviours.throwing import Practice, aimed_throw
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.patterns.throwing import OutOfReach, Throw, ThrowPlanner
@@ -209,12 +209,7 @@ class Throws:
 
     def _planned(self, grip: str, target: Array) -> tuple[Array, Throw]:
         """Return where to aim, and the throw that does; runs in the worker."""
-        planner = self._planner(grip)
-        aimed = self._practice.aim(grip, self._base, target)
-        try:
-            return aimed, planner.plan(aimed)
-        except OutOfReach:
-            return target, planner.plan(target)  # the place itself, where aiming off is beyond reach
+        return aimed_throw(self._planner(grip), self._practice, grip, self._base, target)
 
     def _planner(self, name: str) -> ThrowPlanner:
         """Return the planner of a hand; runs in the worker. Raises `UsageError`."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from services.whole_body_control.behaviours.rehearsal import FILE, read_rehearsals
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController
+from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController, aimed_throw
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
 from services.whole_body_control.patterns import ballistics
@@ -123,6 +123,21 @@ def test_a_place_beyond_reach_is_refused_with_the_nearest_one_that_is_not() -> N
 def test_what_cannot_be_thrown_is_named(landing: list[float], flight_s: float | None, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         planner("left_hand").plan(np.array(landing), flight_s)
+
+
+def test_a_refusal_names_the_place_that_was_asked_for_and_aiming_off_is_never_a_reason() -> None:
+    """A hand that throws too short aims beyond the target, which may be out of reach where that is not."""
+    practice, base = Practice(), STANDING[:2]
+    for distance_m in (0.5, 0.6, 0.7, 0.8):
+        aimed = np.array([distance_m, 0.0, 0.5])
+        practice.learn("right_hand", base, aimed, aimed - [0.4, 0.0, 0.0])
+    hand = planner("right_hand")
+    with pytest.raises(UsageError):
+        hand.plan(practice.aim("right_hand", base, TARGET))
+    aimed, throw = aimed_throw(hand, practice, "right_hand", base, TARGET)
+    assert aimed.tolist() == throw.landing.tolist() == TARGET.tolist()
+    with pytest.raises(OutOfReach, match=r"cannot throw to \(3\.00, -0\.30, 0\.80\) m"):
+        aimed_throw(hand, practice, "right_hand", base, np.array([3.0, -0.3, 0.8]))
 
 
 def test_practice_removes_a_miss_that_grows_to_the_side() -> None:

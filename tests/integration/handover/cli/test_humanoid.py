@@ -22,10 +22,19 @@ def test_a_short_walk_is_reported() -> None:
     assert "of single support" in output
 
 
+def test_a_walk_says_where_it_is_slower_than_asked() -> None:
+    output = said("walk", "--speed", "-0.2", "--turn", "0.3", "--seconds", "1")
+    assert "coman cannot step so far: 0.125 m/s at most, instead of 0.2 m/s" in output
+    assert "0.25 rad/s at most, instead of 0.3 rad/s" in output
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["throw", "3", "0", "0.5"], "farthest place on that line"),
+        (["throw", "3", "-0.3", "0.8"], r"cannot throw to \(3\.00, -0\.30, 0\.80\) m"),
+        (["throw", "--hand", "left_hand", "3", "-0.3"], r"cannot throw to \(3\.00, -0\.30, 0\.50\) m"),
+        (["throw", "-0.5"], r"it must be 0\.3 m or more in front"),
         (["throw", "--hand", "foot"], 'coman has no hand "foot"; it has: left_hand, right_hand'),
         (["walk", "--robot", "atlas"], 'there is no humanoid "atlas"'),
     ],
