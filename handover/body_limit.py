@@ -1,5 +1,7 @@
 """Body limit: a request body that is too large is refused before it is read into memory and parsed.
 
+A JSON body that has values which no other part can store or send (`validation.json_fault`) is refused, too.
+
 Bodies are parsed and validated on the event loop. Invalid JSON costs most, since each fault is described: a
 second for each MiB. So the default limit of a route is small.
 """
@@ -11,6 +13,8 @@ from typing import Any, Final, TypeVar
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import Message
+
+from handover.validation import json_fault
 
 DEFAULT_MAX_BODY_BYTES: Final = 64 * 1024
 MAX_NOTIFICATION_BYTES: Final = 32 * 1024 * 1024
@@ -54,7 +58,15 @@ def limited(request: Request, max_bytes: int) -> Request:
             raise _too_large(max_bytes)
         return message
 
-    return Request(request.scope, receive)
+    return _JsonRequest(request.scope, receive)
+
+
+class _JsonRequest(Request):
+    async def json(self) -> Any:
+        document = await super().json()
+        if (fault := json_fault(await self.body(), document)) is not None:
+            raise HTTPException(HTTPStatus.UNPROCESSABLE_ENTITY, fault)
+        return document
 
 
 def _too_large(max_bytes: int) -> HTTPException:

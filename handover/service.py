@@ -8,6 +8,7 @@ only as plain text or as a form.
 """
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from http import HTTPStatus
@@ -242,7 +243,31 @@ def problem_response(problem: Problem) -> JSONResponse:
         headers["WWW-Authenticate"] = "Bearer"
     if (retry_after_s := (problem.extra or {}).get("retryAfterS")) is not None:
         headers["Retry-After"] = str(retry_after_s)
-    return JSONResponse(problem.body(), problem.status, headers, media_type="application/problem+json")
+    return _ProblemResponse(problem.body(), problem.status, headers)
+
+
+class _ProblemResponse(JSONResponse):
+    """Problem details, which may repeat what a client has sent: they can be written whatever that was."""
+
+    media_type = "application/problem+json"
+
+    def render(self, content: Any) -> bytes:
+        try:
+            return super().render(content)
+        except ValueError:  # a lone surrogate, or a number that is not finite
+            return super().render(_writable(content))
+
+
+def _writable(content: Any) -> Any:
+    if isinstance(content, Mapping):
+        return {_writable(str(name)): _writable(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_writable(value) for value in content]
+    if isinstance(content, str):
+        return content.encode("utf-8", "backslashreplace").decode()
+    if isinstance(content, float) and not math.isfinite(content):
+        return str(content)
+    return content
 
 
 async def _on_problem(connection: Request | WebSocket, error: Exception) -> Response | None:

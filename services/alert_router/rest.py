@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 
 import orjson
 from fastapi import FastAPI, Query, Request, Response
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypedDict
 
 from datamodels.entities import AlertState, Severity
@@ -17,6 +17,7 @@ from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.validation import MAX_INTEGER, Moment
 from services.alert_router.directory import Directory
 from services.alert_router.follower import Follower
 from services.alert_router.model import (
@@ -89,7 +90,7 @@ class AlertExample(BaseModel):
     severity: Severity = Severity.MEDIUM
     source: str = Field("", alias="alertSource")
     place: str = ""
-    at: AwareDatetime | None = None
+    at: Moment | None = None
 
 
 class RouteAnswer(TypedDict):
@@ -110,7 +111,9 @@ def add_routes(
 
     @app.get("/messages", tags=["log"], dependencies=[CAN_READ])
     async def messages(
-        before: Annotated[int | None, Query(description="number of the last message seen")] = None,
+        before: Annotated[
+            int | None, Query(ge=0, le=MAX_INTEGER, description="number of the last message seen")
+        ] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
         alert: str | None = None,
         state: str | None = None,

@@ -1,13 +1,13 @@
 """The request bodies of the REST interface."""
 
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from datamodels.entities import TaskStatus
 from datamodels.states import Outcome
 from handover.security.pin_check import MAX_PIN_CHARACTERS
+from handover.validation import Moment
 from services.task_orchestrator.storage.process_filter import ProcessFilter, read_condition
 
 MAX_PARAMETERS_BYTES = 1024 * 1024
@@ -15,6 +15,8 @@ MAX_PARAMETERS_BYTES = 1024 * 1024
 MAX_VERSION = 2**31 - 1
 
 
+DefinitionVersion = Annotated[int | None, Field(ge=1, le=MAX_VERSION)]
+"""The number of a version, where it may be left out."""
 Plain = Annotated[str, Field(pattern=r"^[^\x00]*$", max_length=300)]
 
 
@@ -24,7 +26,7 @@ class ProcessStart(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     definition: str = Field(description="the name of a deployed definition")
-    version: int | None = Field(None, description="a version of it; the latest if absent")
+    version: DefinitionVersion = Field(None, description="a version of it; the latest if absent")
     parameters: dict[str, Any] = Field(default_factory=dict, description="its parameters")
     key: str | None = Field(
         None,
@@ -46,7 +48,7 @@ class ProcessQuery(BaseModel):
 
     status: TaskStatus | None = None
     definition: Plain | None = None
-    version: int | None = Field(None, ge=1, le=MAX_VERSION)
+    version: DefinitionVersion = None
     key: Plain | None = Field(None, description="the business key")
     search: Plain | None = Field(None, description="a part of the business key or of the id")
     involves: Plain | None = Field(None, description="the URN of a person or resource that a Task involves")
@@ -55,10 +57,10 @@ class ProcessQuery(BaseModel):
         max_length=8,
         description="a condition on a variable: total>=100, order.customer=Acme, name~part, or a name",
     )
-    started_since: AwareDatetime | None = Field(None, alias="startedSince")
-    started_until: AwareDatetime | None = Field(None, alias="startedUntil")
-    ended_since: AwareDatetime | None = Field(None, alias="endedSince")
-    ended_until: AwareDatetime | None = Field(None, alias="endedUntil")
+    started_since: Moment | None = Field(None, alias="startedSince")
+    started_until: Moment | None = Field(None, alias="startedUntil")
+    ended_since: Moment | None = Field(None, alias="endedSince")
+    ended_until: Moment | None = Field(None, alias="endedUntil")
     incident: bool | None = Field(None, description="whether it has an open incident")
     unallocated: bool | None = Field(None, description="whether an activity waits for a performer")
     element: Plain | None = Field(
@@ -75,10 +77,10 @@ class ProcessQuery(BaseModel):
             search=self.search,
             resource=self.involves,
             variables=[read_condition(each) for each in self.variable],
-            started_since=_utc(self.started_since),
-            started_until=_utc(self.started_until),
-            ended_since=_utc(self.ended_since),
-            ended_until=_utc(self.ended_until),
+            started_since=self.started_since,
+            started_until=self.started_until,
+            ended_since=self.ended_since,
+            ended_until=self.ended_until,
             has_incident=self.incident,
             is_unallocated=self.unallocated,
             element=self.element,
@@ -110,22 +112,22 @@ class TableQuery(BaseModel):
 class PeriodQuery(TableQuery):
     """The period of a report: whole hours, the last seven days by default, 366 days at most."""
 
-    since: AwareDatetime | None = None
-    until: AwareDatetime | None = None
+    since: Moment | None = None
+    until: Moment | None = None
 
 
 class ScopedQuery(PeriodQuery):
     """The period of a report, and the definition that it is about."""
 
     definition: Plain | None = None
-    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
+    version: DefinitionVersion = Field(None, description="all versions if absent")
 
 
 class ElementsQuery(PeriodQuery):
     """The definition of a report about its elements, and the period."""
 
     definition: Plain
-    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
+    version: DefinitionVersion = Field(None, description="all versions if absent")
 
 
 class ThroughputQuery(ScopedQuery):
@@ -140,7 +142,7 @@ class IncidentsQuery(TableQuery):
     """The definition of a report about open incidents."""
 
     definition: Plain | None = None
-    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
+    version: DefinitionVersion = Field(None, description="all versions if absent")
 
 
 Name = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=200)]
@@ -318,7 +320,3 @@ class DeploymentRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     files: list[DeployedFile] = Field(min_length=1, max_length=100)
-
-
-def _utc(moment: datetime | None) -> datetime | None:
-    return None if moment is None else moment.astimezone(UTC)

@@ -146,6 +146,7 @@ class PageGuard(Guard):
         try:
             return await self.access.call(method, path, body, timeout_s=ACCOUNTS_TIMEOUT_S)
         except AccountsUnavailable as error:
+            self._require_accounts()
             problem = error.problem or {}
             status = problem.get("status")
             if isinstance(status, int) and 400 <= status < 500:
@@ -166,7 +167,20 @@ class PageGuard(Guard):
                 ) from None
             raise Problem(503, "Accounts unavailable", f"signing in is not possible now: {error}") from None
         except UsageError as error:
+            self._require_accounts()
             raise Problem(503, "Accounts unavailable", str(error)) from None
+
+    def _require_accounts(self) -> None:
+        """Raise `Problem` 409 where there are no accounts: trying again would not help."""
+        if not self.has_accounts():
+            raise Problem(
+                409,
+                "No accounts",
+                message(
+                    "session.no_accounts",
+                    "there are no accounts here, so nobody signs in; `handover secure` adds the first one",
+                ),
+            ) from None
 
     def forget(self, session: str) -> None:
         """Forget the access of a session that has ended."""

@@ -145,7 +145,7 @@ class Alerts(EntityHandler, Source):
         async with self._writing:
             try:
                 alert = alert_in(await self._broker.retrieve(alert_id))
-            except NotFound:
+            except (NotFound, DataModelError):  # what is no Alert is on no page, either
                 raise self._missing(alert_id) from None
             return await self._write(alert, change)
 

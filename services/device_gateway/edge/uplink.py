@@ -172,7 +172,7 @@ class Uplink:
             self.round_trip_s = None if sent_s is None else time.monotonic() - sent_s
         elif kind == "deliver":
             self._commands.deliver(given["device"], given["message"], self._age_s(given.get("after")))
-        elif kind in {"device", "devices", "removed", "end"}:
+        elif kind in ("device", "devices", "removed", "end"):
             self._changes.put_nowait(given)
         elif kind == "error":
             await self._refused(given)

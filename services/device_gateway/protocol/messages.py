@@ -186,7 +186,7 @@ def parse_message(line: bytes, max_bytes: int = MAX_LINE_BYTES) -> Message:
         return _state(given)
     if kind == "event":
         return _event(given)
-    if kind in {"ack", "error"}:
+    if kind in ("ack", "error"):
         return _answer(given, is_error=kind == "error")
     seq = _seq(given)
     if kind == "hello":

@@ -120,7 +120,7 @@ def parse_relayed(line: bytes) -> Relayed | Presence | Live | Ping:
     kind = given.get("type") if isinstance(given, dict) else None
     if kind == "ping":
         return Ping(_number(given.get("n"), "n"))
-    if kind not in {"relay", "online", "offline", "live"}:
+    if kind not in ("relay", "online", "offline", "live"):
         raise BadMessage("unknownType", "type must be relay, online, offline, live or ping")
     device = given.get("device")
     if not isinstance(device, str) or not is_device_name(device):

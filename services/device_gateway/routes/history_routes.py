@@ -20,6 +20,7 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
+from handover.validation import MAX_INTEGER
 from services.device_gateway.forecast import COVERAGE, MAX_ORIGINS, TooShort, forecast, needed_intervals
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.messages import MAX_LINE_BYTES
@@ -45,7 +46,9 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
     @app.get("/devices/{device}/messages", tags=["history"], dependencies=[may_read])
     async def messages(
         device: str,
-        before: Annotated[int | None, Query(description="number of the last message seen")] = None,
+        before: Annotated[
+            int | None, Query(ge=0, le=MAX_INTEGER, description="number of the last message seen")
+        ] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
         type: Annotated[list[str] | None, Query()] = None,  # noqa: A002 - the name of the parameter
         direction: Annotated[Literal["in", "out"] | None, Query(description="in: from the device")] = None,

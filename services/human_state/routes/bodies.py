@@ -3,9 +3,10 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
 
+from handover.validation import Moment
 from services.human_state.people.consent import Purpose
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
@@ -44,7 +45,7 @@ class ConsentGiven(Body):
     """What the person allows until `ends`, and who was there; `person` if it was the person alone."""
 
     purposes: Annotated[frozenset[Purpose], Field(min_length=1)]
-    ends: AwareDatetime
+    ends: Moment
     given_by: Annotated[str, Field(min_length=1, max_length=200)]
 
 
@@ -68,7 +69,7 @@ class MarkerGiven(Body):
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
     text: Annotated[str, Field(max_length=500)] = ""
-    at: AwareDatetime | None = None
+    at: Moment | None = None
 
 
 class Reset(Body):

@@ -10,7 +10,7 @@ from fastapi import Depends, FastAPI, Query, Request, Response
 from pydantic import ValidationError
 
 from handover.errors import HandoverError, Problem
-from handover.messages import message
+from handover.messages import message, text_of
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
@@ -388,7 +388,20 @@ def _add_sensors(app: FastAPI, parts: Parts) -> None:
     )
     async def discover(driver: str, timeout_s: Seconds = 5.0) -> list[FoundView]:
         """Search for devices of a driver."""
-        found = await _driver(driver).discover(timeout_s)
+        kind = _driver(driver)
+        try:
+            found = await kind.discover(timeout_s)
+        except (HandoverError, OSError, RuntimeError) as error:  # no adapter, or no library of the driver
+            raise Problem(
+                409,
+                "Cannot search",
+                message(
+                    "health.cannot_search",
+                    "{driver} cannot search here: {why}",
+                    driver=driver,
+                    why=text_of(error),
+                ),
+            ) from error
         return [FoundView(address=one.address, name=one.name, rssi_dbm=one.rssi_dbm) for one in found[:200]]
 
 

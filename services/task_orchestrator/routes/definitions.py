@@ -18,7 +18,7 @@ from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
 from services.task_orchestrator.operations.start_forms import FormOfStart
 from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.requests import FormData, Name, PauseRequest
+from services.task_orchestrator.requests import DefinitionVersion, FormData, Name, PauseRequest
 from services.task_orchestrator.responses import (
     DefinitionView,
     DefinitionWithActivities,
@@ -95,7 +95,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         responses={200: {"model": DefinitionWithActivities}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
-    async def definition(name: str, version: int | None = None) -> Response:
+    async def definition(name: str, version: DefinitionVersion = None) -> Response:
         """Return a definition with its activities, and who gets them now."""
         record = registry.record(name, version)
         await registry.prepare(record)
@@ -151,7 +151,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         responses={200: {"model": VersionStatistics}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
-    async def statistics(name: str, version: int | None = None) -> Response:
+    async def statistics(name: str, version: DefinitionVersion = None) -> Response:
         """Return the statistics of all processes of a version (default: the latest), by activity."""
         record = registry.record(name, version)
         counts = await orchestrator.read(
@@ -165,7 +165,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         responses={200: {"model": TaskForm | None}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
-    async def start_form(name: str, body: FormData, version: int | None = None) -> Response:
+    async def start_form(name: str, body: FormData, version: DefinitionVersion = None) -> Response:
         """Return the form of the start variables, for those typed so far; null if there is none."""
         record = registry.record(name, version)
         await registry.prepare(record)
@@ -180,7 +180,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         tags=["definitions"],
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
-    async def bpmn(name: str, version: int | None = None) -> Response:
+    async def bpmn(name: str, version: DefinitionVersion = None) -> Response:
         """Return the BPMN file as it was deployed."""
         return Response(registry.record(name, version).xml, media_type="application/xml")
 

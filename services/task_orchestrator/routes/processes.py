@@ -1,10 +1,8 @@
 """Routes: start, read, cancel and retry processes."""
 
-from datetime import UTC
 from typing import Annotated
 
 from fastapi import FastAPI, Query, Request, Response
-from pydantic import AwareDatetime
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
@@ -12,6 +10,7 @@ from handover.database_outage import shown_after_change
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
+from handover.validation import Moment
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.requests import (
     MAX_PARAMETERS_BYTES,
@@ -96,12 +95,10 @@ def add_processes(app: FastAPI, at: Components) -> None:
         dependencies=[require(Permission.READ)],
     )
     async def statistics(
-        since: Annotated[
-            AwareDatetime, Query(description="count processes that ended at this time or later")
-        ],
+        since: Annotated[Moment, Query(description="count processes that ended at this time or later")],
     ) -> Response:
         """Return the number of running and ended processes since a time, and their median duration."""
-        counts = await orchestrator.read(store.counts_since, since.astimezone(UTC), orchestrator.clock())
+        counts = await orchestrator.read(store.counts_since, since, orchestrator.clock())
         return json_response(period_view(counts))
 
     @app.get(

@@ -77,6 +77,9 @@ def owner(cell: Cell) -> Browser:
     view = local.http.get("/api/session").json()
     assert (view["hasAccounts"], view["user"]["isLocal"]) == (False, True)
     assert local.http.get("/api/accounts/users").json() == [], "in local mode nobody signs in"
+    refused = local.begin("/api/session", {"name": "Olga", "password": PASSWORD})
+    assert refused.status_code == 409, refused.text
+    assert "handover secure" in refused.json()["detail"]
     link = set_up(cell)
     wait_for(lambda: local.http.get("/api/accounts/users").status_code == 401)
     browser = Browser(cell)

@@ -1,13 +1,20 @@
 """A service: health, readiness, metrics, and errors as problem details."""
 
 import asyncio
+import json
+import math
 from collections.abc import AsyncIterator
+from typing import Any
 
 import httpx
+import orjson
 import pytest
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.service import create_app
 
 
@@ -29,6 +36,15 @@ def an_app() -> FastAPI:
     @app.get("/broken")
     async def broken() -> None:
         raise ZeroDivisionError("secret of the house")
+
+    @app.post("/echo")
+    async def echo(body: dict[str, Any]) -> dict[str, Any]:
+        return body
+
+    @app.post("/refuse")
+    async def refuse(request: Request) -> None:
+        said = json.loads(await request.body())
+        raise Problem(422, "No", message("lamp.no", "no {said}", said=str(said)), extra={"said": said})
 
     @app.get("/number/{number}")
     async def number(number: int) -> int:
@@ -94,3 +110,49 @@ async def test_every_error_is_a_problem_that_says_what_to_change(
     assert answer.headers["content-type"] == "application/problem+json"
     assert words in answer.json()["detail"]
     assert "secret" not in answer.text
+
+
+ANY_TEXT = st.text(st.characters(exclude_categories=()) | st.sampled_from("\ud800\udfff\0"), max_size=6)
+ANY_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.integers(2**62, 2**65) | st.floats() | ANY_TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(ANY_TEXT, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(st.dictionaries(ANY_TEXT, ANY_JSON, max_size=3))
+@example({"x": "\ud800"})
+@example({"\udfff": 1})
+@example({"x": [math.nan]})
+@example({"x": -math.inf})
+@example({"x": 2**63})
+@example({"x": "\ud83d\ude00"})
+async def test_a_body_is_one_that_every_part_can_store_and_send_or_is_refused(body: dict[str, Any]) -> None:
+    transport = httpx.ASGITransport(an_app())
+    async with httpx.AsyncClient(transport=transport, base_url="http://lamp") as client:
+        text = json.dumps(body).encode()
+        headers = {"Content-Type": "application/json"}
+        answer = await client.post("/echo", content=text, headers=headers)
+        refusal = await client.post("/refuse", content=text, headers=headers)
+    assert answer.status_code == (200 if is_portable(text) else 422), answer.text
+    if answer.status_code == 200:
+        assert answer.json() == json.loads(text)
+    else:
+        assert answer.json()["detail"].startswith(("body", "a name in body"))
+    assert refusal.status_code == 422
+    assert orjson.loads(refusal.content)["title"] == "No"
+
+
+def is_portable(text: bytes) -> bool:
+    """Return whether a strict reader of JSON accepts a text, and a database its numbers."""
+    try:
+        orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return False
+    return all(-(2**63) <= number < 2**63 for number in integers_in(json.loads(text)))
+
+
+def integers_in(value: Any) -> list[int]:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    own = [value] if isinstance(value, int) else []
+    return [*own, *(number for one in inner for number in integers_in(one))]

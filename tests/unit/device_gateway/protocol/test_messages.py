@@ -8,6 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from services.device_gateway.protocol.live import live_message
 from services.device_gateway.protocol.messages import (
     MAX_LINE_BYTES,
     MAX_VALUES,
@@ -19,6 +20,7 @@ from services.device_gateway.protocol.messages import (
     parse_hello,
     parse_message,
 )
+from services.device_gateway.protocol.relaying import parse_relayed, parse_replica_hello
 
 HELLO = {"type": "hello", "version": 1, "device": "hall-1", "token": "secret"}
 JSON = st.recursive(
@@ -55,6 +57,21 @@ def test_any_bytes_are_refused_or_a_message(data: bytes) -> None:
             continue
         assert fault.code
         assert str(fault)
+
+
+@given(JSON)
+@example([])
+@example({})
+def test_a_type_that_is_no_text_is_refused(kind: Any) -> None:
+    try:
+        data = orjson.dumps({"type": kind})
+    except TypeError:  # an integer of more than 64 bits
+        return
+    for parse in (parse_message, parse_hello, parse_relayed):
+        with pytest.raises(BadMessage):
+            parse(data)
+    assert parse_replica_hello(data) is None
+    assert live_message(data) is None
 
 
 @given(
