@@ -296,6 +296,114 @@ def test_a_failed_part_is_reported(near: httpx.Client, source: ScriptedSource, k
     assert held(near, entity_id) == {"a": 2}
 
 
+UPDATED = {"updated": ["a", "b"], "notUpdated": []}
+IN_PART = {"updated": ["b"], "notUpdated": [{"attributeName": "a", "reason": "it has no a"}]}
+FAILED_IN_PART = {
+    "updated": [DEFAULT + "b"],
+    "notUpdated": [{"attributeName": DEFAULT + "a", "reason": "away", "registrationId": "urn:far"}],
+}
+
+
+@pytest.mark.parametrize(
+    ("act", "said", "left"),
+    [
+        (update, UPDATED, None),
+        (update, IN_PART, None),
+        (update, FAILED_IN_PART, ["a"]),
+        (append, IN_PART, None),
+        (append, {"updated": []}, ["a", "b"]),
+        (append, {"unknown": 1}, ["a", "b"]),
+    ],
+)
+def test_what_a_source_changed_in_part_is_changed(  # noqa: PLR0917 - fixtures and a table
+    near: httpx.Client,
+    source: ScriptedSource,
+    kind: str,
+    act: Act,
+    said: dict[str, Any],
+    left: list[str] | None,
+) -> None:
+    """Of inclusive sources: what one lacks and another part has changed is changed."""
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1, b=1)
+    register(near, source.url, {"type": kind})
+    for method in ("POST", "PATCH"):
+        source.answers[method, f"/ngsi-ld/v1/entities/{entity_id}/attrs"] = 207, said
+    answer = act(near, entity_id, kind)
+    if left is None:
+        assert answer.status_code == 204, answer.text
+        return
+    assert answer.status_code == 207, answer.text
+    assert answer.json()["updated"] == [DEFAULT + "a", DEFAULT + "b"]
+    assert [one["attributeName"] for one in answer.json()["notUpdated"]] == [DEFAULT + name for name in left]
+
+
+def test_what_the_only_source_changed_in_part_is_reported_by_attribute(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    path = register(near, source.url, {"type": kind}, mode="redirect")
+    there = f"/ngsi-ld/v1/entities/{entity_id}/attrs"
+    source.answers["PATCH", there] = 207, IN_PART
+    result = update(near, entity_id, kind)
+    assert result.status_code == 207, result.text
+    assert result.json()["updated"] == [DEFAULT + "b"]
+    (left,) = result.json()["notUpdated"]
+    assert left["attributeName"] == DEFAULT + "a"
+    assert "it has no a" in left["reason"]
+    assert path.endswith(left["registrationId"])
+    source.answers["PATCH", there] = 207, {"updated": [], "notUpdated": IN_PART["notUpdated"]}
+    nothing = near.patch(f"/entities/{entity_id}/attrs", json={"a": 2})
+    assert (nothing.status_code, nothing.json()["updated"]) == (207, [])
+
+
+def test_two_sources_that_each_have_a_part_change_the_whole(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    other = ScriptedSource()
+    try:
+        for one, done, lacked in ((source, "a", "b"), (other, "b", "a")):
+            register(near, one.url, {"type": kind})
+            said = {"updated": [done], "notUpdated": [{"attributeName": lacked, "reason": "not here"}]}
+            one.answers["PATCH", f"/ngsi-ld/v1/entities/{entity_id}/attrs"] = 207, said
+        assert update(near, entity_id, kind).status_code == 204
+    finally:
+        other.stop()
+
+
+@pytest.mark.parametrize("act", [create, merge, replace, upsert_batch, update_batch, merge_batch])
+def test_an_entity_that_a_source_wrote_in_part_is_listed_as_success_and_error(
+    near: httpx.Client, source: ScriptedSource, kind: str, act: Act
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    register(near, source.url, {"type": kind}, mode="redirect")
+    error = {"title": "Gateway timeout", "status": 504, "detail": "its own source is away"}
+    result = {"success": [entity_id], "errors": [{"entityId": entity_id, "error": error}]}
+    for method in ("POST", "PATCH", "PUT"):
+        source.answers[method, "/ngsi-ld/v1/entities"] = 207, result
+        source.answers[method, f"/ngsi-ld/v1/entities/{entity_id}"] = 207, result
+    source.answers["POST", f"/ngsi-ld/v1/entities/{entity_id}/attrs"] = 207, result
+    for name in ("upsert", "update", "merge"):
+        source.answers["POST", f"/ngsi-ld/v1/entityOperations/{name}"] = 207, result
+    answer = act(near, entity_id, kind)
+    assert answer.status_code == 207, answer.text
+    assert answer.json()["success"] == [entity_id]
+    assert [one["error"]["detail"] for one in answer.json()["errors"]] == ["its own source is away"]
+
+
+def test_a_source_that_purged_in_part_says_what_it_purged(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    done, left = (f"urn:ngsi-ld:{kind}:{number}" for number in (1, 2))
+    register(near, source.url, {"type": kind}, operations=["purgeEntity"])
+    errors = [{"entityId": left, "error": {"title": "Forbidden", "status": 403}}]
+    source.answers["DELETE", "/ngsi-ld/v1/entities"] = 207, {"success": [done], "errors": errors}
+    answer = near.delete("/entities", params={"type": kind})
+    assert answer.status_code == 207, answer.text
+    assert answer.json()["success"] == [done]
+    assert [(one["entityId"], one["error"]["status"]) for one in answer.json()["errors"]] == [(left, 403)]
+
+
 def test_a_write_that_the_broker_rejects_is_not_forwarded(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:

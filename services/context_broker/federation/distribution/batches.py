@@ -204,8 +204,7 @@ class _Batch:
 
         async def alone(item: _Item, route: WriteRoute) -> None:
             async with turn:
-                if (outcome := await self._forward_one(registration, dialect, item, route)) is not None:
-                    item.outcomes.append(outcome)
+                item.outcomes += await self._forward_one(registration, dialect, item, route)
 
         await gather_all(*(alone(item, route) for item, route in routing))
 
@@ -226,33 +225,37 @@ class _Batch:
             return
         if self._is_loop(registration, response.status):
             return
-        errors, created = _results_in(response.body) if response.status in {201, 207} else ({}, set())
+        result = _result_in(response.body) if response.status in {201, 207} else None
+        errors, done = _errors_in(result), set(outcomes.success_in(result))
+        created = {one for one in result if isinstance(one, str)} if isinstance(result, list) else set()
         for item, route in routing:
-            problem = errors.get(_key(item.entity_id))
+            key = _key(item.entity_id)
+            problem = errors.get(key)
             if problem is not None:
-                status = _status_of(problem)
-                item.outcomes.append(Outcome(registration, route.names, status, problem))
-            elif response.status == 207 and errors:
+                status, left = _status_of(problem), frozenset[str]() if key in done else route.names
+                is_partial = key in done
+                item.outcomes.append(Outcome(registration, left, status, problem, is_partial=is_partial))
+            if key in done or (problem is None and response.status == 207 and errors):
                 item.outcomes.append(Outcome(registration, route.names, 204))
-            else:
+            elif problem is None:
                 item.outcomes.append(outcomes.of_response(registration, route.names, response))
             item.is_new = item.is_new or item.entity_id in created
 
     async def _forward_one(
         self, registration: Registration, dialect: SourceDialect, item: _Item, route: WriteRoute
-    ) -> Outcome | None:
+    ) -> list[Outcome]:
         _, method, path = _SINGLY[self._operation]
-        outcome = await self._send_single(registration, dialect, item, route, method, path)
-        if self._operation != "upsertBatch" or outcome is None:
-            return outcome
-        if outcome.status != 409:
-            item.is_new = item.is_new or outcome.problem is None
-            return outcome
+        parts = await self._send_single(registration, dialect, item, route, method, path)
+        if self._operation != "upsertBatch" or not parts:
+            return parts
+        if parts[0].status != 409:
+            item.is_new = item.is_new or parts[0].problem is None
+            return parts
         keeps = "update" in self._request.parameters.get("options", "").split(",")
         if registration.takes("appendAttrs" if keeps else "replaceEntity"):
             method, path = ("POST", "entities/{id}/attrs") if keeps else ("PUT", "entities/{id}")
             return await self._send_single(registration, dialect, item, route, method, path)
-        return outcome
+        return parts
 
     async def _send_single(  # noqa: PLR0917 - the parts of one request
         self,
@@ -262,7 +265,7 @@ class _Batch:
         route: WriteRoute,
         method: str,
         path: str,
-    ) -> Outcome | None:
+    ) -> list[Outcome]:
         document = None if method == "DELETE" else _document(item, route, dialect)
         options = () if self._operation == "upsertBatch" else self._parameters
         where = path.replace("{id}", quoted(item.entity_id))
@@ -273,10 +276,11 @@ class _Batch:
                 registration, source_request, self._sources.origin
             )
         except SourceError as error:
-            return outcomes.of_source_error(error, route.names)
+            return [outcomes.of_source_error(error, route.names)]
         if self._is_loop(registration, response.status):
-            return None
-        return outcomes.of_response(registration, route.names, response)
+            return []
+        expand = dialect.context.terms.expand
+        return outcomes.of_parts(registration, route.names, response, item.entity_id, expand)
 
     def _is_loop(self, registration: Registration, status: int) -> bool:
         return not registration.mode.is_proxied and self._sources.is_loop_answer(registration, status)
@@ -313,24 +317,15 @@ def _document(item: _Item, route: WriteRoute, dialect: SourceDialect) -> Any:
     return in_dialect(item.part(route.instances), item.context, dialect)
 
 
-def _results_in(body: bytes) -> tuple[dict[Any, dict[str, Any]], set[Any]]:
-    """Return the errors in a batch response by entity id, and the ids of the created entities."""
+def _result_in(body: bytes) -> Any:
     try:
-        result = orjson.loads(body) if body else None
+        return orjson.loads(body) if body else None
     except orjson.JSONDecodeError:
-        return {}, set()
-    return _errors_in(result), {one for one in result if isinstance(one, str)} if isinstance(
-        result, list
-    ) else set()
+        return None
 
 
 def _errors_in(result: Any) -> dict[Any, dict[str, Any]]:
-    errors = result.get("errors") if isinstance(result, dict) else None
-    return {
-        _key(one.get("entityId")): one["error"]
-        for one in (errors if isinstance(errors, list) else ())
-        if isinstance(one, dict) and isinstance(one.get("error"), dict)
-    }
+    return dict(outcomes.errors_in(result))
 
 
 def _status_of(problem: Mapping[str, Any]) -> int:

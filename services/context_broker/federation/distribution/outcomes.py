@@ -1,6 +1,6 @@
 """Outcomes of the parts of one write, and the response to all of them (clause 6.3.17)."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ class Outcome:
     """The outcome of one part: the broker's own (no registration) or a source's.
 
     `names` are its attributes (IRIs); `problem` is the failure, None for a success. `is_held`: the broker has
-    the entity, so that its own 404 is about an attribute.
+    the entity, so that its own 404 is about an attribute. `is_partial`: the source did another part (207).
     """
 
     registration: Registration | None
@@ -30,6 +30,7 @@ class Outcome:
     status: int
     problem: dict[str, Any] | None = None
     is_held: bool = False
+    is_partial: bool = False
 
     @property
     def is_absence(self) -> bool:
@@ -40,18 +41,90 @@ class Outcome:
 
 
 def of_response(registration: Registration, names: frozenset[str], response: HttpResponse) -> Outcome:
-    """Return the outcome of a source's response."""
+    """Return the outcome of a source's response to a write that it does as a whole or not at all."""
     if 200 <= response.status < 300 and response.status != 207:
         return Outcome(registration, names, response.status)
     return Outcome(registration, names, response.status, problem_in(response, registration))
 
 
+def of_parts(
+    registration: Registration,
+    names: frozenset[str],
+    response: HttpResponse,
+    entity_id: str,
+    expand: Callable[[str], str],
+) -> list[Outcome]:
+    """Return the outcomes of a source's response to the write of one entity: those of its parts if it is 207.
+
+    Such a response has the result for attributes (clause 5.2.18), whose names `expand` makes IRIs, or for
+    entities (clause 5.2.16).
+    """
+    document = document_in(response) if response.status == 207 else None
+    if isinstance(document, dict) and ("updated" in document or "notUpdated" in document):
+        return _of_attributes(registration, names, document, expand)
+    if isinstance(document, dict) and ("success" in document or "errors" in document):
+        errors = [error for found, error in errors_in(document) if found in {entity_id, None}]
+        is_done = entity_id in success_in(document)
+        # Which attributes failed is unknown; where others were stored, they are not called failed.
+        left = frozenset[str]() if is_done else names
+        failed = [Outcome(registration, left, 207, error, is_partial=True) for error in errors]
+        if is_done or failed:
+            return [*([Outcome(registration, names, 204)] if is_done else []), *failed]
+    return [of_response(registration, names, response)]
+
+
+def _of_attributes(
+    registration: Registration, names: frozenset[str], document: dict[str, Any], expand: Callable[[str], str]
+) -> list[Outcome]:
+    given = document.get("updated")
+    updated = {expand(name) for name in given if isinstance(name, str)} if isinstance(given, list) else None
+    failed, left = list[Outcome](), set[str]()
+    entries = document.get("notUpdated")
+    for one in entries if isinstance(entries, list) else ():
+        if not isinstance(one, dict) or not isinstance(one.get("attributeName"), str):
+            continue
+        name = expand(one["attributeName"])
+        left.add(name)
+        # Without a registration it is the state of the source that lets nothing change there.
+        status = 207 if "registrationId" in one else 404
+        detail = f"{registration.shown}: {one.get('reason') or 'not updated'}"
+        problem = Problem(status, "Not updated", detail, ERRORS + "InternalError").body()
+        failed.append(Outcome(registration, frozenset({name}), status, problem, is_partial=True))
+    done = names - left if updated is None else names & updated
+    if unnamed := names - done - left:
+        detail = f"{registration.shown} says neither that it was updated nor why it was not"
+        problem = Problem(502, "Bad gateway", detail, ERRORS + "InternalError").body()
+        failed.append(Outcome(registration, unnamed, 502, problem, is_partial=True))
+    return [*([Outcome(registration, done, 204)] if done else []), *failed]
+
+
+def document_in(response: HttpResponse) -> Any:
+    """Return the JSON document of a response; None without one."""
+    try:
+        return orjson.loads(response.body) if response.body else None
+    except orjson.JSONDecodeError:
+        return None
+
+
+def errors_in(document: Any) -> list[tuple[str | None, dict[str, Any]]]:
+    """Return the ids and the problems of the entities that a result of a batch says have failed."""
+    errors = document.get("errors") if isinstance(document, dict) else None
+    return [
+        (one["entityId"] if isinstance(one.get("entityId"), str) else None, one["error"])
+        for one in (errors if isinstance(errors, list) else ())
+        if isinstance(one, dict) and isinstance(one.get("error"), dict)
+    ]
+
+
+def success_in(document: Any) -> list[str]:
+    """Return the ids of the entities that a result of a batch says are done."""
+    success = document.get("success") if isinstance(document, dict) else None
+    return [one for one in success if isinstance(one, str)] if isinstance(success, list) else []
+
+
 def problem_in(response: HttpResponse, registration: Registration) -> dict[str, Any]:
     """Return the problem in a source's response, or one that describes the response."""
-    try:
-        document = orjson.loads(response.body) if response.body else None
-    except orjson.JSONDecodeError:
-        document = None
+    document = document_in(response)
     if isinstance(document, dict) and isinstance(document.get("title"), str):
         return {**document, "status": response.status}
     detail = f"{registration.shown} returns {response.status}"
@@ -95,7 +168,8 @@ def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
 
 
 def failure(failed: list[Outcome]) -> Response | None:
-    """Return the response when every part failed; None if the parts failed in different ways.
+    """Return the response when every part failed; None if the parts failed in different ways, or one of
+    them with a result for each attribute.
 
     A failure of the broker itself, on an entity that it has, comes first: AlreadyExists or ResourceNotFound
     (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
@@ -105,7 +179,7 @@ def failure(failed: list[Outcome]) -> Response | None:
         others = [one.problem for one in failed if one is not own]
         return _problem_answer(own.status, {**own.problem, **({"errors": others} if others else {})}, None)
     statuses = {one.status for one in failed}
-    if len(statuses) > 1:
+    if len(statuses) > 1 or any(one.is_partial for one in failed):
         return None
     first = failed[0]
     assert first.problem is not None  # noqa: S101 - it is a failure

@@ -7,6 +7,7 @@ not.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import orjson
@@ -65,7 +66,15 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
     body: dict[str, Any] = {"success": [], "errors": []}
     if own.status == 207:
         body |= orjson.loads(own.body)
-    body["errors"] = [*body["errors"], *outcomes.entity_errors(None, failed)]
+    for one in failed:
+        # A source that purged in part says which entities it has purged, and which not.
+        result = one.problem if one.is_partial else None
+        body["success"] += outcomes.success_in(result)
+        if result is None:
+            body["errors"] += outcomes.entity_errors(None, [one])
+            continue
+        for entity_id, problem in outcomes.errors_in(result):
+            body["errors"] += outcomes.entity_errors(entity_id, [replace(one, problem=problem)])
     return outcomes.multi_status(body)
 
 
@@ -105,7 +114,9 @@ async def _purge_at(
         return outcomes.of_source_error(error, nothing)
     except Problem as problem:  # the @context of the source
         return outcomes.of_source_error(SourceError(source, SILENT, 502, problem.detail), nothing)
-    return outcomes.of_response(source, nothing, response)
+    outcome = outcomes.of_response(source, nothing, response)
+    result = outcomes.document_in(response) if response.status == 207 else None
+    return replace(outcome, problem=result, is_partial=True) if outcomes.errors_in(result) else outcome
 
 
 def _narrowed(

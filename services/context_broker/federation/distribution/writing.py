@@ -193,16 +193,17 @@ class DistributedWrite:
             return own if own is not None and own.status < 400 else _DONE
         if not good and result is None and (answer := outcomes.failure(failed)) is not None:
             return answer
-        left = list(result["notUpdated"]) if result is not None else []
-        results = {one.get("attributeName") for one in left}
+        done = {name for one in good for name in one.names}
+        # What is absent here and was changed at a source is changed.
+        own_left = [] if result is None else result["notUpdated"]
+        left = [one for one in own_left if one["attributeName"] not in done]
         for one in failed:
             reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
             by = {"registrationId": one.registration.id} if one.registration is not None else {}
             left += [{"attributeName": name, "reason": reason, **by} for name in sorted(one.names)]
-        done = {name for one in good for name in one.names}
         if result is not None:
-            done |= set(result.get("updated", []))
-        return outcomes.multi_status({"updated": sorted(done - results), "notUpdated": left})
+            done |= set(result["updated"])
+        return outcomes.multi_status({"updated": sorted(done), "notUpdated": left}) if left else _DONE
 
     async def _carried_out(self, routing: WriteRouting) -> tuple[Response | None, list[Outcome]]:
         """Return the broker's own response if it had a part, and all outcomes; raises what it rejects."""
@@ -218,8 +219,7 @@ class DistributedWrite:
                 is_held = problem.status == 409 or self._is_held()
                 found.append(Outcome(None, routing.own_names, problem.status, problem.body(), is_held))
         results = await gather_all(*(self.forwarded(route) for route in routing.others))
-        found += [one for one in results if one is not None]
-        return own, found
+        return own, [*found, *(one for parts in results for one in parts)]
 
     def _is_held(self) -> bool:
         """Return whether the broker has the current entity in the path, of the requested type."""
@@ -245,11 +245,11 @@ class DistributedWrite:
         root = "temporal/" if _is_temporal(self._request) else ""
         return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
 
-    async def forwarded(self, route: WriteRoute) -> Outcome | None:
-        """Return the outcome of a source's part; None if the request has passed the source before."""
+    async def forwarded(self, route: WriteRoute) -> list[Outcome]:
+        """Return the outcomes of a source's part; none if the request has passed the source before."""
         registration, names = route.registration, route.names
         if route.operation is None:
-            return outcomes.of_refusal(registration, names, self._operation)
+            return [outcomes.of_refusal(registration, names, self._operation)]
         try:
             body = None if self._document is None else self._request.content_type()
             dialect = await self._sources.forwarder.dialect(registration, self._context, body=body)
@@ -271,12 +271,13 @@ class DistributedWrite:
                 registration, source_request, self._sources.origin
             )
         except SourceError as error:
-            return outcomes.of_source_error(error, names)
+            return [outcomes.of_source_error(error, names)]
         except Problem as problem:  # the @context of the source
-            return outcomes.of_source_error(SourceError(registration, SILENT, 502, problem.detail), names)
+            return [outcomes.of_source_error(SourceError(registration, SILENT, 502, problem.detail), names)]
         if not registration.mode.is_proxied and self._sources.is_loop_answer(registration, response.status):
-            return None
-        return outcomes.of_response(registration, names, response)
+            return []
+        expand = dialect.context.terms.expand
+        return outcomes.of_parts(registration, names, response, self._entity_id, expand)
 
 
 async def _of_document(
