@@ -126,6 +126,7 @@ _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 _BARE = re.compile(r"[^;|(),\"\s]+?(?=\.\.|[;|(),\"\s]|$)")
 _NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?")
 _TIME_OF_DAY = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
+_MAX_INTEGER_CHARS: Final = len(str(2**64))
 _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:\S+")
 
 
@@ -299,7 +300,7 @@ class _Parser:
         high = self.value()
         if (
             low.kind is not high.kind
-            or type(low.value) is not type(high.value)
+            or isinstance(low.value, str) is not isinstance(high.value, str)
             or low.kind is LiteralKind.TRUTH
         ):
             self.fail("a range has two numbers, two texts or two times")
@@ -369,13 +370,20 @@ class _Parser:
         )
 
 
+def _number(bare: str) -> float:
+    """Return a number as it is read from a body: integers are exact within 64 bits."""
+    if len(bare) <= _MAX_INTEGER_CHARS and bare.lstrip("-").isdigit():
+        number = int(bare)
+        if -(2**63) <= number < 2**64:
+            return number
+    return float(bare)
+
+
 def _literal(bare: str) -> Literal | None:
     if bare in {"true", "false"}:
         return Literal(LiteralKind.TRUTH, bare == "true")
     if _NUMBER.fullmatch(bare):
-        return Literal(
-            LiteralKind.NUMBER, float(bare) if len(bare) > 15 or not bare.lstrip("-").isdigit() else int(bare)
-        )
+        return Literal(LiteralKind.NUMBER, _number(bare))
     if _TIME_OF_DAY.fullmatch(bare):
         return Literal(LiteralKind.TIME, bare)
     if bare[:1].isdigit() and "-" in bare:

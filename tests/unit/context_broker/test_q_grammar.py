@@ -1,10 +1,13 @@
 """The query language: parsed as specified, refused with the position and the reason."""
 
+import json
+import operator
 from math import inf
 from typing import Any
 
+import orjson
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
@@ -216,6 +219,40 @@ def test_conditions_for_an_index_hold_of_every_hit(values: list[object], asked: 
     if predicate(tree, expand)(entity):
         index = AttributeIndex(VOCAB + "a", [entity])
         assert all(list(ids_of(index.found(one))) == ["urn:x:1"] for one in promised)
+
+
+NUMBERS = (
+    st.integers(2**53 - 2, 2**53 + 2)
+    | st.integers(2**64 - 3, 2**64 + 3)
+    | st.integers(-(2**63) - 3, -(2**63) + 3)
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+)
+RELATIONS = {
+    "==": operator.eq, "!=": operator.ne, ">": operator.gt, ">=": operator.ge, "<": operator.lt,
+    "<=": operator.le,
+}  # fmt: skip
+
+
+@given(NUMBERS, NUMBERS, st.sampled_from(sorted(RELATIONS)))
+@example(2**53 + 1, 2**53, "!=")
+@example(2**53 + 1, 2**53 + 1, "!=")
+@example(2**70, 2**70, "==")
+def test_numbers_are_compared_as_they_were_sent(sent: float, wanted: float, relation: str) -> None:
+    """Also those that a double does not hold; a body and a query are read alike."""
+    value, other = (orjson.loads(json.dumps(number)) for number in (sent, wanted))
+    asked = parse(f"a{relation}{json.dumps(wanted)}")
+    attributes = {VOCAB + "a": [{"type": "Property", "value": value}]}
+    thing = Entity("urn:x:1", ("urn:t",), attributes, "", "")
+    expected = RELATIONS[relation](value, other)
+    assert predicate(asked, expand)(thing) is expected
+    for condition in conditions(asked, expand):
+        found = list(ids_of(AttributeIndex(condition.attribute, [thing]).found(condition)))
+        assert found or not expected
+
+
+def test_a_range_has_whole_and_other_numbers() -> None:
+    assert parse("a==1..2.5") == Compare(Path(("a",)), "==", (Span(number(1), number(2.5)),))
 
 
 def test_only_what_an_index_can_answer_becomes_a_condition() -> None:
