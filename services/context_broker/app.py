@@ -33,6 +33,7 @@ from services.context_broker.operations.context_operations import ContextOperati
 from services.context_broker.operations.discovery_operations import DiscoveryOperations
 from services.context_broker.operations.entity_operations import EntityOperations
 from services.context_broker.operations.subscription_operations import SubscriptionOperations
+from services.context_broker.request.name_hints import with_name_hints
 from services.context_broker.request.request_context import (
     Request,
     RequestContext,
@@ -222,8 +223,10 @@ class Broker:
                 and tenant.federation.is_empty
                 and not self._is_extended(operation, context)
             ):
-                return await operation.answer(context)
-            return await self._in_own_task(self._with_extensions(operation, context))
+                answer = await operation.answer(context)
+            else:
+                answer = await self._in_own_task(self._with_extensions(operation, context))
+            return await with_name_hints(operation, context, answer)
         finally:
             self.tenants.leave(tenant)
 

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, FilePath, field_validator
+from pydantic import Field, FilePath, ValidationInfo, field_validator
 
+from datamodels.contexts import HANDOVER_URL
 from handover.settings import Names, Settings
 
 
@@ -52,7 +53,7 @@ class BrokerSettings(Settings):
     broker_default_context: str | None = Field(
         None,
         description="the URL of the @context of requests that give none, in a Link header or in the body; "
-        "if absent, the core @context alone",
+        "handover for that of Handover, which is built in; if absent, the core @context alone",
     )
     broker_public_url: str | None = Field(
         None,
@@ -67,7 +68,9 @@ class BrokerSettings(Settings):
 
     @field_validator("broker_public_url", "broker_default_context")
     @classmethod
-    def _is_address(cls, url: str | None) -> str | None:
+    def _is_address(cls, url: str | None, info: ValidationInfo) -> str | None:
+        if url == "handover" and info.field_name == "broker_default_context":
+            return HANDOVER_URL
         if url and not url.startswith(("http://", "https://")):
             raise ValueError("must start with http:// or https://")
         return url or None

@@ -14,7 +14,15 @@ from typing import Any, Final
 
 import orjson
 
-from datamodels.contexts import ContextNotAvailable, TermMap, is_core, resolve
+from datamodels.contexts import (
+    HANDOVER_URL,
+    SHOP4CF_URL,
+    SMART_DATA_MODELS_URL,
+    ContextNotAvailable,
+    TermMap,
+    is_core,
+    resolve,
+)
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_store import (
@@ -39,6 +47,8 @@ from services.context_broker.storage.entries import DocumentKey, DocumentKind
 log = get_logger(__name__)
 
 CORE: Final = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
+SHIPPED: Final = (HANDOVER_URL, SHOP4CF_URL, SMART_DATA_MODELS_URL)
+"""@contexts that are looked at first for a name."""
 LARGEST_REMEMBERED: Final = 32 * 1024
 """Maximum size of a context in a body that is cached."""
 MAX_CONTEXTS: Final = 1000
@@ -135,6 +145,15 @@ class ContextResolver:
         """
         key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
         return self.at_hand(key) or self._noted(await self._make(key, given))
+
+    async def link_with(self, name: str, iri: str) -> str | None:
+        """Return the URL of an @context that gives a name this IRI, of those at hand; None if none does."""
+        for url in SHIPPED:
+            if url not in self._ready:
+                await self._make(url, url)
+        ready = [self._ready[url] for url in SHIPPED if url in self._ready]
+        found = (one for one in (*ready, *self._ready.values()) if one.link is not None)
+        return next((one.link for one in found if one.terms.expand(name) == iri), None)
 
     def at_hand(self, key: str | bytes) -> Context | None:
         """Return the context of a URL, or of a document as JSON, if it is cached."""

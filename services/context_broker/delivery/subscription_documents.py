@@ -13,6 +13,7 @@ from services.context_broker.model.secrets import hidden_members, kept_members
 from services.context_broker.model.stored_documents import refuse_null, without_null
 from services.context_broker.model.validation import moment, require_name, shown
 from services.context_broker.query.parameters import Use, members_for
+from services.context_broker.query.q_grammar import readable
 from services.context_broker.query.type_selection import type_selection
 
 NAMES_IN: Final = "namesIn"
@@ -69,6 +70,9 @@ def kept_document(
         document["entities"] = [_kept_selector(one, context) for one in document["entities"]]
     if document.get("watchedAttributes") is not None:
         document["watchedAttributes"] = _names(document["watchedAttributes"], "watchedAttributes", context)
+    for name in ("q", "csf"):
+        if isinstance(document.get(name), str):
+            document[name] = readable(document[name])
     if isinstance(document.get("notification"), dict):
         document["notification"] = _kept_notification(document["notification"], context)
     return document

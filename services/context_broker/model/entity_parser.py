@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from handover.errors import Problem
 from services.context_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Instance, Terms, is_deletion
-from services.context_broker.model.geometry import looks_like_geometry
+from services.context_broker.model.geometry import fault_of, looks_like_geometry
 from services.context_broker.model.nesting import MAX_NESTING, too_deep
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import (
@@ -21,6 +21,7 @@ from services.context_broker.model.validation import (
     require_time,
     require_uri,
     shown,
+    without_iri,
 )
 from services.context_broker.model.values import SAID
 
@@ -203,7 +204,7 @@ def expand(name: str, terms: Terms) -> str:
     """Return the IRI of `name`; raise a problem if its @context does not define one."""
     iri = terms.expand(name)
     if ":" not in iri:
-        raise bad_request_data(f"the @context has no IRI for {shown(name)}; map it to one or add a @vocab")
+        raise without_iri(name, iri)
     return iri
 
 
@@ -227,9 +228,22 @@ def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[
             )
     else:
         instances = [_read_instance(name, given, terms, depth)]
-    if name in _PLACES and any(one["type"] != "GeoProperty" and not is_deletion(one) for one in instances):
-        raise bad_request_data(f"attribute {shown(name)} is a GeoProperty; give it a geometry as its value")
+    if name in _PLACES:
+        for one in instances:
+            if one["type"] != "GeoProperty" and not is_deletion(one):
+                raise _no_place(name, one)
     return instances
+
+
+def _no_place(name: str, instance: Instance) -> Problem:
+    kind = instance["type"]
+    value = instance[VALUE_MEMBER[kind]]
+    if kind == "Property" and (fault := fault_of(value)) is not None:
+        return bad_request_data(f"attribute {shown(name)} is always a GeoProperty, not a Property: {fault}")
+    return bad_request_data(
+        f'attribute {shown(name)} is always a GeoProperty, not a {kind}; write "type": "GeoProperty"'
+        + ("" if kind == "Property" else ' and give it a geometry as its "value"')
+    )
 
 
 def _entity_id(given: Any) -> str:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from handover.durations import parse_duration
+from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data
 
 MAX_ID_LENGTH = 2048
@@ -191,6 +192,16 @@ def _is_name(value: str) -> bool:
     if ":" not in value:
         return _SHORT_NAME.fullmatch(value) is not None
     return not value.startswith("@") and _UNFIT_IN_NAMES.search(value) is None
+
+
+def without_iri(name: str, expanded: str) -> Problem:
+    """Return the problem (400) of a name that its @context expands to no IRI."""
+    if expanded.startswith("@"):
+        return bad_request_data(
+            f"{shown(name)} stands for {expanded} of an entity and names nothing else; leave it out, or "
+            "choose another name; queries have the parameters id and type"
+        )
+    return bad_request_data(f"the @context has no IRI for {shown(name)}; map it to one or add a @vocab")
 
 
 def shown(value: Any) -> str:

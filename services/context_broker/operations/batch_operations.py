@@ -43,7 +43,8 @@ MAX_ENTITIES: Final = 10_000
 _LOCAL: Final = frozenset({"local"})
 _WRITE: Final = _LOCAL | {"options", "format"}
 _UPSERTING: Final = frozenset({"update", "replace"})
-_KEEPING: Final = frozenset({"noOverwrite"})
+_UPDATING: Final = frozenset({"noOverwrite"}) | _UPSERTING
+"""Clients send update and replace, which are options of an upsert: an update overwrites anyway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +133,14 @@ class BatchOperations:
 
     async def update(self, request: RequestContext) -> Response:
         """POST entityOperations/update; options=noOverwrite leaves existing attributes unchanged."""
-        overwrite = "noOverwrite" not in options_of(request, FORMS | _KEEPING)
+        options = _UPDATING.intersection(options_of(request, FORMS | _UPDATING))
+        if len(options) > 1:
+            raise bad_request_data("options is noOverwrite, or else replace or update, which change nothing")
+        overwrite = "noOverwrite" not in options
         result = await self._each(
             request,
             lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
-            _KEEPING,
+            _UPDATING,
         )
         return result.answer(DONE)
 

@@ -39,8 +39,7 @@ class ContextOperations:
         if not isinstance(document, Mapping) or document.get("@context") is None:
             raise invalid_request('the body is an object with an "@context"; put the context there')
         added = await self._contexts.add(request.tenant.name, document["@context"])
-        # Absolute, because the client uses it as the @context of its requests.
-        location = added.address(self._contexts.base(request.headers))
+        location = added.address("")  # relative, as in table 6.29.3.1-1
         return Response(201, b"", [(b"location", location.encode())])
 
     async def list(self, request: RequestContext) -> Response:

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NoReturn
+from urllib.parse import unquote
 
 import orjson
 
@@ -139,6 +140,25 @@ def parse(text: str, expanded: Collection[str] = (), what: str = "q") -> Term:
     if len(text) > LONGEST:
         raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
     return _Parser(text, expanded, what).whole()
+
+
+def readable(text: str) -> str:
+    """Return a query as `parse` reads it: percent-decoded if only then it is one.
+
+    Clients that encode the parameter `q` of a URL do the same with the member `q` of a body.
+    """
+    if "%" not in text or _is_query(text):
+        return text
+    decoded = unquote(text)
+    return decoded if _is_query(decoded) else text
+
+
+def _is_query(text: str) -> bool:
+    try:
+        parse(text)
+    except Problem:
+        return False
+    return True
 
 
 def path_of(text: str, what: str) -> Path:

@@ -10,6 +10,7 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_uri, shown
 from services.context_broker.query.parameters import KIND_BY_MEMBER, ValueKind
 from services.context_broker.query.patterns import pattern
+from services.context_broker.query.q_grammar import readable
 from services.context_broker.query.selection import Selection
 from services.context_broker.query.type_selection import type_selection
 
@@ -94,7 +95,7 @@ def _selection(given: dict[str, str], context: Context) -> Selection:
 def _text(name: str, value: Any) -> dict[str, str]:
     if not isinstance(value, str):
         raise bad_request_data(f'"{name}" is text, not {shown(value)}')
-    return {name: value}
+    return {name: readable(value) if name in {"q", "csf"} else value}
 
 
 def _texts(name: str, value: Any) -> dict[str, str]:

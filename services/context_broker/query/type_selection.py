@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from services.context_broker.model.problems import bad_request_data
-from services.context_broker.model.validation import require_name, shown
+from services.context_broker.model.validation import require_name, shown, without_iri
 from services.context_broker.query.alternatives import alternatives
 
 EVERY: Final = "*"
@@ -59,7 +59,7 @@ def type_selection(given: Any, expand: Callable[[str], str], what: str = "the ty
             raise bad_request_data(f"{what} {EVERY} matches every type by itself; leave the others out")
         iri = expand(require_name(name, what))
         if ":" not in iri:
-            raise bad_request_data(f"the @context has no IRI for {shown(name)}; map it or add a @vocab")
+            raise without_iri(name, iri)
         return iri
 
     if given.isalnum():  # it is nearly always one plain name

@@ -161,6 +161,7 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
     if selection.types is not None and selection.types.is_every and local == "false":
         raise bad_request_data("type=* selects everything here: local=false contradicts it, leave it out")
     attributes = parameters.get("attrs", "").split(",")
+    given = [name for name in ("q", "attrs", "id", "idPattern", "scopeQ") if parameters.get(name)]
     narrows = (
         selection.types is not None
         or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
@@ -169,9 +170,16 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
         or bool(selection.any_of)
     )
     if not narrows and local != "true":
+        others = [name for name in ("type", "attrs", "q", "georel") if name not in given]
+        has_times = not {"q", "attrs"}.isdisjoint(given)
+        reason = ""
+        if given:
+            what = "name only what every entity has" if has_times else "do not narrow it down"
+            reason = f", because {' and '.join(given)} {what} (clause 5.7.2.4)"
+        name_one = " name an attribute of the entities in it, or" if has_times else ""
         raise bad_request_data(
-            "the query is too broad: add type, attrs, q or georel to narrow it down, which id and idPattern "
-            "alone do not (clause 5.7.2.4), or local=true to search all entities of this broker"
+            f"the query is too broad{reason}:{name_one} add {', '.join(others[:-1])} or {others[-1]}, "
+            "or local=true to search all entities of this broker"
         )
 
 

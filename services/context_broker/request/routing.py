@@ -14,6 +14,7 @@ from services.context_broker.request.request_context import PREFIX, Request, Req
 Answering = Callable[[RequestContext], Awaitable[Response]]
 
 _NAME: Final = "{"
+_ATTRIBUTES: Final = "attrs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,19 @@ class _Route:
         return tuple([parts[at] for at in self._names])
 
 
+def _with_whole_url(parts: list[str]) -> list[str]:
+    """Return the parts of a path with an id that is a URL, and was not percent-encoded, in one part.
+
+    It ends where `attrs` follows. Without such an id, or with several `attrs`, the parts are returned as they
+    are.
+    """
+    at = next((at for at in range(1, len(parts) - 1) if parts[at].endswith(":") and not parts[at + 1]), None)
+    if at is None or parts.count(_ATTRIBUTES) > 1:
+        return parts
+    end = parts.index(_ATTRIBUTES) if _ATTRIBUTES in parts else len(parts)
+    return [*parts[:at], "/".join(parts[at:end]), *parts[end:]]
+
+
 class Router:
     """Finds the operation of a request."""
 
@@ -113,11 +127,20 @@ class Router:
 
     def _place(self, request: Request) -> tuple[_Route, tuple[str, ...]]:
         parts = request.path_parts()
+        found = self._place_of(parts) or self._place_of(_with_whole_url(parts))
+        if found is not None:
+            return found
+        hint = f"see {PREFIX}entities and {PREFIX}subscriptions"
+        if "" in parts[1:]:
+            hint = "percent-encode an id or a name that is a URL, such as http:%2F%2Fa.example%2F1"
+        raise not_found(f"there is nothing at {request.path}; {hint}")
+
+    def _place_of(self, parts: list[str]) -> tuple[_Route, tuple[str, ...]] | None:
         for place in self._places.get((parts[0], len(parts)), ()):
             names = place.names(parts)
             if names is not None:
                 return place, names
-        raise not_found(f"there is nothing at {request.path}; see {PREFIX}entities and {PREFIX}subscriptions")
+        return None
 
     def by_path(self) -> Mapping[str, list[Operation]]:
         """Return the operations by their path."""

@@ -28,8 +28,7 @@ def add(http: httpx.Client, context: Any, **headers: str) -> str:
     assert answer.status_code == 201, answer.text
     assert answer.content == b""
     location: str = answer.headers["location"]
-    assert location.startswith(("http://", "https://"))
-    assert "/ngsi-ld/v1/jsonldContexts/" in location
+    assert location.startswith("/ngsi-ld/v1/jsonldContexts/")
     return location.partition("/ngsi-ld/v1")[2]
 
 

@@ -54,6 +54,7 @@ from services.context_broker.request.request_context import (
 
 MAX_BATCH_SIZE: Final = 1000
 """Entities in one forwarded batch."""
+_WITHOUT_EFFECT: Final = frozenset({("options", "replace"), ("options", "update")})
 MAX_CONCURRENT_REQUESTS: Final = 16
 """Concurrent requests to one source that takes no batches."""
 _SINGLY: Final = {
@@ -111,6 +112,8 @@ class _Batch:
         given = request.parameters
         names = ("options", "format", "observedAt", "lang")
         self._parameters = tuple((name, given[name]) for name in names if name in given)
+        if operation == "updateBatch":  # other brokers refuse what changes nothing
+            self._parameters = tuple(one for one in self._parameters if one not in _WITHOUT_EFFECT)
 
     async def answer(self) -> Response:
         """Carry out the batch."""
