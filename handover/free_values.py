@@ -16,24 +16,27 @@ AS_TEXT: Final = "asText"
 _BITS: Final = 32
 
 
-def with_texts(entity: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a normalized entity or its attributes, with the texts of values that a broker may change."""
+def with_texts(entity: Mapping[str, Any], *, prefix: str = "") -> Mapping[str, Any]:
+    """Return a normalized entity or its attributes, with the texts of values that a broker may change.
+
+    The names of attributes in it begin with `prefix`.
+    """
     added = {}
-    for name in FREE_VALUES:
+    for name in (f"{prefix}{one}" for one in FREE_VALUES):
         attribute = entity.get(name)
         if isinstance(attribute, Mapping) and not _is_same(value := attribute.get("value"), reduced(value)):
             text = {"type": "Property", "value": orjson.dumps(value).decode()}
-            added[name] = {**attribute, AS_TEXT: text}
+            added[name] = {**attribute, f"{prefix}{AS_TEXT}": text}
     return {**entity, **added} if added else entity
 
 
-def without_texts(entity: dict[str, Any]) -> dict[str, Any]:
+def without_texts(entity: dict[str, Any], *, prefix: str = "") -> dict[str, Any]:
     """Return a normalized entity that was read with the values of its texts, and without these."""
-    for name in FREE_VALUES:
+    for name in (f"{prefix}{one}" for one in FREE_VALUES):
         attribute = entity.get(name)
-        if not isinstance(attribute, dict) or AS_TEXT not in attribute:
+        if not isinstance(attribute, dict) or f"{prefix}{AS_TEXT}" not in attribute:
             continue
-        text = attribute.pop(AS_TEXT)
+        text = attribute.pop(f"{prefix}{AS_TEXT}")
         try:
             value = orjson.loads(text["value"])
         except (orjson.JSONDecodeError, TypeError, KeyError):

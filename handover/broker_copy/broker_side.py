@@ -15,6 +15,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 import orjson
 
 from datamodels.contexts import CORE_URL, ContextNotAvailable, TermMap, term_map
+from datamodels.contexts.term_map import DEFAULT_VOCAB
 from handover.broker import (
     JSON_LD,
     MAX_FAULTS,
@@ -29,6 +30,7 @@ from handover.broker import (
 from handover.broker_copy.entity_form import Json, expanded, has_instances, types_of, with_terms
 from handover.broker_identity import BrokerIdentity
 from handover.errors import HandoverError
+from handover.free_values import with_texts, without_texts
 from handover.http_client import HttpResponse
 from handover.retry import backoff_delay_s
 from handover.settings import Settings
@@ -152,11 +154,7 @@ class BrokerSide:
         """Yield pages of entities, without those by which clients see whether the broker has its data."""
         asked = {**params, "options": "sysAttrs", "count": "true"}
         async for page in self.pages("/entities", asked):
-            yield [
-                expanded(entity, _terms_of(entity, self.place.url))
-                for entity in page
-                if not is_presence(str(entity.get("id")))
-            ]
+            yield [self._read_form(entity) for entity in page if not is_presence(str(entity.get("id")))]
 
     async def types(self) -> tuple[str, ...]:
         """Return the types of all entities as IRIs."""
@@ -220,7 +218,7 @@ class BrokerSide:
                 page = _as_list(await self.read("/entities", asked))
             except NotFound:  # there is no such tenant
                 return {}
-            found |= {one["id"]: expanded(one, _terms_of(one, self.place.url)) for one in page}
+            found |= {one["id"]: self._read_form(one) for one in page}
         for entity in entities:
             if "," in entity["id"] and (one := await self.retrieve(entity["id"])) is not None:
                 found[entity["id"]] = one
@@ -233,9 +231,17 @@ class BrokerSide:
             found = as_object(await self.read(f"/entities/{in_path(entity_id)}", asked))
         except NotFound:
             return None
-        return expanded(found, _terms_of(found, self.place.url))
+        return self._read_form(found)
+
+    def _read_form(self, entity: Json) -> Json:
+        """Return an entity that was read, expanded; parameters of Tasks have the values of their texts."""
+        return without_texts(expanded(entity, _terms_of(entity, self.place.url)), prefix=DEFAULT_VOCAB)
 
     # Writing
+
+    def _written_form(self, entity: Json) -> Json:
+        """Return an expanded entity as this broker gets it: with texts of what another one may change."""
+        return entity if self.place.identity.is_ours else dict(with_texts(entity, prefix=DEFAULT_VOCAB))
 
     async def create(self, entities: Sequence[Json]) -> dict[str, str]:
         """Create entities; return the reasons for those that were refused, by id.
@@ -243,6 +249,7 @@ class BrokerSide:
         Those with several instances are created one by one where a batch may damage them, and those that need
         an @context.
         """
+        entities = list(map(self._written_form, entities))
         alone = list(filter(self._is_alone, entities))
         single = {entity["id"] for entity in alone}
         refused: dict[str, str] = {}
@@ -254,6 +261,7 @@ class BrokerSide:
 
     async def replace(self, pairs: Sequence[tuple[Json, Json]]) -> dict[str, str]:
         """Replace entities, given as wanted and present ones; return the reasons of refusals, by id."""
+        pairs = [(self._written_form(wanted), present) for wanted, present in pairs]
         refused: dict[str, str] = {}
         again = [
             wanted

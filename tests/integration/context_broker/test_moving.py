@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL
 from handover.broker_copy.copying import CopyReport, copy_broker, place_at
+from handover.free_values import FREE_VALUES
 from handover.notifications import KEY_HEADER
 from handover.python_processes import module_command
 from handover.security.permissions import Role
@@ -288,6 +289,40 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
         with ask(target, tenant) as http:
             found = http.get("/entities/urn:ngsi-ld:Part:instances").json()
             assert found["https://example.org/n"] == instances
+
+
+def test_parameters_of_tasks_are_kept_on_the_way_to_another_broker_and_back(
+    pair: tuple[BrokerProcess, BrokerProcess],
+    tenant: str,
+    tmp_path: Path,
+    strict_broker: Callable[[], tuple[str, OtherBroker]],
+) -> None:
+    source, back = pair
+    other, _ = strict_broker()
+    tenant = tenant.lower()
+    values = [{"at": 1764408000000, "steps": ["one"]}, {"steps": ["one", "two"]}]
+    tasks = [
+        {
+            "id": f"urn:ngsi-ld:Task:demo:{at}",
+            "type": "Task",
+            **{name: {"type": "Property", "value": value} for name in FREE_VALUES},
+        }
+        for at, value in enumerate(values)
+    ]
+    create(source.url, tasks, tenant, context=HANDOVER_URL)
+    for here, there in ((source.url, other), (other, back.url)):
+        for _ in range(2):
+            code, _, progress = copied(tmp_path, here, there, "--tenant", tenant, "--only")
+            assert code == 0, progress
+    for at, value in enumerate(values):
+        path = f"/entities/urn:ngsi-ld:Task:demo:{at}"
+        with ask(other, tenant) as http:
+            text = http.get(path).text
+        with ask(back, tenant) as http:
+            found = http.get(path).json()
+        assert [found[name]["value"] for name in FREE_VALUES] == [value, value]
+        assert "asText" not in str(found)
+        assert ("asText" in text) is (at == 0)
 
 
 def test_another_content_in_the_target_is_replaced_only_if_wanted(
