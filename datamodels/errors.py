@@ -3,6 +3,9 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+_OBJECT_FAULTS = frozenset({"dict_type", "mapping_type"})
+"""What pydantic calls a value that is not a JSON object."""
+
 
 class DataModelError(ValueError):
     """An entity or a context breaks a rule; the message names the thing, the attribute and the rule."""
@@ -16,7 +19,8 @@ def explained(kind: str, data: Mapping[str, Any], faults: Iterable[Mapping[str, 
 
 def _described(fault: Mapping[str, Any]) -> str:
     path = [str(part) for part in fault["loc"]]
-    rule = str(fault["msg"]).removeprefix("Value error, ")
+    is_object = fault["type"] in _OBJECT_FAULTS
+    rule = "must be a JSON object" if is_object else str(fault["msg"]).removeprefix("Value error, ")
     if fault["type"] == "missing":
         rule = "is required" if len(path) < 2 else f'its member "{path[-1]}" is required'
     if not path:

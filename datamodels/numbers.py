@@ -3,6 +3,8 @@
 Some brokers keep an integer in 32 bits, and answer with another number for a larger one. They keep floats.
 """
 
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 MIN_INTEGER: Final = -(2**31)
@@ -25,3 +27,21 @@ def portable(value: Any) -> Any:
     except OverflowError:
         return value
     return number if number == value else value
+
+
+def not_finite_place(value: Any) -> str | None:
+    """Return the place of a NaN or infinite number in a value, as `joints.1`; None if there is none.
+
+    JSON has no such number. Its writers put `null` there, or text that other readers refuse.
+    """
+    if isinstance(value, float):
+        return None if math.isfinite(value) else ""
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, Mapping):
+        items = value.items()
+    elif isinstance(value, list | tuple):
+        items = enumerate(value)
+    for name, inner in items:
+        if (place := not_finite_place(inner)) is not None:
+            return f"{name}.{place}" if place else str(name)
+    return None

@@ -91,6 +91,15 @@ TASK_LOST: Final = AlertType(
     "The broker no longer has a Task that a performer had started.",
     "Check the state of the work, then cancel the process.",
 )
+TASK_UNREADABLE: Final = AlertType(
+    AlertCategory.TASK,
+    "taskUnreadable",
+    Severity.HIGH,
+    "Task",
+    "A program has written a Task against the data model, for example an unknown status; the process waits.",
+    "Correct the program that the Alert names, and let it write the Task again. With accounts, the audit log "
+    "of the broker names the account that wrote it.",
+)
 PROCESS_FAILED: Final = AlertType(
     AlertCategory.PROCESS,
     "processFailed",
@@ -224,6 +233,7 @@ CATALOGUE: Final = (
     TASK_PAST_DUE,
     TASK_PERFORMER_LOST,
     TASK_LOST,
+    TASK_UNREADABLE,
     PROCESS_FAILED,
     PROCESS_INCIDENT,
     ENTITY_FILTER_REFUSED,

@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 import orjson
 
 from datamodels.entities import TaskStatus
+from datamodels.numbers import not_finite_place
 from handover.errors import UsageError
 from handover.folder_lock import hold
 from handover.settings import Settings
@@ -109,7 +110,7 @@ class FinishedTasks:
 
         Raises `OSError` when it cannot be written, `TypeError` when the outputs are no plain JSON.
         """
-        outputs = orjson.dumps(dict(end.outputs)).decode()
+        outputs = _plain_json(end.outputs)
         try:
             await self._on_disk(self._record, task_id, end.status.value, outputs)
         except sqlite3.Error as error:
@@ -131,7 +132,7 @@ class FinishedTasks:
 
     async def end_act(self, task_id: str, name: str, result: Mapping[str, Any]) -> None:
         """Record the result of an act durably. Raises `OSError` or `TypeError` as `record` does."""
-        written = orjson.dumps(dict(result)).decode()
+        written = _plain_json(result)
         try:
             await self._on_disk(self._end_act, task_id, name, written)
         except sqlite3.Error as error:
@@ -248,3 +249,10 @@ class FinishedTasks:
         if self._connection is None:
             raise RuntimeError("the record of finished Tasks is not open")
         return self._connection
+
+
+def _plain_json(value: Mapping[str, Any]) -> str:
+    """Return a result as JSON; raise `TypeError` if JSON cannot express it."""
+    if (place := not_finite_place(value)) is not None:
+        raise TypeError(f'"{place}" is NaN or infinite, and JSON has no such number; return a finite one')
+    return orjson.dumps(dict(value)).decode()

@@ -17,12 +17,13 @@ from enum import Enum
 from typing import Any
 
 from datamodels.entities import RequestedStatus, Task, TaskStatus
+from datamodels.numbers import not_finite_place
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.device_lease import DeviceLease, LeaseState
 from handover.errors import HandoverError
 from handover.finished_tasks import FinishedTasks
-from handover.messages import message
+from handover.messages import message, with_code
 from handover.outcomes import outcome_unknown
 from handover.retry import retry
 from handover.task_life import FINISHED, is_legal, is_news
@@ -334,7 +335,8 @@ class Job:
         """Write the progress; after a failure the next report or the final status repeats it."""
         try:
             await self._broker.append(
-                self.task.id, {"outputParameters": _output_property(outputs, datetime.now(UTC))}
+                self.task.id,
+                {"outputParameters": _output_property(finite_outputs(outputs), datetime.now(UTC))},
             )
         except (BrokerError, TypeError) as error:
             log.info("progress not written", task=self.task.id, error=str(error))
@@ -367,6 +369,27 @@ class Job:
 
     def _pause_reason(self) -> str:
         return ", ".join(self._holds) or "requested"
+
+
+def finite_outputs(outputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the outputParameters without those that have a NaN or infinite number, which JSON has not.
+
+    `reason` names them, unless it says why the Task failed.
+    """
+    places = {
+        name: place for name, value in outputs.items() if (place := not_finite_place(value)) is not None
+    }
+    if not places:
+        return dict(outputs)
+    shown = ", ".join(f"{name}.{place}" if place else name for name, place in places.items())
+    reason = message(
+        "task.result_not_finite",
+        "{places}: NaN or infinite, and JSON has no such number, so it is left out of the result; correct "
+        "the program of the performer",
+        places=shown,
+    )
+    finite = {name: value for name, value in outputs.items() if name not in places}
+    return finite if "reason" in finite else {**finite, **with_code("reason", reason)}
 
 
 def _output_property(outputs: Mapping[str, Any], at: datetime) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.device_lease import DeviceLeases
 from handover.finished_tasks import End, FinishedTasks
-from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone
+from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone, finite_outputs
 from handover.messages import message, with_code
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.outcomes import outcome_unknown
@@ -514,14 +514,17 @@ class Performer(ABC):
 
     async def _finish(self, job: Job, status: TaskStatus, outputs: Mapping[str, Any]) -> None:
         """Record the end of the job, then report it: after a crash in between it is not executed again."""
-        self._unreported[job.task.id] = end = End(status, outputs)
+        finite = finite_outputs(outputs)
+        if finite.keys() != outputs.keys():
+            log.warning("result has numbers that are not finite", task=job.task.id, reason=finite["reason"])
+        self._unreported[job.task.id] = end = End(status, finite)
         try:
             await self._finished.record(job.task.id, end)
         except (OSError, TypeError) as error:
             log.warning("end of a task not recorded", task=job.task.id, error=str(error))
         try:
             await job.until_held()
-            await job.finish(status, outputs)
+            await job.finish(status, finite)
         except TaskGone:
             self._unreported.pop(job.task.id, None)
             raise

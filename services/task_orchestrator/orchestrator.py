@@ -53,12 +53,12 @@ class Orchestrator:
         self.deployments = Deployments(self.state, self.writer)
         self.holds = DefinitionHolds(self.state, self.writer)
         self.processes = ProcessControl(self.state, self.writer)
-        self.broker_changes = BrokerChanges(self.state, self.writer)
+        self.leases = DeviceLeases(self.store, self.on_disk, self.cell.refuse_if_in_use)
+        self.broker_changes = BrokerChanges(self.state, self.writer, self.leases)
         self.tasklist = Tasklist(self.state, self.writer, self.broker_changes, broker)
         self.timers = DueTimers(self.state, self.writer)
         self.archiving = Archiving(self.state, self.writer)
         self.offering = Offering(self.state, self.writer)
-        self.leases = DeviceLeases(self.store, self.on_disk, self.cell.refuse_if_in_use)
         self.lost_performers = LostPerformers(self.state, self.writer, self.leases)
 
     async def __aenter__(self) -> Self:

@@ -317,6 +317,8 @@ class TaskRecord:
     """The person who has claimed it and not returned it."""
     declined_by: tuple[str, ...] = ()
     """The persons who have declined it, while it is open for others."""
+    unreadable: str | None = None
+    """The rule that the entity in the broker breaks, so that its status there is not known."""
 
     @property
     def specification(self) -> str | None:

@@ -99,6 +99,8 @@ class Agent:
     """When it works; empty: always."""
     unavailable: str | None = None
     """The state in which it accepts no Tasks."""
+    performer: str | None = None
+    """The component that executes its Tasks, as it has announced itself."""
 
     @property
     def name(self) -> str:
@@ -140,6 +142,7 @@ def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
         return next((found for each in known if (found := _value(each, name)) is not None), None)
 
     states = (_value(entity, name) for name in ("deviceState", "connection", "state"))
+    performer = _value(entity, "performer")
     given = value("capacity")
     is_given = isinstance(given, int) and given >= 0
     is_person = entity.get("type") == "Person"
@@ -155,6 +158,7 @@ def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
         position=position_of(entity),
         shifts=tuple(shift for each in _listed(value("shifts")) if (shift := read_shift(each)) is not None),
         unavailable=next((s for s in states if isinstance(s, str) and s in UNAVAILABLE), None),
+        performer=performer if isinstance(performer, str) else None,
     )
 
 

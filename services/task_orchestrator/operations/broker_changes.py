@@ -1,6 +1,7 @@
 """Broker changes: Tasks and agents as the broker has them."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from prometheus_client import Counter
@@ -14,13 +15,16 @@ from handover.security.pin_check import proven_person
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.agents import Agents
+from services.task_orchestrator.operations.device_leases import DeviceLeases
 from services.task_orchestrator.people_acts import requires_pin
 from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import Message, MessageKind, Step
+from services.task_orchestrator.records import Message, MessageKind, Step, TaskRecord
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
 
 log = get_logger(__name__)
+
+MAX_FAULT_CHARS = 1_000
 
 RECEIVED = Counter(
     "handover_orchestrator_task_changes_total", "Changes of Tasks that were received, by result", ["result"]
@@ -30,22 +34,23 @@ RECEIVED = Counter(
 class BrokerChanges:
     """Applies what the broker reports to the processes."""
 
-    def __init__(self, state: WorkingState, writer: StepWriter) -> None:
+    def __init__(self, state: WorkingState, writer: StepWriter, leases: DeviceLeases) -> None:
         self._state = state
         self._writer = writer
+        self._leases = leases
         self._keys = KeysInForce(state.settings.security_folder)
         self.on_unowned: Callable[[], None] = lambda: None
         """Called when the broker shows an unfinished Task that no running process waits for."""
 
     async def receive(self, entities: Iterable[Mapping[str, Any]]) -> int:
         """Apply Tasks as the broker has them; return how many had changed. Foreign Tasks are ignored."""
-        by_process: dict[str, list[Task]] = {}
-        for task in self._changed_tasks(entities):
-            owner = self._state.active_processes.owner(task.id)
+        by_process: dict[str, list[_Seen]] = {}
+        for seen in self._changed_tasks(entities):
+            owner = self._state.active_processes.owner(seen.id)
             if owner is not None:
-                by_process.setdefault(owner.record.id, []).append(task)
+                by_process.setdefault(owner.record.id, []).append(seen)
 
-        def applying(tasks: list[Task]) -> Callable[[Step], int]:
+        def applying(tasks: list[_Seen]) -> Callable[[Step], int]:
             return lambda step: self._apply(tasks, step)
 
         answers = await self._writer.apply_each({name: applying(tasks) for name, tasks in by_process.items()})
@@ -102,21 +107,16 @@ class BrokerChanges:
         if agents != allocator.rules.agents or allocator.has_waiting:
             await self._writer.apply(act)
 
-    def _changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
-        tasks = []
+    def _changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list["_Seen"]:
+        changed = []
         for entity in self._select_changed(entities):
-            try:
-                task = Task.from_ngsild(entity)
-            except ValueError as error:
-                RECEIVED.labels("unreadable").inc()
-                log.warning("task does not match the data model", task=entity.get("id"), error=str(error))
-                continue
-            owner = self._state.active_processes.owner(task.id)
-            if owner is not None and owner.is_news(task):
-                tasks.append(task)
+            seen = _as_seen(entity)
+            owner = self._state.active_processes.owner(seen.id)
+            if owner is not None and seen.is_news(owner):
+                changed.append(seen)
             else:
                 RECEIVED.labels("known").inc()
-        return tasks
+        return changed
 
     def _select_changed(self, entities: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
         changed, foreign, unchanged = [], 0, 0
@@ -129,7 +129,7 @@ class BrokerChanges:
                     self.on_unowned()  # an ended Task of the orchestrator may have reappeared
                 continue
             known = owner.tasks.get(task_id)  # none while the step that ends it is written
-            if known is None or _status(entity) == known.status.value:
+            if known is None or (known.unreadable is None and _status(entity) == known.status.value):
                 unchanged += 1
             else:
                 changed.append(entity)
@@ -137,18 +137,40 @@ class BrokerChanges:
         RECEIVED.labels("known").inc(unchanged)
         return changed
 
-    def _apply(self, tasks: Iterable[Task], step: Step) -> int:
+    def _apply(self, changed: Iterable["_Seen"], step: Step) -> int:
         now = self._state.clock()
         applied = 0
-        for task in tasks:
-            owner = self._state.active_processes.owner(task.id)
-            if owner is None or self._refuse_without_pin(owner, task, step):
+        for seen in changed:
+            owner, task = self._state.active_processes.owner(seen.id), seen.task
+            if owner is None:
+                continue
+            if task is None:
+                self._report_unreadable(owner, seen, step)
+                continue
+            owner.readable(task.id, step)
+            if self._refuse_without_pin(owner, task, step):
                 continue
             if owner.receive(self._without_unproven_performer(task), step, now):
                 applied += 1
                 RECEIVED.labels("applied").inc()
                 log.info("task moved", task=task.id, status=task.status.value.value, process=owner.record.id)
         return applied
+
+    def _report_unreadable(self, owner: Process, seen: "_Seen", step: Step) -> None:
+        writer = self._writer_of(owner.tasks.get(seen.id))
+        if owner.unreadable(seen.id, writer, seen.fault, step):
+            RECEIVED.labels("unreadable").inc()
+            log.warning("task does not match the data model", task=seen.id, writer=writer, error=seen.fault)
+
+    def _writer_of(self, task: TaskRecord | None) -> str | None:
+        """Return who performs a Task: the holder of the lease, or the announced performer, or None."""
+        if task is None:
+            return None
+        lease = self._leases.last(task.performer)
+        if lease is not None and not lease.is_released:
+            return f"{lease.holder.performer} on {lease.holder.host}"
+        agent = self._state.allocator.rules.agents.by_id.get(task.performer)
+        return None if agent is None else agent.performer
 
     def _refuse_without_pin(self, owner: Process, seen: Task, step: Step) -> bool:
         """Let a Task fail that demands a PIN and was completed by somebody who has not proved it.
@@ -193,6 +215,32 @@ class BrokerChanges:
             outputs = {name: value for name, value in given.value.items() if name != PERFORMER_MEMBER}
             return seen.model_copy(update={"output_parameters": given.model_copy(update={"value": outputs})})
         return seen
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A Task as the broker has it: `task`, or None with the `fault` if it breaks a rule of the data model."""
+
+    id: str
+    task: Task | None
+    fault: str = ""
+
+    def is_news(self, owner: Process) -> bool:
+        """Return whether it differs from what its process knows."""
+        known = owner.tasks.get(self.id)
+        unreadable = None if known is None else known.unreadable
+        if self.task is None:
+            return known is not None and unreadable != self.fault
+        return unreadable is not None or owner.is_news(self.task)
+
+
+def _as_seen(entity: Mapping[str, Any]) -> _Seen:
+    task_id = str(entity["id"])
+    try:
+        return _Seen(task_id, Task.from_ngsild(entity))
+    except ValueError as error:
+        fault = str(error).removeprefix(f"{task_id} is no valid Task: ").replace("\0", "")
+        return _Seen(task_id, None, fault[:MAX_FAULT_CHARS])
 
 
 def _is_finished(entity: Mapping[str, Any]) -> bool:

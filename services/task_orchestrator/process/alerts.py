@@ -9,6 +9,7 @@ from handover.alert_catalogue import (
     TASK_NOT_ACCEPTED,
     TASK_PAST_DUE,
     TASK_PERFORMER_LOST,
+    TASK_UNREADABLE,
     AlertType,
 )
 from handover.messages import message, with_code
@@ -117,6 +118,44 @@ def raise_lost(step: Step, task: TaskRecord) -> None:
     )
 
 
+def raise_unreadable(step: Step, task: TaskRecord, writer: str | None, rule: str) -> None:
+    """Raise the Alert that a program has written the Task against the data model."""
+    if writer is not None:
+        description = message(
+            "alert.task_unreadable",
+            'The Task "{task}" ({id}) waits: what {writer} has written breaks a rule: {rule}. Correct '
+            "{writer} and write the Task again, or cancel the process {process}",
+            task=_name(task),
+            id=task.id,
+            writer=writer,
+            rule=rule,
+            process=task.process,
+        )
+    else:
+        description = message(
+            "alert.task_unreadable_unknown",
+            'The Task "{task}" ({id}) waits: what a program without a lease has written breaks a rule: '
+            "{rule}. Correct the program and write the Task again, or cancel the process {process}",
+            task=_name(task),
+            id=task.id,
+            rule=rule,
+            process=task.process,
+        )
+    _raise(
+        step,
+        task.process,
+        TASK_UNREADABLE,
+        key=_unreadable_key(task),
+        source=task.id,
+        description=description,
+    )
+
+
+def clear_unreadable(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: the Task matches the data model again, or it has ended."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _unreadable_key(task)})
+
+
 def raise_failed(step: Step, process: ProcessRecord, urn: str) -> None:
     """Raise the Alert that the process has failed."""
     _raise(
@@ -186,6 +225,10 @@ def _overdue_key(task: TaskRecord) -> str:
 
 def _performer_lost_key(task: TaskRecord) -> str:
     return f"{_short(task)} performer lost"
+
+
+def _unreadable_key(task: TaskRecord) -> str:
+    return f"{_short(task)} unreadable"
 
 
 def _past_due_key(task: TaskRecord, level: int) -> str:

@@ -77,7 +77,7 @@ class OpenTasks:
         if task.cancelled_at is not None:
             grace = timedelta(seconds=0 if task.claims else self._settings.cancel_grace_s)
             yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
-        elif not task.alerted and task.status is TaskStatus.PENDING and "deadline" in task.entity:
+        elif _can_be_overdue(task):
             yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
 
     def next_due(self) -> datetime | None:
@@ -88,3 +88,9 @@ class OpenTasks:
         """Return the timers that are due at `now`."""
         tasks = [self.records[task] for task in self._dues.due(now)]
         return [each for task in tasks for each in self.timers_of(task) if each.due <= now]
+
+
+def _can_be_overdue(task: TaskRecord) -> bool:
+    """Return whether its deadline counts; of an unreadable one nobody knows whether it was accepted."""
+    is_waiting = task.status is TaskStatus.PENDING and not task.alerted and task.unreadable is None
+    return is_waiting and "deadline" in task.entity

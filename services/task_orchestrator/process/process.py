@@ -331,6 +331,33 @@ class Process:
             self.record_task(task.changed(alerted=False), step)
             alerts.clear_performer_lost(step, task)
 
+    def unreadable(self, task_id: str, writer: str | None, rule: str, step: Step) -> bool:
+        """Raise the Alert that `writer` has broken `rule` with the Task; return False if that is known."""
+        task = self.tasks.get(task_id)
+        if task is None or task.unreadable == rule:
+            return False
+        step.touched.add(self.record.id)
+        self._clear_unreadable(task, step)
+        is_overdue = task.alerted and task.status is TaskStatus.PENDING
+        if is_overdue:
+            alerts.clear_overdue(step, task)  # somebody has written it
+        self.record_task(task.changed(unreadable=rule, alerted=task.alerted and not is_overdue), step)
+        alerts.raise_unreadable(step, task, writer, rule)
+        return True
+
+    def readable(self, task_id: str, step: Step) -> None:
+        """Clear that Alert: the Task matches the data model again."""
+        task = self.tasks.get(task_id)
+        if task is not None and task.unreadable is not None:
+            step.touched.add(self.record.id)
+            self._clear_unreadable(task, step)
+            self.record_task(task.changed(unreadable=None), step)
+
+    @staticmethod
+    def _clear_unreadable(task: TaskRecord, step: Step) -> None:
+        if task.unreadable is not None:
+            alerts.clear_unreadable(step, task)
+
     def end_lost(self, task_id: str, step: Step, now: datetime) -> None:
         """End a Task in progress that nobody performs any more, as its activity says."""
         task, run = self.tasks.get(task_id), self.run
@@ -460,6 +487,7 @@ class Process:
             alerts.clear_overdue(step, task)
         elif task.alerted:
             alerts.clear_performer_lost(step, task)
+        self._clear_unreadable(task, step)
         if change.final:
             alerts.clear_past_due(step, task)
             if task.specification == task.id:
@@ -469,6 +497,7 @@ class Process:
             observed_at=max(observed, default=None),  # the clocks of performers differ
             moves=moves,
             alerted=False,
+            unreadable=None,
             lost=0,
             ended_at=now if change.final else None,
             outputs=change.outputs if change.final else None,

@@ -18,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 _meta = MetaData()
 definitions = Table(
@@ -120,6 +120,7 @@ tasks = Table(
     Column("claims", Integer, nullable=False, server_default="0"),
     Column("claimed_by", String(200)),
     Column("declined_by", Text, nullable=False, server_default="[]"),
+    Column("unreadable", Text),
     Index("orchestrator_tasks_unfinished", "ended_at", "process"),
 )
 process_resources = Table(
@@ -275,7 +276,7 @@ def migrate(engine: Engine) -> None:
         _meta,
         component="orchestrator",
         version=SCHEMA_VERSION,
-        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds},
+        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds, 4: _add_unreadable},
     )
 
 
@@ -293,3 +294,7 @@ def _add_addressee(connection: Connection) -> None:
 def _add_holds(connection: Connection) -> None:
     """Add the table of paused, suspended and deleted definitions; none is."""
     definition_holds.create(connection)
+
+
+def _add_unreadable(connection: Connection) -> None:
+    connection.exec_driver_sql(f"ALTER TABLE {tasks.name} ADD COLUMN unreadable TEXT")

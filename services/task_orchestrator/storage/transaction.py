@@ -43,7 +43,7 @@ _CHANGING = (
     *("element", "name", "status", "observed_at", "moves", "ended_at", "cancelled_at"),
     *("alerted", "lost", "outputs", "escalates_at", "escalated"),
     *("status_since", "working_ms", "paused_ms"),
-    *("claims", "claimed_by", "declined_by"),
+    *("claims", "claimed_by", "declined_by", "unreadable"),
 )
 """Columns of a Task that change."""
 _UPDATE_PROCESS = (

@@ -6,6 +6,7 @@ from typing import Any
 
 import httpx
 import pytest
+from structlog.testing import capture_logs
 
 from datamodels.times import iso
 from handover.broker import BrokerClient
@@ -147,3 +148,67 @@ async def test_a_status_that_no_number_shows_is_found_by_the_next_comparison(
     await bench.report(tasks[3], "inProgress")
     await bench.queries()
     assert bench.known(tasks[3]) == "inProgress"
+
+
+def _property(value: Any) -> dict[str, Any]:
+    return {"type": "Property", "value": value}
+
+
+AGAINST_THE_MODEL = {
+    "another word": {"status": _property("done")},
+    "another type of value": {"status": _property(["completed"])},
+    "another kind of attribute": {
+        "status": {"type": "Relationship", "object": "urn:ngsi-ld:Status:completed"}
+    },
+    "text as outputs": {"status": _property("completed"), "outputParameters": _property("all fine")},
+}
+
+
+async def test_a_task_that_was_written_against_the_data_model_has_one_alert_until_it_is_corrected(
+    bench: Bench,
+) -> None:
+    glove = {
+        "id": "urn:ngsi-ld:Device:demo:glove-1",
+        "type": "Device",
+        "performer": _property("glove-program"),
+    }
+    await bench.broker.create(
+        {**glove, "controlledProperty": _property(["gesture"]), "capacity": _property(9)}
+    )
+    await bench.reconciler.read_agents()
+    tasks = {name: await bench.start() for name in AGAINST_THE_MODEL}
+    for name, task in tasks.items():
+        await bench.broker.append(task, AGAINST_THE_MODEL[name])
+
+    async def alerts() -> dict[str, dict[str, Any]]:
+        return {each["alertSource"]["object"]: each for each in await bench.broker.query(type="Alert")}
+
+    with capture_logs() as lines:
+        for _ in range(3):
+            await bench.reconciler.reconcile()
+    logged = [line["task"] for line in lines if "data model" in line["event"]]
+    assert sorted(logged) == sorted(tasks.values())
+
+    async def are_raised() -> bool:
+        return set(await alerts()) == set(tasks.values())
+
+    await until(are_raised, 30, "a Task has no Alert")
+    for task, alert in (await alerts()).items():
+        assert alert["subCategory"]["value"] == "taskUnreadable"
+        assert task in alert["description"]["value"]
+        assert "glove-program" in alert["description"]["value"], "the writer is named"
+        assert 'attribute "' in alert["description"]["value"], "the rule is named"
+
+    corrected = [*tasks.values()]
+    for task in corrected[:-1]:
+        await bench.report(task, "completed")
+    await bench.broker.append(
+        corrected[-1], {"status": _property("pending"), "outputParameters": _property({})}
+    )
+    await bench.reconciler.reconcile()
+    assert [bench.known(task) for task in corrected] == [None, None, None, "pending"]
+
+    async def are_cleared() -> bool:
+        return all("validTo" in alert for alert in (await alerts()).values())
+
+    await until(are_cleared, 30, "an Alert stays")

@@ -88,6 +88,7 @@ async def test_acts_of_an_earlier_release_stay_unverified(tmp_path: Path) -> Non
     with store.engine.begin() as connection:
         for table in ("orchestrator_task_acts", "orchestrator_mappings"):
             connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN verified")
+        connection.exec_driver_sql("ALTER TABLE orchestrator_tasks DROP COLUMN unreadable")
         connection.exec_driver_sql("UPDATE orchestrator_version SET version = 1")
         connection.exec_driver_sql(
             'INSERT INTO orchestrator_task_acts (id, process, task, kind, "by", at, text) '

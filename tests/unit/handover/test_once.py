@@ -1,5 +1,6 @@
 """An act that must not be repeated is done at most once for a Task, over crashes of the performer."""
 
+import math
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from datamodels.entities import Task
 from handover.broker import BrokerClient
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job, TaskFailed
+from handover.messages import with_code
 from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
 
@@ -65,3 +67,16 @@ async def test_an_act_that_was_interrupted_has_an_unknown_outcome(records: Finis
     assert is_outcome_unknown({"reason": failed.value.reason})
     assert gripper.acts == 1
     assert await a_run_of_the_task(records).once("release", gripper.act) == {"part": "part-2"}
+
+
+async def test_a_result_that_json_cannot_express_is_not_recorded_as_another_one(
+    records: FinishedTasks,
+) -> None:
+    async def measure() -> Mapping[str, Any]:
+        return {"forces": [1.0, math.nan]}
+
+    with pytest.raises(TypeError, match=r"forces\.1"):
+        await a_run_of_the_task(records).once("measure", measure)
+    with pytest.raises(TaskFailed) as failed:
+        await a_run_of_the_task(records).once("measure", measure)
+    assert is_outcome_unknown(with_code("reason", failed.value.reason))

@@ -33,7 +33,7 @@ export function isUrgent(alert: AlertView): boolean {
 }
 
 /** The kinds of Alerts that the page explains; others are shown with their description. */
-const knownKinds = new Set(["gloveSilent", "unknownGesture", "taskNotAccepted", "taskPastDue", "taskPerformerLost", "entityFilterRefused", "taskLost", "processFailed", "processIncident"]);
+const knownKinds = new Set(["gloveSilent", "unknownGesture", "taskNotAccepted", "taskPastDue", "taskPerformerLost", "entityFilterRefused", "taskLost", "taskUnreadable", "processFailed", "processIncident"]);
 
 /** The key of the explanation of an Alert: by subcategory, else by category, else "other". */
 export function kindOf({ category, subCategory }: Pick<AlertView, "category" | "subCategory">): string {
