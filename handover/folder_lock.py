@@ -134,6 +134,19 @@ def hold(
     return release
 
 
+def holders_in(folder: Path) -> list[str]:
+    """Return a line about each other process that has a database or a service in `folder`."""
+    found = []
+    for file in sorted(folder.glob(f"*{LOCK_SUFFIX}")):
+        name = file.name.removesuffix(LOCK_SUFFIX)
+        try:
+            hold(file.with_name(name), name, is_only_use=True)()
+        except FileInUse:
+            holder = _named_in(file)
+            found.append(f"{name}: {holder}" if holder is not None else name)
+    return found
+
+
 def _in_use(file: Path, service: str) -> str:
     holder = _named_in(file)
     who = "a process that the lock file does not name" if holder is None else str(holder)

@@ -44,8 +44,8 @@ _OUTSIDE: Final = frozenset(
 )
 """Errors with a cause outside the file, such as a full disk; the check is incomplete then."""
 REMEDY: Final = (
-    "restore the data directory from a backup (deploy/restore, or a copy of the whole folder); "
-    "`handover check` lists all damage"
+    "restore the data directory from a backup (`handover restore`, deploy/restore, or a copy of the whole "
+    "folder); `handover check` lists all damage"
 )
 
 

@@ -14,6 +14,7 @@ import typer
 from handover.cli import (
     accounts,
     audit,
+    backup,
     body,
     bridge,
     broker,
@@ -69,6 +70,9 @@ app.add_typer(device.app, name="device")
 app.add_typer(edge.app, name="edge")
 app.add_typer(body.app, name="body")
 app.add_typer(humanoid.app, name="humanoid")
+
+app.command()(backup.backup)
+app.command()(backup.restore)
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
