@@ -26,6 +26,7 @@ from handover.backup.sqlite_snapshot import SqliteSnapshot, is_database
 from handover.cli.check import BROKER, check_database, databases
 from handover.cli.services import all_services, has_own_broker
 from handover.errors import UsageError
+from handover.private_files import UMASK
 from handover.settings import Settings
 
 BROKER_LOGS: Final = "broker.log-*"
@@ -50,6 +51,7 @@ def backup(
     ] = None,
 ) -> None:
     """Write everything that the cell knows into FILE, also while it runs, and check the file."""
+    os.umask(UMASK)
     if data_dir is not None:
         os.environ[contents.DATA_DIR] = str(data_dir.absolute())
     folder = Settings.load().data_dir.absolute()
@@ -87,6 +89,7 @@ def restore(
     ] = None,
 ) -> None:
     """Restore FILE into an empty data directory. The cell then continues where it was."""
+    os.umask(UMASK)
     folder = (Settings.load().data_dir if data_dir is None else data_dir).absolute()
     restoring.require_free(folder)
     passphrase = None
