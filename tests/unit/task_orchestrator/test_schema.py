@@ -46,6 +46,7 @@ def test_a_database_of_an_earlier_version_is_migrated(tmp_path: Path) -> None:
         connection.execute(text("UPDATE orchestrator_version SET version = 2"))
         connection.execute(text("ALTER TABLE orchestrator_messages DROP COLUMN process"))
         connection.execute(text("DROP TABLE orchestrator_definition_holds"))
+        connection.execute(text("ALTER TABLE orchestrator_tasks DROP COLUMN unreadable"))
         connection.execute(
             text("INSERT INTO orchestrator_messages VALUES ('m', 'go', 'null', '{}', NULL, :at, :at)"),
             {"at": "2026-05-04T08:00:00+00:00"},
