@@ -200,9 +200,15 @@ def release(
 
 
 @app.command("set")
-def set_variables(process: Process, by: By, variables: Variables, why: Why = None) -> None:
-    """Set variables of a running process."""
-    _mend(process, "variables", by, why, variables)
+def set_variables(
+    process: Process,
+    by: By,
+    variables: Variables,
+    scope: Annotated[str | None, typer.Option("--scope", help="A part of it, one of its `scopes`.")] = None,
+    why: Why = None,
+) -> None:
+    """Set variables of a running process, or of a subprocess, instance or called process of it."""
+    _mend(process, "variables", by, why, variables, **({} if scope is None else {"scope": scope}))
 
 
 @app.command()

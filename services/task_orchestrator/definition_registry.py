@@ -97,7 +97,7 @@ class DefinitionRegistry(Library):
         """Return a version of a definition, by default the latest; raise `Problem` 404 if there is none."""
         versions = self._records.get(name)
         if not versions or (version is None and self._is_deleted(name)):
-            known = quote_names(record.name for record in self.latest())
+            known = quote_names((record.name for record in self.latest()), near=name)
             raise Problem(
                 404,
                 "No such definition",

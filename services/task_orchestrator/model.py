@@ -17,7 +17,7 @@ from handover.durations import Duration
 from handover.errors import Problem
 from handover.messages import Message, message
 from handover.outcomes import reason_of
-from services.task_orchestrator.languages.base import Expression, Json, Variables
+from services.task_orchestrator.languages.base import Expression, Json, Variables, quote_names
 
 KEY_LENGTH: Final = 32
 """Characters of the key of an entity filter."""
@@ -571,7 +571,7 @@ class Definition:
         unknown = sorted(set(given) - set(self.parameters) - set(form)) if self.parameters else []
         missing = sorted(p.name for p in self.parameters.values() if p.required and p.name not in given)
         if unknown:
-            known = ", ".join(sorted(self.parameters))
+            known = quote_names(self.parameters)
             raise Problem(
                 422,
                 "Unknown parameter",

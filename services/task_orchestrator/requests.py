@@ -94,6 +94,25 @@ class ProcessListQuery(ProcessQuery):
     limit: int = Field(100, ge=1, le=1000)
 
 
+class TaskListQuery(BaseModel):
+    """A page of the list of Tasks that people have open."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    claimed_by: Plain | None = Field(None, description="claimed by this person")
+    assignee: Plain | None = Field(
+        None, description="claimed by this person, or given or offered to them by name"
+    )
+    group: Plain | None = Field(None, description="offered to this group")
+    process: Plain | None = Field(None, description="of this process")
+    definition: Plain | None = Field(None, description="of processes of this definition")
+    search: Plain | None = Field(
+        None, description="a part of the name, of its id or element, or of the business key of its process"
+    )
+    before: Plain | None = Field(None, description="the id of a Task: return those listed after it")
+    limit: int = Field(1000, ge=1, le=5000)
+
+
 class EventLogQuery(ProcessQuery):
     """The processes of an event log."""
 
@@ -172,6 +191,14 @@ class MendRequest(BaseModel):
     by: Name = Field(description="the person who decides; with accounts the name of the account is stored")
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
     variables: dict[str, Any] = Field(default_factory=dict, description="variables that are set before")
+
+
+class VariablesRequest(MendRequest):
+    """Variables that a person sets."""
+
+    scope: str | None = Field(
+        None, max_length=20, description="one of the `scopes` of the process; the process itself if absent"
+    )
 
 
 class MigrationRequest(MendRequest):

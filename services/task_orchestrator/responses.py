@@ -13,6 +13,8 @@ from typing_extensions import TypedDict
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.allocation.mapping import NameKind
+from services.task_orchestrator.execution.queries import ScopeKind
+from services.task_orchestrator.execution.state import TokenState
 from services.task_orchestrator.records import (
     ActKind,
     HoldKind,
@@ -364,7 +366,8 @@ class Allocated(TypedDict):
 class TaskView(Reason, Allocated):
     """A Task of a process.
 
-    Until `deadline` a performer accepts it, until `dueDate` it should be completed.
+    Until `deadline` a performer accepts it, null if people may at any time; until `dueDate` it should be
+    completed.
     """
 
     id: str
@@ -425,8 +428,37 @@ class ReservationView(KnownReason):
     isShared: bool
 
 
+class TokenView(TypedDict):
+    """A token; `task` is its open Task, `instance` says which one of a multi-instance activity it is."""
+
+    token: str
+    element: str
+    name: str
+    state: TokenState
+    instance: str
+    task: str | None
+
+
+class ScopeView(TypedDict):
+    """The variables that only a part of a process sees; `outer` is the scope around it, null for the process.
+
+    A part is a subprocess, an instance of a loop, a called process, or an activity with mapped inputs.
+    """
+
+    scope: str
+    outer: str | None
+    kind: ScopeKind
+    element: str
+    name: str
+    instance: str
+    variables: Mapping[str, Any]
+
+
 class ProcessView(ProcessSummary):
-    """A process with all details; `done` of its `activities` were completed at least once."""
+    """A process with all details; `done` of its `activities` were completed at least once.
+
+    `tokens` and `scopes` are those of a running process, the first 1000 of each.
+    """
 
     parameters: Mapping[str, Any]
     variables: Mapping[str, Any]
@@ -436,6 +468,8 @@ class ProcessView(ProcessSummary):
     elements: dict[str, ElementCounts]
     acts: list[ActView]
     reservations: list[ReservationView]
+    tokens: list[TokenView]
+    scopes: list[ScopeView]
     tasks: list[TaskView]
 
 

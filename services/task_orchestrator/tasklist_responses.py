@@ -123,7 +123,7 @@ class TaskDetails(TasklistEntry):
     definition: str
     version: int
     description: str | None
-    deadline: str
+    deadline: str | None
     requirePin: bool
     endedAt: str | None
     inputs: dict[str, Any]

@@ -6,6 +6,7 @@ from typing import Any
 from datamodels.times import iso
 from handover.messages import message_in, with_code
 from handover.task_life import PASSIVE_TYPES, type_of
+from services.task_orchestrator.allocation.choice import DEFAULT_PRIORITY
 from services.task_orchestrator.forms import form
 from services.task_orchestrator.forms.fields import Field
 from services.task_orchestrator.forms.form_js import Resolved
@@ -14,11 +15,13 @@ from services.task_orchestrator.model import Activity
 from services.task_orchestrator.people_acts import (
     form_of,
     is_claimable,
+    is_named,
     offer_of,
     performer_of,
     requires_pin,
 )
 from services.task_orchestrator.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
+from services.task_orchestrator.requests import TaskListQuery
 from services.task_orchestrator.tasklist_responses import (
     FormField,
     FormView,
@@ -59,6 +62,27 @@ def tasklist_entry(task: TaskRecord) -> TasklistEntry:
     }
 
 
+def list_order(entry: TasklistEntry) -> tuple[str, int, str, str]:
+    """Return the place of a Task in lists: those that are due first come before others."""
+    priority = DEFAULT_PRIORITY if entry["priority"] is None else entry["priority"]
+    return entry["dueDate"] or "9", -priority, entry["createdAt"], entry["id"]
+
+
+def is_listed(entry: TasklistEntry, query: TaskListQuery, key: str | None) -> bool:
+    """Return whether a Task of a process with the business key `key` meets the conditions of a list."""
+    claimed_by, assignee = entry["claimedBy"], query.assignee
+    if query.claimed_by is not None and claimed_by != query.claimed_by:
+        return False
+    if query.group is not None and query.group not in entry["groups"]:
+        return False
+    if assignee is not None and not is_named(
+        assignee, [*entry["persons"], *([claimed_by] if claimed_by else [])]
+    ):
+        return False
+    texts = (entry["name"], entry["id"], entry["element"], key or "")
+    return query.search is None or any(query.search.casefold() in text.casefold() for text in texts)
+
+
 def task_details(
     task: TaskRecord,
     process: ProcessRecord,
@@ -80,7 +104,7 @@ def task_details(
         "definition": process.definition,
         "version": process.version,
         "description": described if isinstance(described, str) else drawn,
-        "deadline": iso(task.deadline),
+        "deadline": iso(task.deadline) if "deadline" in task.entity else None,
         "requirePin": requires_pin(task),
         "endedAt": None if task.ended_at is None else iso(task.ended_at),
         "inputs": {

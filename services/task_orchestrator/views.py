@@ -15,6 +15,8 @@ from services.task_orchestrator.allocation.assignment import performer_of
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.allocation.report import mapped_names, nobody_has
 from services.task_orchestrator.definition_registry import DefinitionRegistry
+from services.task_orchestrator.execution.queries import InnerScope
+from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.model import Activity, Definition
@@ -61,7 +63,9 @@ from services.task_orchestrator.responses import (
     Reason,
     ReservationView,
     RetryView,
+    ScopeView,
     TaskView,
+    TokenView,
     VersionStatistics,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -263,8 +267,9 @@ def process_view(
     moves: Sequence[Move],
     *,
     allocator: Allocator,
+    run: Run | None = None,
 ) -> ProcessView:
-    """Return a process with all details."""
+    """Return a process with all details; `run` is that of a running one."""
     definition = _definition(registry, record)
     history: dict[str, list[Move]] = {}
     for move in moves:
@@ -281,7 +286,36 @@ def process_view(
         "elements": {element: _count_view(count) for element, count in counts.items()},
         "acts": [_act_view(act) for act in record.acts],
         "reservations": [_reservation_view(each, record, allocator) for each in record.reservations],
+        "tokens": [] if run is None else _token_views(run, tasks),
+        "scopes": [] if run is None else [_scope_view(each) for each in run.inner_scopes()],
         "tasks": [_task_view(task, activities.get(task.element), history.get(task.id, [])) for task in tasks],
+    }
+
+
+def _token_views(run: Run, tasks: Sequence[TaskRecord]) -> list[TokenView]:
+    open_tasks = {(task.token, task.visit): task.id for task in tasks if task.ended_at is None}
+    return [
+        {
+            "token": each.token,
+            "element": each.element,
+            "name": each.name,
+            "state": each.state,
+            "instance": each.instance,
+            "task": open_tasks.get((each.token, each.visit)),
+        }
+        for each in run.tokens()
+    ]
+
+
+def _scope_view(each: InnerScope) -> ScopeView:
+    return {
+        "scope": each.scope,
+        "outer": each.outer,
+        "kind": each.kind,
+        "element": each.element,
+        "name": each.name,
+        "instance": each.instance,
+        "variables": dict(each.variables),
     }
 
 
@@ -359,7 +393,7 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         **_allocated(task.allocated),
         "workParameters": parameters,
         "createdAt": iso(task.created_at),
-        "deadline": iso(task.deadline),
+        "deadline": iso(task.deadline) if "deadline" in task.entity else None,
         "priority": task.entity.get("priority", {}).get("value"),
         "dueDate": _moment_of(task, "dueDate"),
         "followUpDate": _moment_of(task, "followUpDate"),

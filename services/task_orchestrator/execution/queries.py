@@ -1,12 +1,14 @@
 """Queries: what a process waits for and works on, as its callers see it; nothing is changed."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from enum import StrEnum
+from itertools import islice
 from typing import Any
 
 from services.task_orchestrator.execution.machine import Machine
-from services.task_orchestrator.execution.state import Token, TokenState, WaitType
+from services.task_orchestrator.execution.state import Frame, Token, TokenState, WaitType
 from services.task_orchestrator.execution.waits import event_of
 from services.task_orchestrator.model import Activity, EntityFilter, MultiInstance, entity_filter
 
@@ -70,6 +72,86 @@ class EntityWait:
     element: str
     holding: tuple[str, ...]
     """The entities for which the condition was true when it was last evaluated."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenToken:
+    """A token: where it is, and what it does there."""
+
+    token: str
+    element: str
+    name: str
+    state: TokenState
+    instance: str
+    """Which instance of multi-instance activities it is, as in `OpenActivity`."""
+    visit: int
+
+
+class ScopeKind(StrEnum):
+    """What has variables of its own, within a process."""
+
+    CALLED_PROCESS = "calledProcess"
+    SUBPROCESS = "subProcess"
+    INSTANCE = "instance"
+    """An instance of a loop."""
+    ACTIVITY = "activity"
+    """An activity or event with mapped inputs, or the body of a loop."""
+
+
+@dataclass(frozen=True, slots=True)
+class InnerScope:
+    """Variables that only a part of a process sees; `outer` is None in the process itself."""
+
+    scope: str
+    outer: str | None
+    kind: ScopeKind
+    element: str
+    name: str
+    instance: str
+    variables: Mapping[str, Any] = field(repr=False)
+
+
+MAX_LISTED = 1000
+"""Tokens, and inner scopes, that are listed."""
+
+
+def tokens(machine: Machine) -> tuple[OpenToken, ...]:
+    """Return the first tokens, in the order of their creation."""
+    return tuple(
+        OpenToken(
+            str(token.id),
+            machine.element(token),
+            machine.node(token).name,
+            token.state,
+            ", ".join(_instances(machine, token)),
+            token.visit,
+        )
+        for token in islice(machine.state.tokens.values(), MAX_LISTED)
+    )
+
+
+def inner_scopes(machine: Machine) -> tuple[InnerScope, ...]:
+    """Return the first scopes within a process that have variables, or could have some."""
+    return tuple(islice(_inner_scopes(machine), MAX_LISTED))
+
+
+def _inner_scopes(machine: Machine) -> Iterator[InnerScope]:
+    frames, root = machine.state.frames, machine.state.root
+    for token in machine.state.tokens.values():
+        place = machine.element(token), machine.node(token).name, ", ".join(_instances(machine, token))
+        outer = str(token.body) if token.body is not None else _outer(root, token.frame)
+        if token.local or token.body is not None:
+            kind = ScopeKind.ACTIVITY if token.body is None else ScopeKind.INSTANCE
+            yield InnerScope(str(token.id), outer, kind, *place, token.local)
+            outer = str(token.id)
+        if token.child is not None:
+            frame = frames[token.child]
+            kind = ScopeKind.SUBPROCESS if frame.process is None else ScopeKind.CALLED_PROCESS
+            yield InnerScope(str(frame.id), outer, kind, *place, frame.variables)
+
+
+def _outer(root: Frame, frame: int) -> str | None:
+    return None if frame == root.id else str(frame)
 
 
 def open_activity(machine: Machine, token: Token) -> OpenActivity:

@@ -26,7 +26,14 @@ from services.task_orchestrator.execution.propagation import (
     throw_error,
     throw_escalation,
 )
-from services.task_orchestrator.execution.queries import EntityWait, OpenActivity, OpenIncident, Subscription
+from services.task_orchestrator.execution.queries import (
+    EntityWait,
+    InnerScope,
+    OpenActivity,
+    OpenIncident,
+    OpenToken,
+    Subscription,
+)
 from services.task_orchestrator.execution.span_places import ActiveSpan, SpanPlace
 from services.task_orchestrator.execution.state import (
     Frame,
@@ -193,6 +200,14 @@ class Run:
     def incidents(self) -> tuple[OpenIncident, ...]:
         """Return the tokens that cannot continue."""
         return queries.incidents(self._machine(self._now), self._index.incidents)
+
+    def tokens(self) -> tuple[OpenToken, ...]:
+        """Return the tokens, two at one element as two."""
+        return queries.tokens(self._machine(self._now))
+
+    def inner_scopes(self) -> tuple[InnerScope, ...]:
+        """Return the subprocesses, instances, called processes and activities with variables of their own."""
+        return queries.inner_scopes(self._machine(self._now))
 
     def waiting(self) -> tuple[str, ...]:
         """Return the ids of the elements at which tokens are, and of the events that are waited for."""
@@ -367,6 +382,20 @@ class Run:
             machine.set_variables(frame, values, token=found)
 
         self._change(act, now)
+
+    def set_scope_variables(self, scope: str, values: Mapping[str, Any], now: datetime) -> str:
+        """Set variables of an `InnerScope`, which only it sees; return the element that it is at.
+
+        Raises `RunFailed` if there is no such scope.
+        """
+        element = ""
+
+        def act(machine: Machine) -> None:
+            nonlocal element
+            element = token_acts.set_scope_variables(machine, scope, values)
+
+        self._change(act, now)
+        return element
 
     # What an engineer does
 

@@ -81,6 +81,22 @@ def move(machine: Machine, token: Token, node: str) -> None:
     machine.remove(token)
 
 
+def set_scope_variables(machine: Machine, scope: str, values: Mapping[str, Any]) -> str:
+    """Set variables of an inner scope, a frame or a token, and return its element."""
+    found = int(scope) if scope.isascii() and scope.isdecimal() else 0
+    frame, token = machine.state.frames.get(found), machine.state.tokens.get(found)
+    host = None if frame is None else machine.host(frame)
+    if token is not None:
+        token.local.update(values)
+        host = token
+    elif frame is not None and host is not None:
+        frame.variables.update(values)
+    else:
+        raise RunFailed(message("process.no_such_scope", 'there is no scope "{scope}"', scope=scope))
+    machine.variables_changed = True
+    return machine.element(host)
+
+
 def cancel(machine: Machine, token: Token) -> None:
     """End a token where it is; its scope or loop ends if it was the last one."""
     if token.body is None:

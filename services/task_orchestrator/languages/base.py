@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from typing import Any, Protocol, TypeAlias
 
 from handover.errors import HandoverError
@@ -28,6 +29,8 @@ MAX_NUMBER = 2**53
 
 MAX_LISTED = 20
 """Names that an error lists."""
+MAX_NEAR = 5
+"""Names that an error lists if it is known which of them are meant."""
 
 
 class ExpressionError(HandoverError):
@@ -130,8 +133,12 @@ def describe(value: Json) -> str:
     return kinds.get(type(value), type(value).__name__)
 
 
-def quote_names(names: Iterable[Any]) -> str:
-    """Return the first of `names` in order, as errors list what can be used instead."""
+def quote_names(names: Iterable[Any], *, near: str | None = None) -> str:
+    """Return some of `names` in order, as errors list what can be used instead; those `near` a name first."""
     ordered = sorted(map(str, names))
-    rest = len(ordered) - MAX_LISTED
-    return ", ".join(ordered[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "") or "none"
+    if near is not None:
+        close = get_close_matches(near, ordered, n=MAX_NEAR)
+        ordered = [*close, *(name for name in ordered if name not in close)]
+    shown = MAX_LISTED if near is None else MAX_NEAR
+    rest = len(ordered) - shown
+    return ", ".join(ordered[:shown]) + (f" and {rest} more" if rest > 0 else "") or "none"

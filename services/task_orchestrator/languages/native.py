@@ -19,6 +19,7 @@ from services.task_orchestrator.languages.base import (
     Variables,
     describe,
     evaluation_error,
+    quote_names,
     within_limits,
 )
 from services.task_orchestrator.languages.native_grammar import (
@@ -174,7 +175,7 @@ def _variable(name: str, variables: Variables) -> Json:
         return variables[name]
     if name in CONSTANTS:
         return CONSTANTS[name]
-    known = ", ".join(sorted(variables)) or "none yet"
+    known = quote_names(variables) if variables else "none yet"
     raise ExpressionError(f'there is no variable "{name}"; those there are: {known}')
 
 

@@ -9,7 +9,13 @@ from lxml import etree
 
 from handover.messages import message, text_of
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import Expression, ExpressionError, Json, Variables
+from services.task_orchestrator.languages.base import (
+    Expression,
+    ExpressionError,
+    Json,
+    Variables,
+    quote_names,
+)
 from services.task_orchestrator.model import (
     CompensateEvent,
     ConditionalEvent,
@@ -132,7 +138,7 @@ def _warn_of_variables(element: etree._Element, event: TimerEvent, context: Cont
             message(
                 "bpmn.start_timer_reads_variables",
                 "it starts no process: its time reads {names}, and there are no variables before the start",
-                names=", ".join(sorted(names)),
+                names=quote_names(names),
             ),
         )
 

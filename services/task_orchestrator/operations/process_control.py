@@ -94,8 +94,11 @@ class ProcessControl:
         why: str | None,
         to: str | None = None,
         values: Mapping[str, Any] | None = None,
+        scope: str | None = None,
     ) -> None:
         """Do what a person has decided about a token of a process, or about its variables.
+
+        With `scope` the variables are those of an inner scope.
 
         Raises `Problem` 404 if there is no such process or token, 409 if the act is impossible.
         """
@@ -103,7 +106,7 @@ class ProcessControl:
         def act(process: Process, step: Step) -> None:
             now = self._state.clock()
             decided = Act(now, kind, by, to=to, why=why, values=dict(values) if values else None)
-            interventions.mend(process, decided, token, step, now)
+            interventions.mend(process, decided, token, step, now, scope=scope)
 
         await self._writer.apply_to(process_id, act)
 

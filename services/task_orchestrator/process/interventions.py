@@ -118,9 +118,12 @@ def incident_of(process: Process, task_id: str) -> str:
     raise Problem(409, "Cannot be retried", why)
 
 
-def mend(process: Process, act: Act, token: str | None, step: Step, now: datetime) -> None:
+def mend(
+    process: Process, act: Act, token: str | None, step: Step, now: datetime, *, scope: str | None = None
+) -> None:
     """Do what a person has decided about a token, or about the variables, and record it.
 
+    With `scope` the variables are those of an inner scope.
     Raises `Problem` 404 if there is no such token, 409 if the act is impossible.
     """
     run = process.require_running()
@@ -133,6 +136,9 @@ def mend(process: Process, act: Act, token: str | None, step: Step, now: datetim
                 message("process.no_such_token", 'there is no token "{token}"', token=token),
             )
         act = replace(act, element=element)
+    if scope is not None:
+        found = next((each for each in run.inner_scopes() if each.scope == scope), None)
+        act = replace(act, element=None if found is None else found.element)
     step.touched.add(process.record.id)
     if act.act is ActKind.RETRY and token is not None:
         process.record = attempts.forget_declined(
@@ -143,7 +149,7 @@ def mend(process: Process, act: Act, token: str | None, step: Step, now: datetim
             run.set_variables(act.values or {}, now, token=token)
             process.record = attempts.repeat(process.record, run, token, now)
         else:
-            _apply_to(run, act, token, now)
+            _apply_to(run, act, token, now, scope=scope)
     except RunFailed as failure:
         assert process.record.state is not None  # noqa: S101 - a running process has one
         identity = execution_properties(process.settings, process.record, process.plan.definition)
@@ -221,8 +227,11 @@ def _rename_elements(process: Process, run: Run, step: Step) -> None:
     )
 
 
-def _apply_to(run: Run, act: Act, token: str | None, now: datetime) -> None:
+def _apply_to(run: Run, act: Act, token: str | None, now: datetime, *, scope: str | None) -> None:
     values = act.values or {}
+    if scope is not None:
+        run.set_scope_variables(scope, values, now)
+        return
     if act.act is ActKind.SET_VARIABLES or token is None:
         run.set_variables(values, now, token=token)
         return

@@ -14,6 +14,7 @@ from services.task_orchestrator.requests import (
     MendRequest,
     MoveRequest,
     PauseRequest,
+    VariablesRequest,
 )
 from services.task_orchestrator.responses import (
     PausedProcesses,
@@ -100,6 +101,7 @@ def add_repairs(app: FastAPI, at: Components) -> None:
             by=acting_name(body.by),
             why=body.why,
             to=body.to if isinstance(body, MoveRequest) else None,
+            scope=body.scope if isinstance(body, VariablesRequest) else None,
             values=body.variables,
         )
         return await changed_process_response(at, process_id)
@@ -124,8 +126,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
     @max_body(MAX_PARAMETERS_BYTES)
-    async def set_variables(process_id: str, body: MendRequest) -> Response:
-        """Set variables of a running process."""
+    async def set_variables(process_id: str, body: VariablesRequest) -> Response:
+        """Set variables of a running process, or with `scope` of a part of it."""
         return await mend(process_id, ActKind.SET_VARIABLES, None, body)
 
     @app.post(

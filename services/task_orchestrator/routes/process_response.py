@@ -41,4 +41,6 @@ async def process_content(at: Components, process_id: str) -> ProcessView:
             message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
         )
     await registry.prepare(registry.record(seen[0].definition, seen[0].version))
-    return process_view(at.settings, registry, *seen, allocator=at.orchestrator.state.allocator)
+    active = at.orchestrator.state.active_processes.processes.get(seen[0].id)
+    run = None if active is None or seen[0].ended_at is not None else active.run
+    return process_view(at.settings, registry, *seen, allocator=at.orchestrator.state.allocator, run=run)

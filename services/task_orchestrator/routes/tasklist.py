@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import FastAPI, Path, Query, Response
+from fastapi import FastAPI, Path, Query, Request, Response
 from starlette.responses import JSONResponse
 
 from datamodels.entities import TaskStatus
@@ -26,6 +26,7 @@ from services.task_orchestrator.requests import (
     DeclineRequest,
     FormData,
     ReturnRequest,
+    TaskListQuery,
 )
 from services.task_orchestrator.responses import json_response
 from services.task_orchestrator.routes.resources import of_process, of_task
@@ -38,6 +39,8 @@ from services.task_orchestrator.tasklist_responses import (
 )
 from services.task_orchestrator.tasklist_views import (
     comment_view,
+    is_listed,
+    list_order,
     resolved_form,
     task_details,
     task_history,
@@ -59,30 +62,29 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         responses={200: {"model": list[TasklistEntry]}},
         dependencies=[require(Permission.READ)],
     )
-    async def tasks(
-        claimed_by: Annotated[str | None, Query(max_length=200, description="claimed by this person")] = None,
-        group: Annotated[str | None, Query(max_length=200, description="offered to this group")] = None,
-        process: Annotated[str | None, Query(max_length=100, description="of this process")] = None,
-        limit: Annotated[int, Query(ge=1, le=5000)] = 1000,
-    ) -> Response:
-        """Return the open Tasks of people, those that are due first before others."""
-        entries = [
-            tasklist_entry(task)
-            for each in state.active_processes.processes.values()
-            if process is None or each.record.id == at.plain_id(process)
-            for task in each.tasks.values()
-            if is_for_people(link["object"] for link in task.entity["involves"]["value"])
-        ]
+    async def tasks(query: Annotated[TaskListQuery, Query()], request: Request) -> Response:
+        """Return the open Tasks of people, those that are due first before others.
+
+        `before` with the id of the last one returns the next page: the header `Link` has its address.
+        """
+        mark = None if query.before is None else tasklist_entry(await tasklist.task(_urn(at, query.before)))
+        process = None if query.process is None else at.plain_id(query.process)
         found = [
             entry
-            for entry in entries
-            if (claimed_by is None or entry["claimedBy"] == claimed_by)
-            and (group is None or group in entry["groups"])
+            for each in state.active_processes.processes.values()
+            if (process is None or each.record.id == process)
+            and (query.definition is None or each.record.definition == query.definition)
+            for task in each.tasks.values()
+            if is_for_people(link["object"] for link in task.entity["involves"]["value"])
+            and is_listed(entry := tasklist_entry(task), query, each.record.key)
+            and (mark is None or list_order(entry) > list_order(mark))
         ]
-        found.sort(
-            key=lambda entry: (entry["dueDate"] or "9", -(entry["priority"] or 50), entry["createdAt"])
-        )
-        return json_response(found[:limit])
+        found.sort(key=list_order)
+        response = json_response(found[: query.limit])
+        if len(found) > query.limit:
+            following = request.url.include_query_params(before=found[query.limit - 1]["id"])
+            response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
+        return response
 
     @app.get(
         "/tasks/{task_id}",

@@ -55,6 +55,28 @@ async def test_a_running_process_keeps_the_version_it_was_started_with(
     assert (later["version"], later["waiting"]) == (2, ["other"])
 
 
+async def test_tokens_and_inner_variables_are_shown_and_inner_ones_are_set(api: httpx.AsyncClient) -> None:
+    inner = start("in") + activity("work") + path("in", "work")
+    body = (
+        start() + f'<bpmn:subProcess id="sub">{inner}</bpmn:subProcess>' + end() + path("start", "sub", "end")
+    )
+    await deployed(api, body)
+    seen = (await api.post("/processes", json={"definition": "p"})).json()
+    tokens = [(each["element"], each["state"], each["task"]) for each in seen["tokens"]]
+    assert tokens == [("sub", "scope", None), ("work", "work", seen["tasks"][0]["id"])]
+    (scope,) = seen["scopes"]
+    assert (scope["kind"], scope["element"], scope["variables"]) == ("subProcess", "sub", {})
+    body_of = {"by": "Olga", "variables": {"n": 3}, "scope": scope["scope"]}
+    changed = (await api.post(f"/processes/{seen['id']}/variables", json=body_of)).json()
+    assert (changed["scopes"][0]["variables"], changed["variables"]) == ({"n": 3}, {})
+    assert (changed["acts"][-1]["act"], changed["acts"][-1]["element"]) == ("setVariables", "sub")
+    gone = await api.post(f"/processes/{seen['id']}/variables", json={**body_of, "scope": "99"})
+    assert (gone.status_code, "no scope" in gone.json()["detail"]) == (409, True)
+    await api.post(f"/processes/{seen['id']}/cancel")
+    ended = (await api.get(f"/processes/{seen['id']}")).json()
+    assert (ended["tokens"], ended["scopes"]) == ([], [])
+
+
 async def test_a_wrong_file_is_answered_with_every_fault(api: httpx.AsyncClient) -> None:
     wrong = ONE_STEP + "<bpmn:callActivity id='c'/><bpmn:complexGateway id='x'/>"
     answer = await api.post("/definitions", content=drawing(wrong), headers=XML)

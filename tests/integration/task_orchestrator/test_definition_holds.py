@@ -115,6 +115,16 @@ async def test_a_definition_is_suspended_and_deleted_over_rest(tmp_path: Path) -
         assert (await api.post("/processes", json={"definition": "p"})).status_code == 404
         assert (await api.get(f"/processes/{process}")).json()["status"] == "failed"  # it can still be read
         assert (await api.delete("/definitions/none", params=BY)).status_code == 404
+        again = (await api.post("/processes", json={"definition": "caller"})).json()["incidents"][0]
+        assert "Olga has suspended or deleted it" in again["reason"]
+        for number in range(7):
+            await _deploy(api, drawing(ONE_STEP, name=f"other-{number}"))
+        missing = CALL.replace('"p"', '"other"')
+        frame = '<bpmn:startEvent id="start"/>' + missing + end() + path("start", "call", "end")
+        await _deploy(api, drawing(frame, name="lost"))
+        lost = (await api.post("/processes", json={"definition": "lost"})).json()["incidents"][0]
+        assert "deployed are: other-" in lost["reason"]
+        assert lost["reason"].endswith(" and 5 more")
     async with service(settings_in(tmp_path)) as api:
         assert (await api.get("/definitions/p")).status_code == 404
         assert (await _deploy(api, drawing(ONE_STEP)))["version"] == 2

@@ -217,6 +217,40 @@ def test_a_declined_task_stays_open_for_others_until_all_have_declined(running: 
     assert incident["reason"] == "Ben declined: no time"
 
 
+def test_the_list_has_pages_conditions_and_no_unknown_parameter(running: Cell) -> None:
+    deploy(running, "listed", 'camunda:assignee="dora" camunda:dueDate="2026-01-02T03:00:00Z">')
+    keys = [f"list {n}" for n in range(5)]
+    for key in keys:
+        running.api.post("/processes", json={"definition": "listed", "key": key}).raise_for_status()
+    query: dict[str, Any] = {"definition": "listed", "limit": 2}
+    pages, following = [], "/tasks"
+    while following:
+        page = running.api.get(following, params=query if following == "/tasks" else None).raise_for_status()
+        pages.append([entry["id"] for entry in page.json()])
+        following = page.links.get("next", {}).get("url", "")
+    assert [len(page) for page in pages] == [2, 2, 1]
+    assert len({task for page in pages for task in page}) == 5
+    first = pages[0][1]
+    post(running, first, "claim", by="Dora").raise_for_status()
+    post(running, first, "complete", by="Dora").raise_for_status()  # the mark of a page may end
+    after = running.api.get("/tasks", params={**query, "before": first}).json()
+    assert [entry["id"] for entry in after] == pages[1]
+
+    def listed(**conditions: str) -> int:
+        return len(
+            running.api.get("/tasks", params={"definition": "listed", **conditions}).raise_for_status().json()
+        )
+
+    assert (listed(assignee="Dora"), listed(assignee="Ben")) == (4, 0)
+    assert (listed(search="LIST 4"), listed(search="weigh"), listed(search="nothing")) == (1, 4, 0)
+    unknown = running.api.get("/tasks", params={"assigne": "dora"})
+    assert (unknown.status_code, "assigne" in unknown.text) == (422, True)
+    assert running.api.get("/tasks", params={"before": "none"}).status_code == 404
+    seen = details(running, pages[1][0])
+    assert (seen["deadline"], seen["dueDate"][:10]) == (None, "2026-01-02")  # a person accepts it at any time
+    assert running.look(seen["process"])["tasks"][0]["deadline"] is None
+
+
 def test_what_the_assignee_declines_is_offered_to_the_users_and_groups_beside(running: Cell) -> None:
     deploy(running, "beside", 'camunda:assignee="anna" camunda:candidateGroups="packing">')
     _, task = begin(running, "beside")

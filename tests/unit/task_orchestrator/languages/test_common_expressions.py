@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.languages.base import ExpressionError, quote_names
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.languages.native import read
@@ -126,3 +126,15 @@ def test_whatever_python_raises_is_an_error_of_the_expression(error: Exception) 
     for expression in (read("a + 1"), read_juel("${a + 1}"), read_feel("a + 1")):
         with pytest.raises(ExpressionError, match=r"`.*a \+ 1.*`: "):
             expression.value(Failing(error))
+
+
+def test_an_error_lists_few_names_and_the_nearest_first() -> None:
+    names = [f"process-{number:03}" for number in range(300)] + ["weld-frame"]
+    listed = quote_names(names, near="weld-frames")
+    assert listed.startswith("weld-frame, process-000, ")
+    assert listed.endswith(" and 296 more")
+    assert quote_names(names).endswith(" and 281 more")
+    variables: dict[str, object] = dict.fromkeys(names, 1)
+    with pytest.raises(ExpressionError) as refusal:
+        read("missing").value(variables)
+    assert len(str(refusal.value)) < 400

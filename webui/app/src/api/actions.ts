@@ -1,6 +1,6 @@
 /** The actions that more than one page offers. */
 import type { LiveEvent } from "~/live/messages";
-import type { CancelRequest, MendRequest, MigrationOfAllRequest, MigrationOfAllView, MigrationRequest, MigrationView, MoveRequest, PausedProcesses, PauseRequest, ProcessStart, ProcessView } from "./generated/task-orchestrator";
+import type { CancelRequest, MendRequest, MigrationOfAllRequest, MigrationOfAllView, MigrationRequest, MigrationView, MoveRequest, PausedProcesses, PauseRequest, ProcessStart, ProcessView, VariablesRequest } from "./generated/task-orchestrator";
 import { request, requestService, type ProblemDetails } from "./http";
 
 export function startProcess(definition: string, parameters: Record<string, unknown> = {}, more: Partial<ProcessStart> = {}): Promise<ProcessView> {
@@ -33,7 +33,7 @@ export function releaseReservation(process: string, key: string, { by, why = nul
   return decide(process, `reservations/${encodeURIComponent(key)}/release`, { by, why });
 }
 
-export function setVariables(process: string, decision: MendRequest): Promise<ProcessView> {
+export function setVariables(process: string, decision: VariablesRequest): Promise<ProcessView> {
   return decide(process, "variables", decision);
 }
 

@@ -61,6 +61,8 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     retries: [],
     unallocated: [],
     reservations: [],
+    tokens: [],
+    scopes: [],
     retry: null,
     acts: [],
     ...over,

@@ -617,7 +617,11 @@ export interface ProcessSummary {
   retry: string | null;
 }
 
-/** A process with all details; `done` of its `activities` were completed at least once. */
+/**
+ * A process with all details; `done` of its `activities` were completed at least once.
+ *
+ * `tokens` and `scopes` are those of a running process, the first 1000 of each.
+ */
 export interface ProcessView {
   reason: string | null;
   reasonCode?: string;
@@ -645,6 +649,8 @@ export interface ProcessView {
   elements: Record<string, ElementCounts>;
   acts: ActView[];
   reservations: ReservationView[];
+  tokens: TokenView[];
+  scopes: ScopeView[];
   tasks: TaskView[];
 }
 
@@ -722,6 +728,24 @@ export interface ReturnRequest {
   why?: string | null;
 }
 
+/** What has variables of its own, within a process. */
+export type ScopeKind = "calledProcess" | "subProcess" | "instance" | "activity";
+
+/**
+ * The variables that only a part of a process sees; `outer` is the scope around it, null for the process.
+ *
+ * A part is a subprocess, an instance of a loop, a called process, or an activity with mapped inputs.
+ */
+export interface ScopeView {
+  scope: string;
+  outer: string | null;
+  kind: ScopeKind;
+  element: string;
+  name: string;
+  instance: string;
+  variables: Record<string, unknown>;
+}
+
 /** A time of a weekday (Monday is 1) in which an agent works. */
 export interface ShiftView {
   weekday: number;
@@ -778,7 +802,7 @@ export interface TaskDetails {
   definition: string;
   version: number;
   description: string | null;
-  deadline: string;
+  deadline: string | null;
   requirePin: boolean;
   endedAt: string | null;
   inputs: Record<string, unknown>;
@@ -824,7 +848,8 @@ export type TaskStatus = "pending" | "assigned" | "inProgress" | "paused" | "com
 /**
  * A Task of a process.
  *
- * Until `deadline` a performer accepts it, until `dueDate` it should be completed.
+ * Until `deadline` a performer accepts it, null if people may at any time; until `dueDate` it should be
+ * completed.
  */
 export interface TaskView {
   reason: string | null;
@@ -890,6 +915,19 @@ export interface ThroughputView {
   points: ThroughputPoint[];
 }
 
+/** What a token does at its node. */
+export type TokenState = "ready" | "work" | "waiting" | "scope" | "loop" | "joined" | "compensating" | "finishing" | "leaving" | "incident";
+
+/** A token; `task` is its open Task, `instance` says which one of a multi-instance activity it is. */
+export interface TokenView {
+  token: string;
+  element: string;
+  name: string;
+  state: TokenState;
+  instance: string;
+  task: string | null;
+}
+
 /** An open activity without a Task, because no performer can take it now. */
 export interface UnallocatedView {
   reason: string;
@@ -911,6 +949,14 @@ export interface UsedNameView {
   name: string;
   performer: string | null;
   activities: NamedActivity[];
+}
+
+/** Variables that a person sets. */
+export interface VariablesRequest {
+  by: string;
+  why?: string | null;
+  variables?: Record<string, unknown>;
+  scope?: string | null;
 }
 
 /** The statistics of a version. */

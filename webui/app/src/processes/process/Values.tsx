@@ -1,4 +1,4 @@
-/** The parameters and the present variables of a process. */
+/** The parameters and the present variables of a process, and those that only a part of it sees. */
 import { Braces } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -10,25 +10,38 @@ import "./Values.css";
 
 export function Values({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
-  const [edits, setEdits] = useState(false);
+  // What is edited: the variables of the process itself (no scope), or of a part of it.
+  const [edited, setEdited] = useState<{ scope?: string; before: Readonly<Record<string, unknown>> } | null>(null);
+  const edit = (part: { scope?: string; before: Readonly<Record<string, unknown>> }) =>
+    process.endedAt === null && (
+      <Button permission="runProcesses" icon={<Braces aria-hidden size={18} />} onPress={() => setEdited(part)}>
+        {t("values.edit")}
+      </Button>
+    );
   return (
     <div className="values">
       <Listed title={t("values.parameters")} values={process.parameters} empty={t("values.noParameters")} />
       <Listed title={t("values.variables")} values={process.variables} empty={t("values.noVariables")}>
-        {process.endedAt === null && (
-          <Button permission="runProcesses" icon={<Braces aria-hidden size={18} />} onPress={() => setEdits(true)}>
-            {t("values.edit")}
-          </Button>
-        )}
+        {edit({ before: process.variables })}
       </Listed>
-      {edits && (
+      {process.scopes.map(({ scope, kind, name, element, instance, variables }) => (
+        <Listed
+          key={scope}
+          title={t(`values.scope.${kind}`, { name: `${name === "" ? element : name}${instance === "" ? "" : ` (${instance})`}` })}
+          values={variables}
+          empty={t("values.noVariables")}
+        >
+          {edit({ scope, before: variables })}
+        </Listed>
+      ))}
+      {edited !== null && (
         <MendDialog
           title={t("mend.set.title", { title: process.title })}
           act={t("mend.set.act")}
           means={t("mend.set.means")}
-          variables={{ label: t("mend.variables"), hint: t("mend.variablesHint"), before: process.variables, isRequired: true }}
-          onClose={() => setEdits(false)}
-          onAct={(decision) => setVariables(process.id, decision)}
+          variables={{ label: t("mend.variables"), hint: t("mend.variablesHint"), before: edited.before, isRequired: true }}
+          onClose={() => setEdited(null)}
+          onAct={(decision) => setVariables(process.id, { ...decision, scope: edited.scope ?? null })}
         />
       )}
     </div>
@@ -37,7 +50,7 @@ export function Values({ process }: { process: ProcessView }) {
 
 interface ListedProps {
   title: string;
-  values: Record<string, unknown>;
+  values: Readonly<Record<string, unknown>>;
   empty: string;
   children?: ReactNode;
 }
