@@ -264,11 +264,13 @@ class Handover:
 
     def call(self, element: etree._Element, found: Findings) -> Call | None:
         """Return the called process, which gets all variables and returns all."""
-        called = referenced(element.get("calledElement") or "")
+        given = (element.get("calledElement") or "").strip()
+        called = given if "${" in given or "#{" in given else referenced(given)
         if not called:
             found.fault(element, _no_called_element())
             return None
-        return Call(Value(called), all_inputs=True, all_outputs=True)
+        process = attempt(element, lambda: self.value(called), Value(), found)
+        return Call(process, all_inputs=True, all_outputs=True)
 
     def evaluated(
         self,
@@ -435,7 +437,7 @@ def _check_literal(element: etree._Element, name: str, known: Set[str], found: F
     given = str(element.get(name)).strip()
     if given.startswith('"') or not ("${" in given or "#{" in given or given.startswith("=")):
         return
-    if "expression" not in known:
+    if "expression" not in known or _is_of_process(element):
         text = message(
             "bpmn.expression_not_evaluated",
             '{name}="{given}" is an expression, and {name} is not evaluated; write the value itself',
@@ -453,6 +455,12 @@ def _check_literal(element: etree._Element, name: str, known: Set[str], found: F
             inner=(inner[2:-1].strip() if is_enclosed else inner)[:100],
         )
     found.fault_of_deployment(element, text)
+
+
+def _is_of_process(parameter: etree._Element) -> bool:
+    """Return whether a parameter is one of a process, whose default value is no expression."""
+    parent = parameter.getparent()
+    return parent is not None and local(parent) == "process"
 
 
 def _deadline(extension: etree._Element, found: Findings) -> Duration | None:

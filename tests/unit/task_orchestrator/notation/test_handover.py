@@ -266,6 +266,17 @@ def test_every_attribute_that_is_not_evaluated_refuses_an_expression() -> None:
             assert (deployed.faults, len(deployed.warnings)) == ([], 1)
 
 
+def test_a_default_of_a_process_parameter_is_no_expression() -> None:
+    (fault,) = faults(parameters(torque="${x}") + between(activity("x")))
+    assert fault.endswith("value is not evaluated; write the value itself")
+
+
+def test_a_called_process_may_be_named_by_an_expression() -> None:
+    call = node('<bpmn:callActivity id="x" calledElement="${which}"/>' + activity("y")).call
+    assert call is not None
+    assert call.process.value({"which": "called"}) == "called"
+
+
 def test_a_text_in_quotes_is_a_literal() -> None:
     work = node(activity("x", '<handover:parameter name="x" value=\'"${torque}"\'/>')).activity
     assert work is not None

@@ -27,7 +27,7 @@ export function Holds({ definition, onChanged }: { definition: DefinitionView; o
         </StatusBadge>
       ))}
       {holds.some(({ kind }) => kind === "paused") && <PaceButton pace="resume" of={{ definition: name, title }} onDone={onChanged} />}
-      <Button icon={does === "suspend" ? <CircleOff aria-hidden size={18} /> : <CirclePlay aria-hidden size={18} />} onPress={() => setAsks(true)}>
+      <Button permission="runProcesses" icon={does === "suspend" ? <CircleOff aria-hidden size={18} /> : <CirclePlay aria-hidden size={18} />} onPress={() => setAsks(true)}>
         {act}
       </Button>
       {asks && (
