@@ -17,6 +17,7 @@ from services.task_orchestrator.app import make_app
 from services.task_orchestrator.storage.store import Store
 from tests.integration.task_orchestrator.rest import XML, settings_in
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
+from tests.unit.task_orchestrator.earlier_tables import take_back
 
 KEY = SigningKey.generate()
 ROSA = Caller(CallerKind.USER, "s1", "Rosa", (Grant(Role.ENGINEER),))
@@ -86,10 +87,7 @@ async def test_acts_of_an_earlier_release_stay_unverified(tmp_path: Path) -> Non
     store = Store(connect(settings.database("orchestrator")))
     store.migrate()
     with store.engine.begin() as connection:
-        for table in ("orchestrator_task_acts", "orchestrator_mappings"):
-            connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN verified")
-        connection.exec_driver_sql("ALTER TABLE orchestrator_tasks DROP COLUMN unreadable")
-        connection.exec_driver_sql("UPDATE orchestrator_version SET version = 1")
+        take_back(connection, 1)
         connection.exec_driver_sql(
             'INSERT INTO orchestrator_task_acts (id, process, task, kind, "by", at, text) '
             "VALUES ('c1', 'p-1', NULL, 'comment', 'Anna', '2026-05-04T08:00:00.000Z', 'Heavy')"

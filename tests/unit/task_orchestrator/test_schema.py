@@ -14,6 +14,7 @@ from handover.sqlite_integrity.marks import TABLE as COMMITS
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.storage import schema
 from services.task_orchestrator.storage.store import Store
+from tests.unit.task_orchestrator.earlier_tables import MADE, take_back
 
 
 def tables(engine: Engine) -> dict[str, list[str]]:
@@ -38,17 +39,19 @@ def test_a_new_database_has_the_version_and_a_second_start_changes_nothing(tmp_p
     engine.dispose()
 
 
-def test_a_database_of_an_earlier_version_is_migrated(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", MADE)
+def test_a_database_of_an_earlier_version_is_migrated(version: int, tmp_path: Path) -> None:
+    assert max(MADE) + 1 == schema.SCHEMA_VERSION
     engine = connect(f"sqlite:///{tmp_path / 'orchestrator.db'}")
     schema.migrate(engine)
     created = tables(engine)
     with engine.begin() as connection:
-        connection.execute(text("UPDATE orchestrator_version SET version = 2"))
-        connection.execute(text("ALTER TABLE orchestrator_messages DROP COLUMN process"))
-        connection.execute(text("DROP TABLE orchestrator_definition_holds"))
-        connection.execute(text("ALTER TABLE orchestrator_tasks DROP COLUMN unreadable"))
+        take_back(connection, version)
         connection.execute(
-            text("INSERT INTO orchestrator_messages VALUES ('m', 'go', 'null', '{}', NULL, :at, :at)"),
+            text(
+                "INSERT INTO orchestrator_messages (id, name, key, variables, sent_at, expires_at) "
+                "VALUES ('m', 'go', 'null', '{}', :at, :at)"
+            ),
             {"at": "2026-05-04T08:00:00+00:00"},
         )
     schema.migrate(engine)
