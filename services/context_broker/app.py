@@ -23,7 +23,7 @@ from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.contexts.context_store import Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.own_address import OwnAddress
-from services.context_broker.delivery.notifier import REQUEST_HEADERS
+from services.context_broker.delivery.notifier import REQUEST_HEADERS, REQUEST_TIME
 from services.context_broker.extensions.federation import Federation, LocalOnly, wants_map
 from services.context_broker.extensions.snapshots import NoSnapshots, Snapshots, is_inside_snapshot
 from services.context_broker.model.problems import not_stored
@@ -216,6 +216,8 @@ class Broker:
             context = RequestContext(request, names, self.contexts, visible, caller)
             if request.parameters:
                 context.require_known(operation.parameters)
+            if request.method != "GET":
+                REQUEST_TIME.set(time.time())
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
             if (

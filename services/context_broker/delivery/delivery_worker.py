@@ -16,6 +16,7 @@ from prometheus_client import Counter
 from handover.telemetry import get_logger
 from services.context_broker.delivery.attempt import DeliveryContext, attempt
 from services.context_broker.delivery.backlog import Backlog
+from services.context_broker.delivery.combining import first_together
 from services.context_broker.delivery.disclosure import Unverified
 from services.context_broker.delivery.endpoint_queue import (
     INITIAL_BACKOFF_S,
@@ -60,7 +61,9 @@ class DeliveryWorker:
         self._has_more_on_disk = False
         self._is_loading = False
         self._last_seq = 0
-        self._sending: PendingNotification | None = None
+        self._sending: list[PendingNotification] = []
+        """The notifications of the message that is sent, or is to be sent again."""
+        self._is_sending = False
         self._was_tried = False
         self._is_uncounted = False
         self._is_unverified = False
@@ -218,18 +221,21 @@ class DeliveryWorker:
             await self._send_throttled()
 
     async def _deliver(self, notice: PendingNotification) -> None:
-        """Try to send the first notification of the queue; it stays there until it is delivered or
-        dropped."""
-        assert notice.body is not None  # noqa: S101 - those without one wait apart
-        self._sending = notice
+        """Try to send the first notification of the queue, with those of the same request; they stay there
+        until they are delivered or dropped."""
+        if not (self._sending and self._sending[0] is notice):  # a retry has the same content
+            self._sending = first_together(self._queue)
+        some, self._is_sending = self._sending, True
         try:
-            is_done = await self._send_released({notice.entity: notice}, notice)
+            is_done = await self._send_released({one.entity: one for one in some}, notice)
         finally:
-            self._sending = None
-        if is_done and self._queue and self._queue[0] is notice:
-            self._queue.popleft()
-            self._endpoint_queue.release(notice.size)
-            self._settle([notice])
+            self._is_sending = False
+        if is_done:
+            self._sending = []
+            sent = [one for one in some if self._queue and self._queue[0] is one and self._queue.popleft()]
+            for one in sent:
+                self._endpoint_queue.release(one.size)
+            self._settle(sent)
 
     async def _send_periodic(self, notice: PendingNotification) -> None:
         """Try to send a notification of a period."""
@@ -388,8 +394,9 @@ class DeliveryWorker:
         try:
             async for page in self._backlog.sizes():
                 gone: dict[int, int] = {}
+                sending = {one.seq for one in self._sending} if self._is_sending else set()
                 for seq, size in page:
-                    if left_bytes > 0 and (self._sending is None or seq != self._sending.seq):
+                    if left_bytes > 0 and seq not in sending:
                         gone[seq] = size
                         left_bytes -= size
                 self._remove(gone)
@@ -416,6 +423,7 @@ class DeliveryWorker:
             self._endpoint_queue.release(notice.size)
         if dropped:
             self._queue = deque(notice for notice in self._queue if notice.seq not in gone)
+        self._sending = [notice for notice in self._sending if notice.seq not in gone]
         for entity in [one for one, notice in self._throttled.items() if notice.seq in gone]:
             del self._throttled[entity]
         self._last_seq = max(self._last_seq, *gone) if gone else self._last_seq

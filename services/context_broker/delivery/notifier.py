@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextvars import ContextVar
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -16,16 +17,14 @@ import orjson
 
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.telemetry import get_logger
+from services.context_broker.delivery.combining import MAX_ITEMS_PER_NOTIFICATION
 from services.context_broker.delivery.disclosure import Disclosure, Receivers, private_in
 from services.context_broker.delivery.endpoint import CREDENTIALS
 from services.context_broker.delivery.notification import change_data, entity_data, notification
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import PeriodicNotifications
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.delivery.subscription_dispatcher import (
-    MAX_ITEMS_PER_NOTIFICATION,
-    SubscriptionDispatcher,
-)
+from services.context_broker.delivery.subscription_dispatcher import SubscriptionDispatcher
 from services.context_broker.delivery.triggers import EntityChange, entity_change
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.query.q_match import Lookup
@@ -38,6 +37,8 @@ log = get_logger(__name__)
 
 REQUEST_HEADERS: Final[ContextVar[Mapping[bytes, bytes]]] = ContextVar("REQUEST_HEADERS")
 """The headers of the current request; set while `Notifier.passes_headers_on`."""
+REQUEST_TIME: Final[ContextVar[float | None]] = ContextVar("REQUEST_TIME", default=None)
+"""When the current request began, in seconds since 1970: its changes are notified together."""
 CHUNK: Final = 500
 """Entities of a periodic notification that are examined before other tasks run."""
 
@@ -115,7 +116,7 @@ class Notifier(SubscriptionDispatcher):
             return []
         if named is not None or len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
-        change, now_s = entity_change(event), time.time()
+        change, now_s = entity_change(event), REQUEST_TIME.get() or time.time()
         notices = [self._notice(one, change, now_s) for one in interested]
         return [one for one in notices if one is not None]
 
@@ -146,11 +147,7 @@ class Notifier(SubscriptionDispatcher):
                 disclosure.private.update(note)
             else:
                 usable[entity_id] = replace(notice, body=None)
-        first, *others = usable.values()
-        if first.body is not None and not others and not first.waits_for_throttling:
-            body: bytes | None = first.body
-        else:
-            body = self.notification_of(subscription, usable, disclosure)
+        body = self.message_of(subscription, usable, partial(self.notification_of, disclosure=disclosure))
         if body is not None and disclosure.private:
             address = subscription.endpoint.shown
             await self._receivers.record(

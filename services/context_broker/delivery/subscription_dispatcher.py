@@ -1,9 +1,9 @@
 """The subscriptions of one tenant, with a delivery worker for each."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
-from typing import Final
 
+from services.context_broker.delivery.combining import MAX_ITEMS_PER_NOTIFICATION, combined
 from services.context_broker.delivery.delivery_worker import DeliveryWorker
 from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.outbound import Outbound
@@ -12,8 +12,8 @@ from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries, PendingNotification
 from services.context_broker.storage.journal import Journal
 
-MAX_ITEMS_PER_NOTIFICATION: Final = 1000
-"""Maximum entities, or registrations, in one notification; more are sent in several."""
+Compose = Callable[[Subscription, Mapping[str, PendingNotification]], bytes | None]
+"""Returns one message for the present state of entities (by id)."""
 
 
 class SubscriptionDispatcher:
@@ -120,10 +120,26 @@ class SubscriptionDispatcher:
 
         A notice that was throttled is composed now. Raises `Unverified` to try again later.
         """
-        first, *others = notices.values()
-        if first.body is not None and not others and not first.waits_for_throttling:
-            return first.body
-        return self.notification_of(subscription, notices)
+        return self.message_of(subscription, notices, self.notification_of)
+
+    @staticmethod
+    def message_of(
+        subscription: Subscription, notices: Mapping[str, PendingNotification], compose: Compose
+    ) -> bytes | None:
+        """Return one message for notices (by entity); None if there is nothing to send.
+
+        `compose` makes the part of those that were throttled, or that the owner may see in part only.
+        """
+        bodies = [
+            one.body for one in notices.values() if one.body is not None and not one.waits_for_throttling
+        ]
+        if len(bodies) < len(notices):
+            waiting = {
+                name: one for name, one in notices.items() if one.body is None or one.waits_for_throttling
+            }
+            composed = compose(subscription, waiting)
+            bodies += [] if composed is None else [composed]
+        return combined(bodies) if bodies else None
 
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]

@@ -271,3 +271,59 @@ def test_an_answer_that_is_no_http_is_a_failure_like_any_other(
         eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) >= 2)
         assert http.delete(path).status_code == 204
         server.shutdown()
+
+
+def batch(http: httpx.Client, act: str, documents: list[Any]) -> None:
+    answer = http.post(f"/entityOperations/{act}", json=documents)
+    assert answer.is_success, answer.text
+    assert answer.status_code != 207, answer.text
+
+
+@pytest.mark.parametrize("accept", ["application/json", "application/ld+json", "application/geo+json"])
+def test_a_batch_makes_one_notification_for_a_subscription(
+    http: httpx.Client, subscriber: Any, kind: str, eventually: Eventually, accept: str
+) -> None:
+    endpoint = {"uri": subscriber.url, "accept": accept}
+    triggers = ["entityCreated", "entityUpdated", "entityDeleted"]
+    subscription = subscribe(
+        http, kind, subscriber.url, notification={"endpoint": endpoint}, notificationTrigger=triggers
+    )
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(200)]
+    for act, value in (("create", 0), ("upsert", 1), ("update", 2), ("merge", 3)):
+        batch(http, act, [{"id": one, "type": kind, "a": value} for one in ids])
+    batch(http, "delete", ids)
+    eventually(lambda: len(subscriber.received) >= 5)
+    parts = [one["data"] for one in subscriber.received]
+    entities = [part["features"] if isinstance(part, dict) else part for part in parts]
+    assert [[one["id"] for one in part] for part in entities] == [ids] * 5
+    assert len({one["id"] for one in subscriber.received}) == 5
+    eventually(lambda: change_data(http, subscription)["timesSent"] == 5)
+
+
+def test_a_large_batch_makes_notifications_of_a_maximum_size(
+    http: httpx.Client, subscriber: Any, kind: str, eventually: Eventually
+) -> None:
+    subscribe(http, kind, subscriber.url)
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(1100)]
+    batch(http, "create", [{"id": one, "type": kind, "a": 1} for one in ids])
+    eventually(lambda: len(subscriber.entities()) >= len(ids))
+    assert [len(one["data"]) for one in subscriber.received] == [1000, 100]
+    assert [one["id"] for one in subscriber.entities()] == ids
+    large = [{"id": f"{one}:large", "type": kind, "text": "x" * 400_000} for one in ids[:5]]
+    batch(http, "create", large)
+    eventually(lambda: len(subscriber.entities()) >= len(ids) + len(large))
+    assert [len(one["data"]) for one in subscriber.received[2:]] == [2, 2, 1]
+
+
+def test_a_notification_of_a_batch_is_repeated_as_a_whole(
+    http: httpx.Client, subscriber: Any, kind: str, eventually: Eventually
+) -> None:
+    subscribe(http, kind, subscriber.url)
+    subscriber.status = 503
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(20)]
+    batch(http, "create", [{"id": one, "type": kind, "a": 0} for one in ids])
+    batch(http, "upsert", [{"id": one, "type": kind, "a": 1} for one in ids])
+    subscriber.status = 200
+    eventually(lambda: len(subscriber.received) >= 2)
+    assert [[one["id"] for one in part["data"]] for part in subscriber.received] == [ids, ids]
+    assert [one["a"]["value"] for one in subscriber.entities()] == [0] * 20 + [1] * 20

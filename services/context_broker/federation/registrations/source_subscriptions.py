@@ -14,13 +14,11 @@ from uuid import uuid4
 import orjson
 
 from handover.telemetry import get_logger
+from services.context_broker.delivery.combining import MAX_ITEMS_PER_NOTIFICATION
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import PeriodicNotifications
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.delivery.subscription_dispatcher import (
-    MAX_ITEMS_PER_NOTIFICATION,
-    SubscriptionDispatcher,
-)
+from services.context_broker.delivery.subscription_dispatcher import SubscriptionDispatcher
 from services.context_broker.federation.registrations.coverage import period_of
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
