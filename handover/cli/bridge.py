@@ -42,6 +42,7 @@ def check(
     With --live, exit code 1 if the present graph keeps a rule from working.
     """
     from ros_fiware_bridge import mapping  # noqa: PLC0415 - only this command needs it
+    from ros_fiware_bridge.graph.simulated_time import notes  # noqa: PLC0415
     from ros_fiware_bridge.inspection import description  # noqa: PLC0415
     from ros_fiware_bridge.rules import plan  # noqa: PLC0415
 
@@ -56,7 +57,7 @@ def check(
     async def look(graph: Any) -> tuple[list[str], list[str]]:
         types = {topic.name: topic.type_names for topic in graph.topics()}
         made = plan.make(document, store, settings.factory, lambda topic: types.get(topic, ()))
-        return list(description.lines(made)), list(description.problems(made, graph))
+        return [*description.lines(made), *notes(graph)], list(description.problems(made, graph))
 
     effect, problems = asyncio.run(_on_the_graph(settings, store, wait_s, look))
     for line in (*effect, *problems):

@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.telemetry import get_logger
+from ros_fiware_bridge.graph.goals import result_text
 from ros_fiware_bridge.graph.port import ActionClient, GoalStatus, Publisher, Received, RosGraph
 from services.device_gateway.device_client import DeviceClient, Run
 
@@ -193,7 +194,9 @@ class RosDevice:
                 is_cancelled = await sent.cancel()
         ended = ending.result()
         if ended.status is not GoalStatus.SUCCEEDED:
-            raise RuntimeError(f"the action {command.action} has ended as {ended.status.name.lower()}")
+            said = result_text(ended.result)
+            state = f"the action {command.action} has ended as {ended.status.name.lower()}"
+            raise RuntimeError(f"{state}: {said}" if said else state)
         return _scalars(ended.result)
 
     async def _follow_velocities(self, base: DriveTopic | None, joints: JointsTopic | None) -> None:

@@ -1,13 +1,15 @@
 """Goals of actions: waiting for a result and the cancel signal, shared by the adapters."""
 
 import asyncio
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 from handover.messages import number_text
 from ros_fiware_bridge.errors import CallTimeout, ClosedUnanswered, ServerLost, ServiceUnavailable
 from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT
 
 Result = TypeVar("Result")
+MAX_RESULT_CHARS = 500
 
 
 async def result_within(pending: "asyncio.Future[Result]", action: str, timeout_s: float | None) -> Result:
@@ -27,6 +29,14 @@ async def result_within(pending: "asyncio.Future[Result]", action: str, timeout_
         raise CallTimeout(
             f"{action}: the goal did not end within {number_text(timeout_s or 0.0)} s"
         ) from None
+
+
+def result_text(result: Mapping[str, Any]) -> str:
+    """Return what the result of a goal says, as text: its texts, numbers and flags that have a value."""
+    said = (
+        f"{name} {value}" for name, value in result.items() if isinstance(value, str | int | float) and value
+    )
+    return ", ".join(said)[:MAX_RESULT_CHARS]
 
 
 def unanswered(service: str, timeout_s: float) -> CallTimeout:

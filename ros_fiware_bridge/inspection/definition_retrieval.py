@@ -11,31 +11,42 @@ from typing import Any
 
 from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph.port import Endpoint, RosGraph
+from ros_fiware_bridge.graph.waiting import until
 from ros_fiware_bridge.types.type_store import TypeStore
 
 SERVICE_TYPE = "type_description_interfaces/srv/GetTypeDescription"
 MAX_BYTES = 1_000_000
+DISCOVERY_S = 10.0
 _TYPE = re.compile(r"(?P<package>[a-z](?:_?[a-z0-9]+)*)/(?P<kind>msg|srv|action)/(?P<name>[A-Z][A-Za-z0-9]*)")
 
 Definitions = Mapping[str, str]
 """The texts of definition files by path, such as `cell_msgs/msg/Part.msg`."""
 
 
-async def retrieve(graph: RosGraph, topic: str, timeout_s: float = 10.0) -> Definitions:
+async def retrieve(
+    graph: RosGraph, topic: str, timeout_s: float = 10.0, discovery_s: float = DISCOVERY_S
+) -> Definitions:
     """Return the definitions of a topic's type and of all types that it contains.
+
+    It waits until a node on the topic, its name and the hash of its type have been discovered: those come
+    separately, and the last of them may take some seconds.
 
     Raises:
         GraphError: no node on the topic provides them; the text gives the reason for each node.
     """
-    found = next((one for one in graph.topics() if one.name == topic), None)
-    ends = [one for one in (*found.publishers, *found.subscribers) if not one.ours] if found else []
+
+    def ends() -> list[Endpoint]:
+        found = next((one for one in graph.topics() if one.name == topic), None)
+        return [one for one in (*found.publishers, *found.subscribers) if not one.ours] if found else []
+
+    await until(lambda: any(end.node and end.type_hash for end in ends()), discovery_s)
     refused = []
-    for end in ends:
+    for end in ends():
         try:
             return await _requested_from(graph, end, timeout_s)
         except GraphError as error:
             refused.append(str(error))
-    why = "; ".join(refused) or "no node uses it"
+    why = "; ".join(refused) or f"no node uses it, as far as {discovery_s:g} s of discovery show"
     raise GraphError(f"the definition of {topic} cannot be retrieved: {why}; name its files in type_paths")
 
 

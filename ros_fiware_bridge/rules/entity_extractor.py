@@ -29,6 +29,8 @@ ReportError = Callable[[tuple[str, ...], InvalidRule], None]
 """Called with the place in a rule that cannot work, and the reason."""
 Holds = Callable[[Any], bool]
 STAMP = paths.parse("header.stamp")
+MIN_STAMP_S = 1e9
+"""Of 2001: before it there was no ROS, so an earlier stamp is simulated, or of a clock that was never set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,8 @@ class Extraction:
     entities: list[EntityState] = field(default_factory=list)
     alerts: list[AlertState] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
+    is_simulated: bool = False
+    """Whether the stamp is of simulated time, and the time of reception was used."""
 
 
 class EntityExtractor:
@@ -110,9 +114,14 @@ class EntityExtractor:
         """Return the attributes that the rule writes."""
         return self._attributes
 
-    def extract(self, message: dict[str, Any], received_at_s: float) -> Extraction:
-        """Return the states and Alerts of `message` (its `fields` are enough); raises nothing."""
-        extraction = Extraction()
+    def extract(
+        self, message: dict[str, Any], received_at_s: float, *, is_simulated: bool = False
+    ) -> Extraction:
+        """Return the states and Alerts of `message` (its `fields` are enough); raises nothing.
+
+        Where `is_simulated`, and for a stamp that is simulated by itself, the time of reception is used.
+        """
+        extraction = Extraction(is_simulated=is_simulated)
         try:
             message = self._with_json_read(message)
             observed_at = self._observed_at(message, received_at_s, extraction)
@@ -209,7 +218,8 @@ class EntityExtractor:
         if self._stamp is not None:
             stamp = self._stamp(message)
             seconds = stamp["sec"] + stamp["nanosec"] * 1e-9
-            if stamp["sec"] > 0:
+            extraction.is_simulated |= 0 < seconds < MIN_STAMP_S
+            if stamp["sec"] > 0 and not extraction.is_simulated:
                 try:
                     return iso(datetime.fromtimestamp(seconds, UTC))
                 except (ValueError, OverflowError, OSError):

@@ -22,6 +22,7 @@ from handover.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.errors import CallTimeout, GraphError, OutcomeUnknown
+from ros_fiware_bridge.graph.goals import result_text
 from ros_fiware_bridge.graph.port import Goal, GoalResult, GoalStatus, Message, RosGraph
 from ros_fiware_bridge.mapping import paths
 from ros_fiware_bridge.mapping.model import ActionGoal, Change, ServiceCall
@@ -133,7 +134,7 @@ class RosRequest:
         self, answer: Message, rule: ServiceCall | ActionGoal, status: GoalStatus | None
     ) -> dict[str, Any]:
         outputs = self._values(self.planned.outputs, answer)
-        message = str(paths.getter(rule.message)(answer)) if rule.message is not None else ""
+        message = str(paths.getter(rule.message)(answer)) if rule.message is not None else result_text(answer)
         what = rule.service if isinstance(rule, ServiceCall) else rule.action
         if status is GoalStatus.CANCELED:
             return outputs

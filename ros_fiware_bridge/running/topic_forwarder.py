@@ -9,15 +9,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Protocol
 
+from handover.telemetry import get_logger
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import Received, RosGraph, Subscription
 from ros_fiware_bridge.graph.qos import Qos
+from ros_fiware_bridge.graph.simulated_time import clock_publishers
 from ros_fiware_bridge.rules import origin
 from ros_fiware_bridge.rules.entity_extractor import AlertState, EntityExtractor, EntityState
 from ros_fiware_bridge.rules.outbox import Update
 from ros_fiware_bridge.rules.plan import Plan, PlannedRosToNgsild
 from ros_fiware_bridge.rules.update_filter import UpdateFilter
 from ros_fiware_bridge.running.rule_stats import RuleStats
+
+log = get_logger(__name__)
+
+CLOCK_CHECK_S = 1.0
+"""How often it is looked whether the graph runs on simulated time."""
 
 
 class EchoFilter(Protocol):
@@ -61,6 +68,8 @@ class TopicForwarder:
         self._filter = self._new_filter()
         self._overwritten = 0
         self._unreadable = 0
+        self._has_clock = self._is_simulated = False
+        self._clock_known_until_s = float("-inf")
 
     async def start(self) -> None:
         """Subscribe to the topic; has no effect while its type is unknown. Raises `GraphError`."""
@@ -157,13 +166,26 @@ class TopicForwarder:
         except GraphError as error:
             self.stats.record_error(str(error), now_s)
             return
-        extraction = self.extractor.extract(message, received.received_at_s)
+        extraction = self.extractor.extract(
+            message, received.received_at_s, is_simulated=self._runs_on_simulated_time(now_s)
+        )
+        if extraction.is_simulated and not self._is_simulated:
+            log.warning(
+                "stamps of simulated time are replaced by the time of reception", rule=self.stats.name
+            )
+        self._is_simulated = extraction.is_simulated
         for reason in extraction.errors:
             self.stats.record_error(reason, now_s)
         for alert in extraction.alerts:
             self._publish_alert(self.stats.name, alert)
         for state in extraction.entities:
             self._forward(state, now_s)
+
+    def _runs_on_simulated_time(self, now_s: float) -> bool:
+        if now_s >= self._clock_known_until_s:
+            self._clock_known_until_s = now_s + CLOCK_CHECK_S
+            self._has_clock = bool(clock_publishers(self._graph))
+        return self._has_clock
 
     def _forward(self, state: EntityState, now_s: float) -> None:
         if not self._may_write(state.entity_id, now_s):

@@ -140,9 +140,11 @@ async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover
     await own_shop.robot.serve("/other", "std_srvs/srv/SetBool", answer)
     await own_shop.robot.subscribe("/speed", "std_msgs/msg/Float64", ignore, LATCHED)
     (own_shop.cell.data_dir / "calls.yaml").write_text(CALLS)
+    await own_shop.robot.publisher("/clock", "rosgraph_msgs/msg/Clock")
     with genuine(own_shop.domain, "0" * 64):
         code, live, wrong = await handover("check", "calls.yaml", "--live", *LOOK)
     assert code == 1, wrong
+    assert "the graph runs on simulated time (/clock is published by /robot)" in live
     assert "trigger: /trigger: a node serves std_srvs/srv/Trigger with the type hash RIHS01_0000" in live
     assert "other: /other has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger" in live
     assert "absent: no node serves /absent now" in live

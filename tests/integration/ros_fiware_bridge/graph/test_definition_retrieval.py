@@ -11,7 +11,7 @@ from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.inspection import definition_retrieval
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
+from tests.integration.ros_fiware_bridge.graph.conftest import running_script
 from tests.kit.skipping import NO_ROS
 from tests.kit.waiting import scaled
 
@@ -36,15 +36,10 @@ async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int,
         with pytest.raises(UnknownType):
             TypeStore().resolve(NESTED)
 
-        def is_named() -> bool:
-            ends = [end for one in graph.topics() if one.name == "/nested" for end in one.publishers]
-            return any(end.node == "/cell/genuine" for end in ends)
-
-        await true(is_named, 30)
-        retrieved = await definition_retrieval.retrieve(graph, "/nested", 30)
+        retrieved = await definition_retrieval.retrieve(graph, "/nested", 30, scaled(30))
         assert set(retrieved) == {"test_msgs/msg/Nested.msg", "test_msgs/msg/BasicTypes.msg"}
         with pytest.raises(GraphError, match="/nothing cannot be retrieved: no node uses it"):
-            await definition_retrieval.retrieve(graph, "/nothing")
+            await definition_retrieval.retrieve(graph, "/nothing", discovery_s=0.1)
     finally:
         await graph.close()
     definition_retrieval.write(retrieved, tmp_path)

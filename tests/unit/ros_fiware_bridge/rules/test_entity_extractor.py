@@ -1,6 +1,7 @@
 """The entity extractor: messages become states of entities; an error affects one attribute alone."""
 
 import math
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,25 @@ def test_fields_become_attributes_with_the_time_of_the_header() -> None:
             "unitCode": "DD",
         },
     }
+
+
+@given(
+    stamp_s=st.floats(0.001, 2e9),
+    is_simulated=st.booleans(),
+)
+def test_a_stamp_of_simulated_time_is_never_written(stamp_s: float, is_simulated: bool) -> None:
+    """One of a graph on simulated time, or that lies before ROS: the time of reception is written."""
+    stamp = {"sec": int(stamp_s), "nanosec": int(stamp_s % 1 * 1e9)}
+    given_message = {**JOINTS, "header": {"frame_id": "base", "stamp": stamp}}
+    rule = ready("sensor_msgs/JointState", "{a: name}")
+    extraction = rule.extract(given_message, RECEIVED_S, is_simulated=is_simulated)
+    written = datetime.fromisoformat(attribute(extraction)["observedAt"]).timestamp()
+    expected_simulated = is_simulated or 0 < stamp["sec"] + stamp["nanosec"] * 1e-9 < 1e9
+    assert extraction.is_simulated == expected_simulated
+    if expected_simulated or stamp["sec"] == 0:
+        assert written == RECEIVED_S
+    else:
+        assert written == pytest.approx(stamp_s, abs=1e-3)
 
 
 @pytest.mark.parametrize(
