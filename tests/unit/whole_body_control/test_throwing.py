@@ -130,7 +130,7 @@ def test_a_refusal_names_the_place_that_was_asked_for_and_aiming_off_is_never_a_
     practice, base = Practice(), STANDING[:2]
     for distance_m in (0.5, 0.6, 0.7, 0.8):
         aimed = np.array([distance_m, 0.0, 0.5])
-        practice.learn("right_hand", base, aimed, aimed - [0.4, 0.0, 0.0])
+        practice.learn("right_hand", base, aimed, aimed - [1.0, 0.0, 0.0])
     hand = planner("right_hand")
     with pytest.raises(UsageError):
         hand.plan(practice.aim("right_hand", base, TARGET))
