@@ -1,7 +1,7 @@
 """The tree of a humanoid's URDF, checked: what has no physical meaning is refused, with a line each."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ MOVING = frozenset({"revolute", "prismatic"})
 FIXED = "fixed"
 MAX_JOINTS = 200
 INERTIA_TOLERANCE = 1e-6
+SMALLEST_M = 1e-12
 
 
 def number(element: Any, attribute: str) -> float | None:
@@ -46,7 +47,8 @@ class Tree:
         links = tuple(_outwards(root, element))
         moving = tuple(above[link] for link in links if link in above and above[link].get("type") != FIXED)
         faults = [fault for joint in moving for fault in _joint_faults(joint)]
-        faults += [fault for name in links for fault in _inertia_faults(by_name[name], name == root, above)]
+        faults += [fault for name in links for fault in _inertia_faults(by_name[name])]
+        faults += _mass_faults(links, by_name, above)
         if faults:
             raise UsageError("\n".join(faults))
         masses = (number(link.find("inertial/mass"), "value") or 0.0 for link in by_name.values())
@@ -109,11 +111,12 @@ def _place_faults(element: Any) -> Iterator[str]:
         for kind in ("visual", "collision"):
             for shape in part.findall(kind):
                 yield from (
-                    f"{where} has a {kind} {fault}" for fault in _shape_faults(shape.find("geometry"))
+                    f"{where} has a {kind} {fault}"
+                    for fault in _shape_faults(shape.find("geometry"), may_be_flat=kind == "visual")
                 )
 
 
-def _shape_faults(geometry: Any) -> Iterator[str]:
+def _shape_faults(geometry: Any, *, may_be_flat: bool) -> Iterator[str]:
     shape = next(iter(geometry), None) if geometry is not None else None
     if shape is None:
         yield "without a shape; its <geometry> has a box, cylinder, sphere or mesh"
@@ -125,7 +128,8 @@ def _shape_faults(geometry: Any) -> Iterator[str]:
     sizes = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
     for attribute in sizes.get(shape.tag, ()):
         written, count = str(shape.get(attribute)), 3 if attribute == "size" else 1
-        if not _are_numbers(written, count) or not all(float(each) > 0 for each in written.split()):
+        least = 0.0 if may_be_flat else SMALLEST_M
+        if not _are_numbers(written, count) or not all(float(each) >= least for each in written.split()):
             yield f'with a {shape.tag} whose {attribute} is "{written}"; it must be above 0'
 
 
@@ -159,12 +163,32 @@ def _joint_faults(joint: Any) -> Iterator[str]:
         yield f'the axis of the joint "{name}" is no vector of length 1'
 
 
-def _inertia_faults(link: Any, is_root: bool, above: Mapping[str, Any]) -> Iterator[str]:
+def is_frame(link: Any) -> bool:
+    """Return whether a link has no mass: a frame, or a root that only names the robot."""
+    inertial = link.find("inertial")
+    return inertial is None or number(inertial.find("mass"), "value") == 0
+
+
+def _mass_faults(links: Sequence[str], by_name: Mapping[str, Any], above: Mapping[str, Any]) -> Iterator[str]:
+    """Yield bodies without mass. A body is a link that moves, or the root, with all that is fixed to it."""
+    body_of: dict[str, str] = {}
+    has_mass: dict[str, bool] = {}
+    for name in links:  # outwards, so the link above is known
+        joint = above.get(name)
+        is_fixed = joint is not None and joint.get("type") == FIXED
+        body = body_of[name] = body_of[link_of(joint, "parent")] if is_fixed else name
+        has_mass[body] = has_mass.get(body, False) or not is_frame(by_name[name])
+    for name, is_heavy in has_mass.items():
+        if not is_heavy:
+            yield (
+                f'the link "{name}" moves and has no <inertial> with a mass, nor has one fixed to it; '
+                "without mass its dynamics are undefined"
+            )
+
+
+def _inertia_faults(link: Any) -> Iterator[str]:
     name, inertial = str(link.get("name")), link.find("inertial")
-    moves = is_root or above[name].get("type") in MOVING
-    if inertial is None:
-        if moves:
-            yield f'the link "{name}" moves and has no <inertial>; without mass its dynamics are undefined'
+    if is_frame(link):
         return
     mass = number(inertial.find("mass"), "value")
     if mass is None or mass <= 0:

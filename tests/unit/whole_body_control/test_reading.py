@@ -8,8 +8,10 @@ import pytest
 
 from handover.errors import UsageError
 from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.model.reading import read_folder
 from services.whole_body_control.robots import COMAN, HUMANOIDS, humanoid
+from services.whole_body_control.simulation.body_model import build
 
 Change = Callable[[str, str, str], None]
 LINE = "[0.1, 0, 0], [0, 0, 0], [-0.05, 0, 0], [-0.1, 0, 0]"
@@ -55,6 +57,49 @@ def test_chains_groups_and_limits_have_names(coman: Humanoid) -> None:
     assert coman.end_effectors["left_foot"] == coman.contacts["left_sole"].link
     assert coman.mass_kg == pytest.approx(32.06, abs=0.01)
     assert any("placeholders" in note for note in coman.notes)
+
+
+WITHOUT_MASS = (
+    '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+)
+FLAT = '<visual><geometry><box size="0 0 0"/></geometry></visual>'
+
+
+def fixed(parent: str, child: str) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{parent}_{child}" type="fixed">{ends}</joint>'
+
+
+@pytest.mark.parametrize("inside", ["", WITHOUT_MASS, FLAT, WITHOUT_MASS + FLAT])
+def test_a_root_and_frames_need_no_mass_of_their_own(coman: Humanoid, folder: Path, inside: str) -> None:
+    file = folder / "coman.urdf"
+    text = file.read_text()
+    begin = text.index("<link")
+    added = (
+        f'<link name="base_link">{inside}</link><link name="frame">{inside}</link>'
+        f"{fixed('base_link', coman.root)}{fixed('r_sole', 'frame')}"
+    )
+    file.write_text(text[:begin] + added + text[begin:])
+    model = read_folder(folder)
+    assert model.root == "base_link"
+    assert model.mass_kg == pytest.approx(coman.mass_kg)
+    assert Kinematics(model).total_mass_kg == pytest.approx(coman.mass_kg)
+    assert build(model).body("base_link") is not None
+
+
+def test_a_body_without_any_mass_is_refused(coman: Humanoid, folder: Path) -> None:
+    """Neither the link that moves nor one that is fixed to it has a mass."""
+    file = folder / "coman.urdf"
+    text = file.read_text()
+    begin = text.index("<link")
+    hanging = (
+        '<link name="tail"/><link name="tip"/><joint name="tail_joint" type="revolute">'
+        f'<parent link="{coman.root}"/><child link="tail"/><axis xyz="0 1 0"/>'
+        f'<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>{fixed("tail", "tip")}'
+    )
+    file.write_text(text[:begin] + hanging + text[begin:])
+    with pytest.raises(UsageError, match='"tail" moves and has no <inertial> with a mass'):
+        read_folder(folder)
 
 
 def test_arms_are_more_compliant_than_legs(coman: Humanoid) -> None:
