@@ -67,7 +67,7 @@ _PLACES: Final = frozenset(
     {
         "x", "y", "z", "i", "ii", "iii", "left", "right", "chest", "thorax", "thoracic", "nasal",
         "airflow", "wrist", "finger", "ear", "raw", "signal", "lead", "channel", "ch", "rest", "skin",
-        "abd", "abdominal", "belt", "filtered", "r", "l", "red", "ir", "green", "impedance",
+        "abdominal", "belt", "filtered", "r", "l", "red", "ir", "green", "impedance",
     }
 )  # fmt: skip
 """Words beside a kind that do not change it, as `rate` and `variability` do."""
