@@ -12,7 +12,7 @@ from ros_fiware_bridge.mapping.values import Attribute, DeadBand, Origin
 from ros_fiware_bridge.rules import conversion
 from ros_fiware_bridge.rules.json_values import JsonValues, absent
 from ros_fiware_bridge.rules.message_schema import InvalidRule, MessageSchema
-from ros_fiware_bridge.types.definition import Many
+from ros_fiware_bridge.types.definition import TEXTS, Many
 
 Make = Callable[[Any], Any]
 
@@ -219,7 +219,7 @@ def _require_convertible(attribute: Attribute, schema: MessageSchema) -> None:
     if attribute.values is not None or attribute.field is None:
         return
     found = schema.target(attribute.field).type
-    if found is not None and (found.is_message or found.base in {"string", "bool"}):
+    if found is not None and (found.is_message or found.base in {*TEXTS, "bool"}):
         raise InvalidRule(f"{attribute.field} is {found}, but only numbers are converted and rounded")
 
 

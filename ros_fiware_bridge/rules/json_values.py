@@ -9,7 +9,7 @@ import numpy as np
 from datamodels.numbers import portable
 from handover.errors import HandoverError
 from ros_fiware_bridge.rules.message_schema import Definitions, InvalidRule, PathTarget
-from ros_fiware_bridge.types.definition import FLOATS, FieldType, Many
+from ros_fiware_bridge.types.definition import FLOATS, TEXTS, FieldType, Many
 
 ToJson = Callable[[Any], Any]
 
@@ -48,7 +48,7 @@ class JsonValues:
         if found.many is Many.ONE and not found.is_message:
             if found.base in FLOATS:
                 return lambda value: _finite(value, what, nan)
-            if found.base == "string":
+            if found.base in TEXTS:
                 return lambda value: _short(value, what)
             return _plain
         return lambda value: self._any(value, what, nan)

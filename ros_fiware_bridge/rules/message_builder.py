@@ -19,7 +19,7 @@ from ros_fiware_bridge.mapping.values import Source
 from ros_fiware_bridge.rules import conversion
 from ros_fiware_bridge.rules.entity_extractor import ErrorScope, ReportError
 from ros_fiware_bridge.rules.message_schema import TIME, Definitions, InvalidRule, MessageSchema, PathTarget
-from ros_fiware_bridge.types.definition import FLOATS, FieldType, Many
+from ros_fiware_bridge.types.definition import FLOATS, TEXTS, FieldType, Many
 
 
 class Checked(Definitions, Protocol):
@@ -146,7 +146,7 @@ def _put(made: dict[str, Any], steps: tuple[_Step, ...], value: Any) -> None:
 def _empty(one: FieldType) -> Callable[[], Any]:
     if one.is_message:
         return dict
-    if one.base == "string":
+    if one.base in TEXTS:
         return str
     if one.base == "bool":
         return bool
@@ -157,7 +157,7 @@ def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[st
     found = _found(path, source, target, settings)
     convert = conversion.compiled(source)
     default = source.default if "default" in source.model_fields_set else _NOTHING
-    if source.convert is not None and not target.is_number and target.type != FieldType("string"):
+    if source.convert is not None and not target.is_number and not target.is_text:
         raise InvalidRule(f"{path} is {target}, and only numbers are converted")
 
     def fill(scope: Scope) -> Any:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ros_fiware_bridge.mapping.paths import Each, Field, Getter, Index, Path, Step, Where, getter
-from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+from ros_fiware_bridge.types.definition import TEXTS, Definition, FieldType, Many
 from ros_fiware_bridge.types.excerpt import FieldNames
 
 TIME = "builtin_interfaces/msg/Time"
@@ -35,15 +35,13 @@ class PathTarget:
     def is_number(self) -> bool:
         """Return whether it may be one number."""
         return self.type is None or (
-            self.type.many is Many.ONE
-            and not self.type.is_message
-            and self.type.base not in {"string", "bool"}
+            self.type.many is Many.ONE and not self.type.is_message and self.type.base not in {*TEXTS, "bool"}
         )
 
     @property
     def is_text(self) -> bool:
         """Return whether it may be text."""
-        return self.type is None or (self.type.many is Many.ONE and self.type.base == "string")
+        return self.type is None or (self.type.many is Many.ONE and self.type.base in TEXTS)
 
     def is_message(self, type_name: str) -> bool:
         """Return whether it may be a message of this type."""

@@ -24,7 +24,8 @@ INTEGER_RANGES: Mapping[str, tuple[int, int]] = MappingProxyType(
 FLOATS = frozenset({"float32", "float64"})
 OCTETS = frozenset({"uint8", "byte", "char"})
 """Arrays of these types are bytes in a message."""
-PRIMITIVES = frozenset({*INTEGER_RANGES, *FLOATS, "bool", "string"})
+TEXTS = frozenset({"string", "wstring"})
+PRIMITIVES = frozenset({*INTEGER_RANGES, *FLOATS, *TEXTS, "bool"})
 
 
 class Many(Enum):
@@ -40,7 +41,7 @@ class FieldType:
     """The type of a field: `base` is a primitive (`float64`, `string`) or a message type.
 
     `size` is the length of a fixed array or the bound of a sequence (0: none); `text_bound` is the bound of a
-    string in bytes (0: none).
+    string in bytes, of a wstring in units of UTF-16 (0: none).
     """
 
     base: str
@@ -62,7 +63,10 @@ class FieldType:
     def is_number_array(self) -> bool:
         """Whether it is an array that is decoded to a NumPy array."""
         return (
-            self.many is not Many.ONE and not self.is_message and self.base != "string" and not self.is_octets
+            self.many is not Many.ONE
+            and not self.is_message
+            and self.base not in TEXTS
+            and not self.is_octets
         )
 
     @property

@@ -106,10 +106,11 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
         bare = line.strip()
         if not bare or bare.startswith(("#", "@")):
             continue
-        if re.match(r"wstring\b", bare):
-            raise UnsupportedType(f"{where}, line {number}: wstring is not supported; use string (UTF-8)")
+        is_wide = re.match(r"wstring\b", bare) is not None
         try:
-            message = MSGParser(f"MSG: {package}/msg/Line\n{bare}\n").specification()[0]
+            # The parser knows no wstring, which is written as a string is.
+            plain = bare.removeprefix("w") if is_wide else bare
+            message = MSGParser(f"MSG: {package}/msg/Line\n{plain}\n").specification()[0]
         except TypesysError:
             raise BadDefinition(
                 f'{where}, line {number}: "{bare}" is not a field (TYPE NAME), a field with a default '
@@ -121,10 +122,14 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
             if any(one.name == other.name for other in fields):
                 raise BadDefinition(f'{where}, line {number}: the field "{one.name}" is a duplicate')
             cardinality = {"scalar": Many.ONE, "array": Many.FIXED, "sequence": Many.SEQUENCE}
-            base = str(getattr(one.typ.ref.name, "value", one.typ.ref.name))
+            base = "wstring" if is_wide else str(getattr(one.typ.ref.name, "value", one.typ.ref.name))
             many = cardinality[one.typ.cardinality.value]
             if many is Many.FIXED and one.typ.size < 1:
                 raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without elements')
+            if is_wide and many is not Many.ONE:
+                raise UnsupportedType(
+                    f"{where}, line {number}: arrays of wstring are not supported; use string (UTF-8)"
+                )
             kind = FieldType(base, many, one.typ.size, one.typ.str_size)
             fields.append(Field(one.name, kind, _bare(one.value)))
     return Definition(type_name, tuple(fields), constants)

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+from ros_fiware_bridge.types.definition import TEXTS, Definition, FieldType, Many
 
 FieldNames: TypeAlias = tuple[str, ...]
 """The path to a field, from the outermost name inwards; empty for the whole message."""
@@ -46,6 +46,22 @@ _MIN_TEXT_BYTES = 5
 _MAX_CACHED_BYTES = 65_536
 _EMPTY_MEMBER = FieldType("uint8")
 """The member of a structure without members."""
+
+
+_UNITS = FieldType("uint32", Many.SEQUENCE)
+"""How a wstring is written: its units of UTF-16, each in four bytes."""
+
+
+def text_of_units(units: Any) -> str:
+    """Return the text of units of UTF-16, one in each number.
+
+    Raises `ValueError` for more than 16 bits, as where a peer writes two units in four bytes, and for half a
+    surrogate pair.
+    """
+    numbers = np.asarray(units, dtype=np.uint32)
+    if numbers.size and int(numbers.max()) > 0xFFFF:
+        raise ValueError("a wstring has units of more than 16 bits; its writer has another form of wstring")
+    return numbers.astype("<u2").tobytes().decode("utf-16-le")
 
 
 def wanted(fields: Collection[FieldNames]) -> Wanted:
@@ -87,6 +103,8 @@ class Excerpts:
             return self._octets(kind) if kind.is_octets else self._array(kind)
         if kind.is_message:
             return self._message(kind.base, asked)
+        if kind.base == "wstring":
+            return self._wide_text()
         return self._text() if kind.base == "string" else self._number(kind.base)
 
     def _message(self, type_name: str, asked: Wanted) -> Read:
@@ -129,6 +147,15 @@ class Excerpts:
         def read(data: memoryview, at: int) -> tuple[Any, int]:
             at, end = (at + 3) & -4, past(data, at)
             return str(data[at + 4 : end - 1], "utf-8"), end
+
+        return read
+
+    def _wide_text(self) -> Read:
+        read_units = self._numbers(_UNITS)
+
+        def read(data: memoryview, at: int) -> tuple[Any, int]:
+            units, at = read_units(data, at)
+            return text_of_units(units), at
 
         return read
 
@@ -196,7 +223,7 @@ class Excerpts:
 
     def _even(self, kind: FieldType) -> tuple[int, int] | None:
         """Return the size and the count of the numbers in `kind`, if both are fixed; else None."""
-        if kind.many is Many.SEQUENCE or kind.base == "string":
+        if kind.many is Many.SEQUENCE or kind.base in TEXTS:
             return None
         many = kind.size if kind.many is Many.FIXED else 1
         if not kind.is_message:
@@ -213,6 +240,8 @@ class Excerpts:
             return self._past_array(kind)
         if kind.base == "string":
             return self._past_text()
+        if kind.base == "wstring":
+            return self._past_array(_UNITS)
         skips = self._skips(field.type for field in self._definition_of(kind.base).fields)
 
         def skip(data: memoryview, at: int) -> int:

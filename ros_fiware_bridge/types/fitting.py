@@ -113,6 +113,8 @@ class Fitting:
             return self._defaults[kind.base]
         if kind.base == "string":
             return ""
+        if kind.base == "wstring":
+            return _units("", 0)
         if kind.base == "bool":
             return False
         return 0.0 if kind.base in FLOATS else 0
@@ -136,6 +138,8 @@ class Fitting:
             return self._message_fit(kind.base)
         if kind.base == "string":
             return lambda value: _text(value, kind.text_bound)
+        if kind.base == "wstring":
+            return lambda value: _units(value, kind.text_bound)
         if kind.base == "bool":
             return _bool
         if kind.base in FLOATS:
@@ -224,6 +228,14 @@ def _text(value: Any, bound: int) -> str:
     if bound and size > bound:
         raise Unfit(f"{size} bytes of text do not fit string<={bound}")
     return value
+
+
+def _units(value: Any, bound: int) -> NDArray[np.uint32]:
+    """Return the units of UTF-16 of a text for a wstring."""
+    units = np.frombuffer(_text(value, 0).encode("utf-16-le"), "<u2").astype(np.uint32)
+    if bound and len(units) > bound:
+        raise Unfit(f"{len(units)} units of UTF-16 do not fit wstring<={bound}")
+    return units
 
 
 def _bool(value: Any) -> bool:

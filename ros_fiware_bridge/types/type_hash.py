@@ -26,8 +26,9 @@ _TYPE_IDS = {
     "bool": 15,
     "byte": 16,
     "string": 17,
+    "wstring": 18,
 }
-_MESSAGE, _BOUNDED_STRING = 1, 21
+_MESSAGE, _BOUNDED_STRING, _BOUNDED_WSTRING = 1, 21, 22
 _FIXED, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
 
 
@@ -60,7 +61,7 @@ def _field(name: str, kind: FieldType) -> dict[str, Any]:
     if kind.is_message:
         number = _MESSAGE
     elif kind.text_bound:
-        number = _BOUNDED_STRING
+        number = _BOUNDED_WSTRING if kind.base == "wstring" else _BOUNDED_STRING
     else:
         number = _TYPE_IDS[kind.base]
     if kind.many is Many.FIXED:

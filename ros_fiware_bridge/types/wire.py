@@ -10,10 +10,20 @@ from typing import Any
 
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.types.definition import Definition, FieldType, Many
-from ros_fiware_bridge.types.excerpt import BIG, LITTLE, Excerpts, FieldNames, Read, wanted
+from ros_fiware_bridge.types.excerpt import (
+    BIG,
+    LITTLE,
+    Excerpts,
+    FieldNames,
+    Read,
+    text_of_units,
+    wanted,
+)
 
 _HEADER_BYTES = 4
 _MAX_CACHED_READERS = 1000  # more than the rules of a bridge
+_WIDE = FieldType("uint32", Many.SEQUENCE)
+"""A wstring on the wire: the number of its units of UTF-16 and each in four bytes; no zero ends it."""
 _MEMBER = "structure_needs_at_least_one_member"
 
 
@@ -103,15 +113,18 @@ def _require_cdr(type_name: str, data: bytes) -> None:
 def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
     names = [one.name for one in definition.fields]
     octets = [one.name for one in definition.fields if one.type.is_octets]
+    wide = [one.name for one in definition.fields if one.type.base == "wstring"]
     if not names:
         return lambda _member: {}
-    if not octets:
+    if not octets and not wide:
         return lambda *values: dict(zip(names, values, strict=True))
 
     def made(*values: Any) -> dict[str, Any]:
         message = dict(zip(names, values, strict=True))
         for name in octets:
             message[name] = message[name].tobytes()
+        for name in wide:
+            message[name] = text_of_units(message[name])
         return message
 
     return made
@@ -120,6 +133,8 @@ def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
 def _described(kind: FieldType) -> Any:
     from rosbags.interfaces import Nodetype  # noqa: PLC0415 - heavy
 
+    if kind.base == "wstring":
+        kind = _WIDE
     if kind.is_message:
         inner: Any = (Nodetype.NAME, kind.base)
     else:

@@ -55,6 +55,8 @@ class IdlTypes:
             one = self._made[key]
         elif kind.base == "string":
             one = types.bounded_str[kind.text_bound] if kind.text_bound else str
+        elif kind.base == "wstring":
+            one = types.sequence[types.uint32]  # the same on the wire
         elif kind.base == "bool":
             one = bool
         else:

@@ -164,10 +164,11 @@ async def test_our_own_messages_are_received_and_marked_as_ours(graph: RosGraph)
 async def test_a_custom_type_is_supported(
     joined: Joined, adapter: Any, domain_id: int, tmp_path: Path
 ) -> None:
-    folder = part(tmp_path, "string<=8 name\nuint32 count\nfloat64[3] size_m\n")
+    folder = part(tmp_path, 'string<=8 name\nuint32 count\nfloat64[3] size_m\nwstring label "Gruß 𝄞"\n')
     with running_peer(adapter, domain_id, folder):
         async with joined(store=TypeStore([folder])) as graph:
             got: asyncio.Queue[Any] = asyncio.Queue()
             await graph.subscribe("/part", "cell_msgs/msg/Part", got.put_nowait)
             message = (await asyncio.wait_for(got.get(), scaled(10))).message
             assert (message["name"], message["count"], message["size_m"].tolist()) == ("", 7, [0, 0, 0])
+            assert message["label"] == "Gruß 𝄞"

@@ -1,3 +1,4 @@
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -241,9 +242,51 @@ def test_an_invalid_definition_is_named_by_file_and_line(tmp_path: Path, text: s
     assert str(file) in str(error.value)
 
 
+WIDE = 'uint8 kind\nwstring name\nfloat64 length\nwstring<=4 short "ab"\nstring note\n'
+wide_texts = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=12)
+
+
+@given(name=wide_texts, note=wide_texts)
+def test_a_wstring_is_carried_as_text(tmp_path_factory: pytest.TempPathFactory, name: str, note: str) -> None:
+    """Four bytes for each unit of UTF-16, as Fast CDR and Cyclone DDS write it for ROS."""
+    store = TypeStore([written(tmp_path_factory.mktemp("wide"), WIDE)])
+    store.sound("cell_msgs/msg/Part")
+    given_message = {"kind": 3, "name": name, "length": 1.5, "note": note}
+    data = store.encode("cell_msgs/msg/Part", given_message)
+    units = name.encode("utf-16-le")
+    (count,) = struct.unpack_from("<I", data, 8)
+    assert count == len(units) // 2
+    wide = b"".join(units[at : at + 2] + b"\0\0" for at in range(0, len(units), 2))
+    assert data[12 : 12 + 4 * count] == wide
+    whole = {**given_message, "short": "ab"}
+    assert store.decode("cell_msgs/msg/Part", data) == whole
+    for fields in ({("name",)}, {("note",)}, {("length",), ("short",)}, {()}):
+        excerpt = store.excerpt("cell_msgs/msg/Part", data, frozenset(fields))
+        assert excerpt
+        assert excerpt == {key: whole[key] for key in excerpt}
+    with pytest.raises(BadMessage, match="wstring<=4"):
+        store.encode("cell_msgs/msg/Part", {"short": "abcde"})
+
+
+def test_a_wstring_of_another_form_is_no_message(tmp_path: Path) -> None:
+    """Two bytes for each unit would be read as other letters; the message is refused."""
+    store = TypeStore([written(tmp_path, "wstring name\n")])
+    units = "abcd".encode("utf-16-le")
+    data = b"\0\1\0\0" + struct.pack("<I", 2) + units
+    for read in (store.decode, lambda name, data: store.excerpt(name, data, frozenset({("name",)}))):
+        with pytest.raises(BadMessage, match="another form of wstring"):
+            read("cell_msgs/msg/Part", data)
+
+
+def test_a_wstring_has_another_hash_than_a_string(tmp_path: Path) -> None:
+    kinds = ("string", "string<=4", "wstring", "wstring<=4")
+    stores = [TypeStore([written(tmp_path / str(at), f"{kind} name\n")]) for at, kind in enumerate(kinds)]
+    assert len({store.hash("cell_msgs/msg/Part") for store in stores}) == len(kinds)
+
+
 def test_unsupported_types_are_refused(tmp_path: Path) -> None:
-    wide = TypeStore([written(tmp_path / "a", "wstring name\n")])
-    with pytest.raises(UnsupportedType, match="wstring is not supported; use string"):
+    wide = TypeStore([written(tmp_path / "a", "wstring[] names\n")])
+    with pytest.raises(UnsupportedType, match="line 1: arrays of wstring are not supported; use string"):
         wide.sound("cell_msgs/msg/Part")
     endless = TypeStore([written(tmp_path / "b", "Part[] parts\n")])
     with pytest.raises(UnsupportedType, match="contains itself"):
