@@ -88,6 +88,8 @@ class OutboundPolicy:
     """Hosts (names or addresses, in lower case) with a port that are allowed."""
     accounts_file: Path | None = None
     """The file that exists as soon as there are accounts; then clients are no longer this machine's user."""
+    components_file: Path | None = None
+    """A file with the endpoints of registered components, one a line; it may change at any time."""
 
     @classmethod
     def of(
@@ -97,6 +99,7 @@ class OutboundPolicy:
         *,
         endpoints: Iterable[tuple[str, int]] = (),
         accounts_file: Path | None = None,
+        components_file: Path | None = None,
     ) -> Self:
         """Return the policy of a server that listens on `host`, with the setting's text `allowed`.
 
@@ -116,11 +119,23 @@ class OutboundPolicy:
                         f"{entry!r} is neither a host name nor an address or network ({error})"
                     ) from None
                 hosts.add(_plain(entry))
-        return cls(not is_loopback(host), frozenset(hosts), tuple(networks), frozenset(named), accounts_file)
+        return cls(
+            not is_loopback(host),
+            frozenset(hosts),
+            tuple(networks),
+            frozenset(named),
+            accounts_file,
+            components_file,
+        )
+
+    def _is_listed(self, host: str, port: int) -> bool:
+        """Return whether an endpoint is one of the setting, of our services or of a registered component."""
+        endpoint = _plain(host), port
+        return endpoint in self.endpoints or endpoint in _endpoints_in(self.components_file)
 
     def fault_of(self, host: str, port: int = 0) -> str | None:
         """Return why the address `host` is refused; None if it is allowed, or a name to resolve."""
-        if (_plain(host), port) in self.endpoints:
+        if self._is_listed(host, port):
             return None
         address = address_of(host)
         kind = None if address is None else kind_of(address)
@@ -162,7 +177,7 @@ class OutboundPolicy:
         else:
             known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
             found = list(dict.fromkeys(str(one[4][0]) for one in known))
-            if _plain(host) in self.hosts or (_plain(host), port) in self.endpoints:
+            if _plain(host) in self.hosts or self._is_listed(host, port):
                 return found
         faults = {one: self.fault_of(one, port) for one in found}
         allowed = [one for one, fault in faults.items() if fault is None]
@@ -170,6 +185,26 @@ class OutboundPolicy:
             why = next((fault for fault in faults.values() if fault), f"{host} has no address")
             raise AddressRefused(why if host in faults else f"{host} resolves to a refused address: {why}")
         return allowed
+
+
+def _endpoints_in(file: Path | None) -> frozenset[tuple[str, int]]:
+    if file is None:
+        return frozenset()
+    try:
+        state = file.stat()
+    except OSError:
+        return frozenset()
+    return _read_endpoints(file, state.st_mtime_ns, state.st_ino)
+
+
+@lru_cache(maxsize=8)
+def _read_endpoints(file: Path, mtime_ns: int, inode: int) -> frozenset[tuple[str, int]]:  # noqa: ARG001
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return frozenset()
+    matches = (_ENDPOINT.fullmatch(line.partition(" ")[0]) for line in lines)
+    return frozenset((_plain(one[1].strip("[]")), int(one[2])) for one in matches if one is not None)
 
 
 def address_of(host: str) -> Address | None:

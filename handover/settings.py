@@ -31,6 +31,8 @@ LIFELINE = f"{PREFIX}LIFELINE"
 RESTARTED = f"{PREFIX}RESTARTED"
 """Set by the watchdog for a service that it has restarted: nothing that moves is continued by itself."""
 ENV_FILE = ".env"
+COMPONENTS_FILE = "components"
+"""In the security directory: the endpoints of registered components, each with its name."""
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 PUBLIC_KEYS_FILE = "public-keys.json"
 """In the security directory; it exists as soon as there are accounts."""
@@ -440,6 +442,7 @@ class Settings(BaseSettings):
             self.outbound_allow,
             endpoints=self._own_endpoints(),
             accounts_file=self.security_folder / PUBLIC_KEYS_FILE,
+            components_file=self.security_folder / COMPONENTS_FILE,
         )
 
     def _own_endpoints(self) -> Iterator[tuple[str, int]]:

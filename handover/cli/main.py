@@ -18,6 +18,7 @@ from handover.cli import (
     body,
     bridge,
     broker,
+    component,
     device,
     edge,
     humanoid,
@@ -66,6 +67,7 @@ app.add_typer(secure.app, name="secure")
 app.add_typer(robot.app, name="robot")
 app.add_typer(accounts.app, name="accounts")
 app.add_typer(audit.app, name="audit")
+app.add_typer(component.app, name="component")
 app.add_typer(device.app, name="device")
 app.add_typer(edge.app, name="edge")
 app.add_typer(body.app, name="body")

@@ -109,6 +109,11 @@ class Plan:
     def token_files(self) -> dict[str, Path]:
         """Return the files of the tokens of services that are beside their certificates."""
         known = set(service_names())
+        if unknown := [name for _, name in self.clients if name not in known]:
+            raise UsageError(
+                f"{', '.join(unknown)} is no service of Handover, so `secure --client` makes no token for "
+                "it. For a component of your own: handover component add NAME --device ID"
+            )
         named = ((names[0], folder) for folder, names in self.servers if names)
         return {
             name: folder / SERVICE_FILE

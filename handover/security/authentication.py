@@ -72,7 +72,7 @@ class Guard:
     async def __aenter__(self) -> Self:
         self._keys.keys()
         await self._tasks.__aenter__()
-        if self._followed is not None:
+        if self._followed is not None and not self.access.is_component():  # only services may read them
             self._tasks.start_restarting(self._follow, self._followed)
         return self
 

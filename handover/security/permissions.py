@@ -31,6 +31,9 @@ class Permission(StrEnum):
     """Register devices and resources, calibrate, map gestures, change cells and scenes."""
     MOVE_ROBOTS = "moveRobots"
     """Command motion directly: jog, control, release a stop."""
+    PERFORM_FOR_DEVICES = "performForDevices"
+    """Perform the Tasks of a Device: see its Tasks, write their status and result, and keep subscriptions of
+    one's own. Who may write the Device, with `writeEntities`, may have its lease."""
     CONDUCT_STUDIES = "conductStudies"
     """Begin, answer and delete sessions of studies; start and stop recordings."""
     WRITE_ENTITIES = "writeEntities"
@@ -52,13 +55,18 @@ READING: Final = frozenset(
 
 
 class Role(StrEnum):
-    """What a grant gives. A `service` is a process of ours; people have the other roles."""
+    """What a grant gives.
+
+    A `service` is a process of ours, a `performer` the program of others that performs the Tasks of a Device;
+    people have the other roles.
+    """
 
     VIEWER = "viewer"
     OPERATOR = "operator"
     ENGINEER = "engineer"
     RESEARCHER = "researcher"
     ADMIN = "admin"
+    PERFORMER = "performer"
     SERVICE = "service"
 
 
@@ -84,6 +92,7 @@ ROLE_PERMISSIONS: Final[dict[Role, frozenset[Permission]]] = {
     Role.ENGINEER: _ENGINEER,
     Role.RESEARCHER: _RESEARCHER,
     Role.ADMIN: _ADMIN,
+    Role.PERFORMER: _VIEWER | {Permission.WRITE_ENTITIES, Permission.PERFORM_FOR_DEVICES},
     Role.SERVICE: frozenset(Permission) - {Permission.MANAGE_PEOPLE, Permission.READ_AUDIT},
 }
 
@@ -100,7 +109,7 @@ class Grant:
         return permission in ROLE_PERMISSIONS[self.role] and is_match(self.resource, resource)
 
 
-OWNER_GRANTS: Final = tuple(Grant(role) for role in Role if role is not Role.SERVICE)
+OWNER_GRANTS: Final = tuple(Grant(role) for role in Role if role not in {Role.SERVICE, Role.PERFORMER})
 """The grants of the owner of an installation: every role of people, for every resource."""
 
 

@@ -102,7 +102,7 @@ class ServiceAccess:
 
         Raises `AccountsUnavailable` if there is no valid token, `UsageError` without a secret token.
         """
-        if self._keys.keys() is None:
+        if self._keys.keys() is None and not self._is_remote_component():
             return {}
         return {"Authorization": f"Bearer {await self._token()}"}
 
@@ -183,6 +183,16 @@ class ServiceAccess:
             own = await self.headers()
             response = await http.request(method, url, [*listed, *own.items()], body, timeout_s)
         return response
+
+    def _is_remote_component(self) -> bool:
+        """Return whether this is a component on another machine, which does not see if accounts exist."""
+        return self.is_component() and not self._settings.security_folder.is_dir()
+
+    def is_component(self) -> bool:
+        """Return whether the settings have the token of a component of others."""
+        given = self._settings.service_token
+        token = "" if given is None else given.get_secret_value()
+        return is_secret_token(token) and kind_of(token) != CallerKind.SERVICE
 
     def _secret(self) -> str:
         if self._settings.service_token is not None:

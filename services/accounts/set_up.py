@@ -16,9 +16,11 @@ from handover.durable_files import replace_durably
 from handover.errors import Problem, UsageError
 from handover.security.caller import CallerKind
 from handover.security.glove_token import GLOVE_TOKEN_SECRET, make_glove_token, remove_glove_token
+from handover.security.permissions import Grant, Role
+from handover.security.resource_patterns import require_pattern
 from handover.security.service_access import service_token_file
 from services.accounts import links, secret_token_store, tables
-from services.accounts.changes import Store
+from services.accounts.changes import Change, Store
 from services.accounts.lost_database import require_anybody, require_file
 from services.accounts.settings import AccountsSettings
 from services.accounts.signing_keys import SigningKeys
@@ -106,3 +108,43 @@ def _make_service_token(store: Store, file: Path, service: str) -> bool:
     except OSError as error:
         raise UsageError(f"the token of {service} cannot be written to {file}: {error.strerror}") from None
     return True
+
+
+def issue_component_token(settings: AccountsSettings, name: str, device: str) -> str:
+    """Return a new token for the component `name`, with the rights of a performer of `device` and no others.
+
+    Its former tokens are revoked. Raises `UsageError` without accounts.
+    """
+    if not SigningKeys(settings.signing_keys_file, settings.security_folder).exist():
+        raise UsageError(
+            "there are no accounts yet, so a component on this machine needs no token; to have accounts: "
+            "handover secure"
+        )
+    try:
+        with opened_store(settings) as store, store.change(COMMAND) as change:
+            _revoke_component_tokens(change, name)
+            given = (Grant(Role.PERFORMER, require_pattern(device)),)
+            _, token = secret_token_store.issue(change, CallerKind.SCRIPT, _token_name(name), given, None)
+            return token
+    except Problem as problem:
+        raise UsageError(problem.detail) from None
+
+
+def revoke_component_tokens(settings: AccountsSettings, name: str) -> int:
+    """Revoke the tokens of the component `name`; return how many there were."""
+    with opened_store(settings) as store, store.change(COMMAND) as change:
+        return _revoke_component_tokens(change, name)
+
+
+def _revoke_component_tokens(change: Change, name: str) -> int:
+    query = select(tables.tokens.c.subject).where(
+        tables.tokens.c.kind == CallerKind.SCRIPT, tables.tokens.c.name == _token_name(name)
+    )
+    subjects = list(change.connection.execute(query).scalars())
+    for subject in subjects:
+        secret_token_store.revoke_token(change, subject)
+    return len(subjects)
+
+
+def _token_name(component: str) -> str:
+    return f"component {component}"

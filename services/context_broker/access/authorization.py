@@ -31,6 +31,10 @@ from services.context_broker.settings import BrokerSettings
 from services.context_broker.tenants import Tenant
 
 _SUBSCRIBING: Final = frozenset({"createSubscription", "updateSubscription"})
+OF_SUBSCRIPTIONS: Final = frozenset(
+    {*_SUBSCRIBING, "querySubscription", "retrieveSubscription", "deleteSubscription"}
+)
+"""What the performer of a Device does with subscriptions of its own (`request.ownership`)."""
 _NAME: Final = re.compile(r"[^\s()|,;]+")
 """A name in a type selection such as `(Robot|Device);Task`."""
 
@@ -62,7 +66,7 @@ class Authorization:
         if access_of(operation) is OperationAccess.OWN_CREDENTIAL:
             return tenant
         rights = self.rights_of(caller, tenant.name)
-        self._require(rights, operation, request, names)
+        self._require(rights, operation, request, names, tenant)
         missing = rights.missing()
         if missing is None and recording is None and caller.kind is CallerKind.SERVICE:
             return tenant
@@ -78,7 +82,12 @@ class Authorization:
         return Rights(caller, resource_prefix(tenant, self._own_tenant), self.health_types)
 
     def _require(
-        self, rights: Rights, operation: Operation, request: Request, names: tuple[str, ...]
+        self,
+        rights: Rights,
+        operation: Operation,
+        request: Request,
+        names: tuple[str, ...],
+        tenant: Tenant,
     ) -> None:
         access = access_of(operation)
         if access is OperationAccess.READ_ENTITIES:
@@ -90,10 +99,11 @@ class Authorization:
         elif access is OperationAccess.WRITE_ENTITIES:
             self._guard.require_current(Permission.WRITE_ENTITIES)
             if not rights.may_everywhere(Permission.WRITE_ENTITIES):
-                _require_each(rights, names[:1] or _ids_in(request.body))
+                _require_each(rights, names[:1] or _ids_in(request.body), tenant)
         else:
             self._guard.require_current(Permission.WRITE_ENTITIES)
-            if not rights.may_everywhere(Permission.WRITE_ENTITIES):
+            is_own = operation.name in OF_SUBSCRIPTIONS and rights.may_somewhere_perform
+            if not is_own and not rights.may_everywhere(Permission.WRITE_ENTITIES):
                 raise rights.denied(Permission.WRITE_ENTITIES)
             if operation.name in _SUBSCRIBING and not rights.may_everywhere(Permission.READ_HEALTH_DATA):
                 self._require_other_types(rights, operation, request.body)
@@ -129,12 +139,15 @@ class Authorization:
             raise rights.denied(Permission.READ_HEALTH_DATA)
 
 
-def _require_each(rights: Rights, ids: tuple[str, ...]) -> None:
+def _require_each(rights: Rights, ids: tuple[str, ...], tenant: Tenant) -> None:
     """Check ids before anything is forwarded to a context source, which knows nothing of our rights."""
     if not ids:
         raise rights.denied(Permission.WRITE_ENTITIES)
     for entity_id in ids:
-        if not rights.may(Permission.WRITE_ENTITIES, entity_id):
+        if rights.may(Permission.WRITE_ENTITIES, entity_id):
+            continue
+        known = tenant.store.latest(entity_id)
+        if known is None or not rights.performs(known):
             raise rights.denied(Permission.WRITE_ENTITIES, entity_id)
 
 

@@ -13,7 +13,13 @@ from handover.security.authentication import not_allowed
 from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
-from services.context_broker.access.task_evidence import TASK, task_refusal
+from handover.task_life import performers_of
+from services.context_broker.access.task_evidence import (
+    TASK,
+    performer_refusal,
+    resources_of,
+    task_refusal,
+)
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.model.personal_data import has_type_of, is_of, type_in
 
@@ -45,7 +51,20 @@ class Rights:
 
     def shows(self, entity: Entity) -> bool:
         """Return whether the caller may see `entity`."""
-        return self.may_see(entity.id, is_private=self.is_private(entity.id, entity.types))
+        is_seen = self.may_see(entity.id, is_private=self.is_private(entity.id, entity.types))
+        return is_seen or self.performs(entity)
+
+    def performs(self, entity: Entity) -> bool:
+        """Return whether `entity` is a Task of a Device for which the caller performs Tasks."""
+        if not self.may_somewhere_perform or not is_of(entity, _TASKS):
+            return False
+        resources = performers_of(resources_of(entity))
+        return any(self.may(Permission.PERFORM_FOR_DEVICES, one) for one in resources)
+
+    @property
+    def may_somewhere_perform(self) -> bool:
+        """Return whether the caller performs Tasks of some Device."""
+        return self.caller.may_somewhere(Permission.PERFORM_FOR_DEVICES)
 
     def may_see(self, entity_id: str, *, is_private: bool) -> bool:
         """Return whether the caller may see an entity, which is about the body of a person or not."""
@@ -62,6 +81,8 @@ class Rights:
         entity = event.after or event.before
         assert entity is not None  # noqa: S101 - a change has at least one end
         if not self.may(Permission.WRITE_ENTITIES, entity.id):
+            if event.before is not None and self.performs(event.before):
+                return performer_refusal(event) or task_refusal(event, find)
             return self.denied(Permission.WRITE_ENTITIES, entity.id)
         ends = [one for one in (event.before, event.after) if one is not None]
         is_service = self.caller.kind is CallerKind.SERVICE

@@ -19,6 +19,9 @@ _STATUS: Final = "status"
 _OUTPUTS: Final = "outputParameters"
 _INPUTS: Final = "workParameters"
 _DEFINITION: Final = "isDefinedBy"
+_INVOLVES: Final = "involves"
+_OF_PERFORMERS: Final = frozenset({_STATUS, _OUTPUTS})
+"""What the performer of a Task writes."""
 _EVIDENCE: Final = frozenset({_STATUS, _OUTPUTS, _INPUTS, _DEFINITION})
 _ENDED: Final = frozenset({TaskStatus.COMPLETED.value, TaskStatus.FAILED.value})
 
@@ -58,6 +61,49 @@ def task_refusal(event: Event, find: Callable[[str], Entity | None]) -> Problem 
     )
 
 
+def performer_refusal(event: Event) -> Problem | None:
+    """Return why the performer of a Task, without other rights for it, may not make a change; None if it may.
+
+    It writes the status and the result.
+    """
+    before, after = event.before, event.after
+    if before is None or after is None:
+        known = before or after
+        assert known is not None  # noqa: S101 - a change has at least one end
+        return _performer_denied(known)
+    names = before.attributes.keys() | after.attributes.keys()
+    changed = {_short(iri) for iri in names if before.attributes.get(iri) != after.attributes.get(iri)}
+    is_allowed = changed <= _OF_PERFORMERS and before.types == after.types
+    return None if is_allowed else _performer_denied(before)
+
+
+def _performer_denied(task: Entity) -> Problem:
+    return Problem(
+        403,
+        "Not allowed",
+        f"the performer of {task.id} writes its status and outputParameters only; leave the rest as it is",
+    )
+
+
+def resources_of(task: Entity) -> list[str]:
+    """Return the URNs of the resources that a Task involves, in their order."""
+    return [urn for value in _values(task, _INVOLVES) for urn in _urns_in(value)]
+
+
+def _urns_in(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _urns_in(inner)
+    elif isinstance(value, dict):
+        yield from _urns_in(value.get("object"))
+
+
+def _short(iri: str) -> str:
+    return iri.rpartition("/")[2].rpartition("#")[2]
+
+
 def _demands_pin(task: Entity, find: Callable[[str], Entity | None]) -> bool:
     for inputs in _values(task, _INPUTS):
         if isinstance(inputs, dict) and "requirePin" in inputs:
@@ -84,6 +130,6 @@ def _instances(entity: Entity, name: str) -> list[dict[str, Any]]:
     return [
         instance
         for iri, instances in entity.attributes.items()
-        if iri.rpartition("/")[2].rpartition("#")[2] == name
+        if _short(iri) == name
         for instance in instances
     ]

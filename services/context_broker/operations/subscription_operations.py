@@ -38,6 +38,7 @@ from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.ownership import (
     has_new_owner,
+    may_see_document,
     owner_of,
     require_changeable,
     require_deletable,
@@ -190,7 +191,7 @@ class SubscriptionOperations:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
             dispatcher, named = self.dispatcher(request.tenant), request.names[0]
-            if named not in dispatcher.unusable:
+            if named not in dispatcher.unusable or not may_see_document(request, None):
                 before = self._existing(request)
                 require_deletable(request, before.id, before.owner, "subscription")
             gone = (self.KIND, request.tenant.name, named)
@@ -204,6 +205,8 @@ class SubscriptionOperations:
         """GET subscriptions/{id}."""
         media_type, context = request.accept(), await request.reader_context()
         reason = self.dispatcher(request.tenant).unusable.get(request.names[0])
+        if not may_see_document(request, None):
+            reason = None
         document = (
             await self._shown(self._existing(request), request, context)
             if reason is None
@@ -216,7 +219,10 @@ class SubscriptionOperations:
         media_type, context = request.accept(), await request.reader_context()
         window = window_of(request)
         dispatcher = self.dispatcher(request.tenant)
-        found: list[Subscription | str] = [*dispatcher.all(), *dispatcher.unusable]
+        found: list[Subscription | str] = [
+            *(one for one in dispatcher.all() if may_see_document(request, one.owner)),
+            *(one for one in dispatcher.unusable if may_see_document(request, None)),
+        ]
         page = found[window.offset : window.offset + window.limit]
         shown = [
             unusable_document("Subscription", one, dispatcher.unusable[one])
@@ -235,10 +241,10 @@ class SubscriptionOperations:
     def _existing(self, request: RequestContext) -> Subscription:
         subscription_id = require_uri(request.names[0], "the subscription id in the path")
         reason = self.dispatcher(request.tenant).unusable.get(subscription_id)
-        if reason is not None:
+        if reason is not None and may_see_document(request, None):
             raise is_unusable("subscription", subscription_id, reason)
         found = self.dispatcher(request.tenant).get(subscription_id)
-        if found is None:
+        if found is None or not may_see_document(request, found.owner):
             raise _absent(subscription_id)
         return found
 

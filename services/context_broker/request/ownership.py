@@ -10,6 +10,7 @@ sent. Without accounts everybody is the owner of the installation.
 from handover.errors import Problem
 from handover.security.caller import CallerKind
 from handover.security.permissions import Permission
+from handover.security.resource_patterns import ANY_RESOURCE
 from services.context_broker.model.owner import Owner
 from services.context_broker.request.request_context import RequestContext
 
@@ -39,6 +40,15 @@ async def shows_results(request: RequestContext, owner: Owner | None) -> bool:
 def has_new_owner(request: RequestContext, owner: Owner | None) -> bool:
     """Return whether a change by the caller ends the ownership of `owner`, whose counts end with it."""
     return owner is not None and not owner.is_same(Owner.of(request.caller))
+
+
+def may_see_document(request: RequestContext, owner: Owner | None) -> bool:
+    """Return whether the caller may know of a document: who performs for Devices only, of its own ones."""
+    if request.caller.kind is CallerKind.LOCAL or request.caller.may(Permission.WRITE_ENTITIES, ANY_RESOURCE):
+        return True
+    if not request.caller.may_somewhere(Permission.PERFORM_FOR_DEVICES):
+        return True  # the authorization has decided by the rights for the tenant
+    return owner is not None and owner.is_same(Owner.of(request.caller))
 
 
 def require_changeable(request: RequestContext, document_id: str, owner: Owner | None, what: str) -> None:

@@ -84,7 +84,7 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
     async def require_devices(connection: Request, devices: list[str]) -> None:
         caller = await authenticated(connection)
         for device in devices:
-            at.guard.require(caller, Permission.MOVE_ROBOTS, device)
+            at.guard.require(caller, Permission.WRITE_ENTITIES, device)
 
     @app.get(PATH, tags=["device leases"], dependencies=[require(Permission.READ)])
     async def device_leases() -> list[LeaseView]:
@@ -95,7 +95,7 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
         PATH,
         tags=["device leases"],
         responses={200: {"model": LeaseAnswers}},
-        dependencies=[require_by_handler(Permission.MOVE_ROBOTS, "for each of the Devices")],
+        dependencies=[require_by_handler(Permission.WRITE_ENTITIES, "for each of the Devices")],
     )
     async def acquire(body: LeaseRequest, connection: Request) -> Response:
         """Get or renew the leases of Devices: each is granted unless another holder has it."""
@@ -112,7 +112,7 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
         f"{PATH}/release",
         status_code=204,
         tags=["device leases"],
-        dependencies=[require_by_handler(Permission.MOVE_ROBOTS, "for each of the Devices")],
+        dependencies=[require_by_handler(Permission.WRITE_ENTITIES, "for each of the Devices")],
     )
     async def release(body: LeaseRelease, connection: Request) -> Response:
         """Give leases back, so that another performer gets them at once."""

@@ -312,7 +312,7 @@ async def records(http: httpx.AsyncClient, **chosen: str) -> list[tuple[str, str
 async def test_a_refusal_names_the_permission_and_the_roles_that_have_it(http: httpx.AsyncClient) -> None:
     answer = await http.delete(f"/entities/{OTHER_ROBOT}", headers=VIEWER)
     assert (answer.status_code, answer.json()["permission"]) == (403, "writeEntities")
-    assert (answer.json()["roles"], answer.json()["resource"]) == (["engineer"], OTHER_ROBOT)
+    assert (answer.json()["roles"], answer.json()["resource"]) == (["engineer", "performer"], OTHER_ROBOT)
     subscription = {
         "type": "Subscription",
         "watchedAttributes": ["heartRate"],
@@ -441,3 +441,89 @@ async def test_a_request_that_cannot_be_recorded_is_refused(http: httpx.AsyncCli
     assert (refused.status_code, refused.json()["title"]) == (503, "Not recorded")
     assert (await http.get("/entities?type=HumanState", headers=OWNER)).status_code == 503
     assert (await http.get(f"/entities/{STATE}", headers=SERVICE)).status_code == 200
+
+
+PERFORMER = token(Grant(Role.PERFORMER, ROBOT), kind=CallerKind.SCRIPT, subject="script-1")
+TASK = "urn:ngsi-ld:Task:demo:p-1-work-1"
+OTHER_TASK = "urn:ngsi-ld:Task:demo:p-1-other-1"
+
+
+def task_of(task_id: str, device: str) -> dict[str, Any]:
+    links = [{"type": "Relationship", "object": device}]
+    return entity(
+        task_id,
+        "Task",
+        isDefinedBy={"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
+        status={"type": "Property", "value": "pending"},
+        involves={"type": "Property", "value": links},
+    )
+
+
+def subscription(name: str, kind: str = "Task") -> dict[str, Any]:
+    return {
+        "id": f"urn:ngsi-ld:Subscription:demo:{name}",
+        "type": "Subscription",
+        "entities": [{"type": kind}],
+        "notification": {"endpoint": {"uri": "http://127.0.0.1:9/notifications"}},
+    }
+
+
+@pytest.fixture
+async def tasks(http: httpx.AsyncClient) -> httpx.AsyncClient:
+    for one in (task_of(TASK, ROBOT), task_of(OTHER_TASK, OTHER_ROBOT)):
+        assert (await http.post("/entities", json=one, headers=SERVICE)).status_code == 201
+    return http
+
+
+async def test_a_performer_sees_its_device_and_its_tasks_alone(tasks: httpx.AsyncClient) -> None:
+    assert await ids(tasks, PERFORMER) == {ROBOT, TASK}
+    assert (await tasks.get(f"/entities/{OTHER_TASK}", headers=PERFORMER)).status_code in {403, 404}
+
+
+STATUS = {"status": {"type": "Property", "value": "assigned"}}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "is_allowed"),
+    [
+        ("PATCH", f"/entities/{TASK}/attrs", STATUS, True),
+        ("POST", f"/entities/{TASK}/attrs", {"outputParameters": {"type": "Property", "value": {}}}, True),
+        ("POST", f"/entities/{ROBOT}/attrs", {"performer": {"type": "Property", "value": "arm"}}, True),
+        ("POST", "/entityOperations/upsert", [entity(ROBOT, "Device")], True),
+        ("PATCH", f"/entities/{OTHER_TASK}/attrs", STATUS, False),
+        ("PATCH", f"/entities/{TASK}/attrs", {"involves": {"type": "Property", "value": []}}, False),
+        ("POST", f"/entities/{TASK}/attrs", {"workParameters": {"type": "Property", "value": {}}}, False),
+        ("DELETE", f"/entities/{TASK}", None, False),
+        ("PUT", f"/entities/{TASK}", task_of(TASK, OTHER_ROBOT), False),
+        ("POST", "/entities", task_of(f"{TASK}9", ROBOT), False),
+        ("POST", f"/entities/{OTHER_ROBOT}/attrs", STATUS, False),
+        ("POST", "/csourceRegistrations", {"type": "ContextSourceRegistration"}, False),
+    ],
+)
+async def test_a_performer_writes_status_and_result_of_its_tasks_and_its_device(
+    tasks: httpx.AsyncClient, method: str, path: str, body: Any, is_allowed: bool
+) -> None:
+    answer = await tasks.request(method, path, json=body, headers=PERFORMER)
+    if is_allowed:
+        assert answer.status_code in {201, 204}, answer.text
+        return
+    texts = answer.text
+    assert answer.status_code == 403, texts
+    before = (await tasks.get(f"/entities/{TASK}", headers=SERVICE)).json()
+    assert before["status"]["value"] == "pending"
+    assert before["involves"] == task_of(TASK, ROBOT)["involves"]
+
+
+async def test_a_performer_keeps_its_own_subscriptions_alone(tasks: httpx.AsyncClient) -> None:
+    own, other = subscription("own"), subscription("other")
+    for one, headers in ((own, PERFORMER), (other, SERVICE)):
+        assert (await tasks.post("/subscriptions", json=one, headers=headers)).status_code == 201
+    listed = (await tasks.get("/subscriptions", headers=PERFORMER)).json()
+    assert [one["id"] for one in listed] == [own["id"]]
+    change = {"description": "changed"}
+    for one, status in ((other, 404), (own, 204)):
+        path = f"/subscriptions/{one['id']}"
+        assert (await tasks.patch(path, json=change, headers=PERFORMER)).status_code == status
+        assert (await tasks.delete(path, headers=PERFORMER)).status_code == status
+    refused = await tasks.post("/subscriptions", json=subscription("body", "HumanState"), headers=PERFORMER)
+    assert refused.status_code == 403

@@ -29,7 +29,7 @@ async def test_the_owner_comes_by_a_link_that_works_once(accounts: Accounts) -> 
     assert preview["purpose"] == "owner"
     owner = accounts.caller(await accounts.owner())
     assert (owner.kind, owner.name) == (CallerKind.USER, "Olga")
-    assert {grant.role for grant in owner.grants} == set(Role) - {Role.SERVICE}
+    assert {grant.role for grant in owner.grants} == set(Role) - {Role.SERVICE, Role.PERFORMER}
     again = await accounts.as_page("POST", "/links/use", {"link": link, "name": "Eve", "password": PASSWORD})
     assert again.status_code == 404
     assert set_up(accounts.settings, ["webui"]).owner_link is None, "an owner exists"

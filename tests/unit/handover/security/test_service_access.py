@@ -26,7 +26,7 @@ def settings_in(folder: Path, **given: Any) -> Settings:
 
 
 def set_up_accounts(folder: Path) -> None:
-    (folder / "security").mkdir()
+    (folder / "security").mkdir(exist_ok=True)
     (folder / "security" / PUBLIC_KEYS_FILE).write_bytes(key_set(SigningKey.generate()))
 
 
@@ -58,11 +58,21 @@ async def test_with_accounts_a_script_sends_its_token_to_the_broker(tmp_path: Pa
     assert received == [f"Bearer {token}"]
 
 
+async def test_a_component_on_another_machine_sends_its_token(tmp_path: Path) -> None:
+    for kind, sent in (("script", True), ("service", False)):
+        token = new_token(kind)
+        settings, received = settings_in(tmp_path, service_token=SecretStr(token)), []
+        async with ServiceAccess(settings, "lamp") as access:
+            await BrokerClient(settings, credentials=access, transport=a_broker(received)).types()
+        assert received == [f"Bearer {token}" if sent else None]
+
+
 async def test_a_service_that_has_not_noticed_the_first_account_repeats_what_others_refuse(
     tmp_path: Path,
 ) -> None:
     token = new_token("script")
     settings = settings_in(tmp_path, service_token=SecretStr(token))
+    settings.security_folder.mkdir()
     received: list[str | None] = []
     app = FastAPI()
     add_operations(app, {})
