@@ -207,6 +207,15 @@ class Settings(BaseSettings):
         description="the certificate of this server with its chain (PEM); with it servers and the glove port "
         "speak TLS. `handover secure` makes one; a changed file is used for new connections",
     )
+    public_tls_certificate: MaybePath = Field(
+        None,
+        description="a second certificate of this server (PEM, with its chain), of a public authority: "
+        "clients that ask for a name in it get it, all others that of `tls_certificate`, which programs of "
+        "the cell verify",
+    )
+    public_tls_key: MaybePath = Field(
+        None, description="the private key of that certificate (PEM); by default in the same file"
+    )
     tls_key: MaybePath = Field(
         None, description="the private key of that certificate (PEM); by default in the same file"
     )
@@ -366,6 +375,11 @@ class Settings(BaseSettings):
     def _has_certificate_for_key(self) -> Self:
         if self.tls_key is not None and self.tls_certificate is None:
             raise ValueError("tls_key is set without tls_certificate; set both")
+        if self.public_tls_certificate is not None and self.tls_certificate is None:
+            raise ValueError(
+                "public_tls_certificate is set without tls_certificate, which the programs of the cell "
+                "verify; set tls_certificate to the file that `handover secure` makes"
+            )
         return self
 
     @field_validator("notification_key")

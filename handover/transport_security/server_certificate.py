@@ -3,6 +3,10 @@
 `context` is the TLS context of a listener and lives as long as it does. OpenSSL asks its callback at each
 ClientHello, and the callback selects the context of the newest certificate. So a new certificate takes effect
 for new connections at once, open ones keep theirs, and a broken file changes nothing.
+
+A server may have a second certificate, of a public authority. It is for the names that it has; every other
+name, an address and the names within the cell are answered with the first one. So a health check and a broker
+verify the certificate of the cell, while browsers see that of the public authority.
 """
 
 import ssl
@@ -12,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from handover.errors import UsageError
+from handover.outbound_policy import is_loopback
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -32,20 +37,33 @@ class CertificateInvalid(UsageError):
 class _Loaded:
     context: ssl.SSLContext
     expires: datetime
-    name: str
+    names: tuple[str, ...]
     signature: Signature
+
+    def has(self, host: str) -> bool:
+        """Return whether the certificate is for a host; `*` stands for one label at its beginning."""
+        wanted = host.lower().rstrip(".")
+        return any(
+            wanted == one or (one.startswith("*.") and wanted.partition(".")[2] == one[2:])
+            for one in map(str.lower, self.names)
+        )
 
 
 class ServerCertificate:
     """The certificate in `certificate` (PEM, with its chain) and its key; raises `CertificateInvalid`.
 
     With `client_authority` (PEM) clients may show a certificate of these authorities; another one ends the
-    handshake.
+    handshake. `public` is the second certificate.
     """
 
     def __init__(
-        self, certificate: Path, key: Path | None = None, client_authority: Path | None = None
+        self,
+        certificate: Path,
+        key: Path | None = None,
+        client_authority: Path | None = None,
+        public: "ServerCertificate | None" = None,
     ) -> None:
+        self._public = public
         self.path = certificate
         self._key = key or certificate
         self._client_authority = client_authority
@@ -63,31 +81,39 @@ class ServerCertificate:
         """Return the certificate of `settings`; None without one."""
         if settings.tls_certificate is None:
             return None
-        return cls(settings.tls_certificate, settings.tls_key)
+        public = settings.public_tls_certificate
+        second = None if public is None else cls(public, settings.public_tls_key)
+        return cls(settings.tls_certificate, settings.tls_key, public=second)
 
     @property
     def expires(self) -> datetime:
-        """When the certificate in use expires."""
-        return self._loaded.expires
+        """When the certificate in use expires, or the public one, if that is earlier."""
+        own = self._loaded.expires
+        return own if self._public is None else min(own, self._public.expires)
 
     @property
     def name(self) -> str:
         """A name that the certificate has, for a client that knows the address of this server otherwise."""
-        return self._loaded.name
+        return next(iter(self._loaded.names), "").replace("*", "any")
 
     def reload(self) -> bool:
         """Load changed files; return whether new connections have another certificate from now on.
 
         Raises `CertificateInvalid` for files that cannot be used; the former certificate stays in use.
         """
+        is_public_new = self._public is not None and self._public.reload()
         if self._signature() == self._loaded.signature:
-            return False
+            return is_public_new
         self._loaded = self._load()
         log.info("certificate loaded", file=str(self.path), expires=str(self.expires))
         return True
 
-    def _select_newest(self, connection: Any, _: str | None, __: ssl.SSLContext) -> None:
-        connection.context = self._loaded.context
+    def _select_newest(self, connection: Any, host: str | None, _: ssl.SSLContext) -> None:
+        public = None if self._public is None else self._public._loaded
+        if public is None or host is None or is_loopback(host) or not public.has(host):
+            connection.context = self._loaded.context
+        else:
+            connection.context = public.context
 
     def _signature(self) -> Signature:
         found = []
@@ -119,7 +145,7 @@ class ServerCertificate:
         self._ask_clients(context)
         if signature != self._signature():
             raise CertificateInvalid(f"the certificate {self.path} changed while it was read; try again")
-        return _Loaded(context, *_expiry_and_name(pem), signature)
+        return _Loaded(context, *_expiry_and_names(pem), signature)
 
     def _ask_clients(self, context: ssl.SSLContext) -> None:
         if self._client_authority is None:
@@ -147,15 +173,15 @@ class ServerCertificate:
         )
 
 
-def _expiry_and_name(pem: bytes) -> tuple[datetime, str]:
-    """Return when the first certificate, that of the server, expires, and the first name that it has."""
+def _expiry_and_names(pem: bytes) -> tuple[datetime, tuple[str, ...]]:
+    """Return when the first certificate, that of the server, expires, and the names that it has."""
     from cryptography import x509  # noqa: PLC0415 - 30 ms, only with TLS
 
     found = x509.load_pem_x509_certificates(pem)[0]
     try:
         names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
-        return found.not_valid_after_utc, ""
+        return found.not_valid_after_utc, ()
     hosts = names.get_values_for_type(x509.DNSName)
     addresses = [str(one) for one in names.get_values_for_type(x509.IPAddress)]
-    return found.not_valid_after_utc, next(iter([*hosts, *addresses]), "").replace("*", "any")
+    return found.not_valid_after_utc, (*hosts, *addresses)

@@ -65,7 +65,7 @@ class _Server:
 
 
 @asynccontextmanager
-async def serving(files: ServerFiles, **more: float) -> AsyncIterator[_Server]:
+async def serving(files: ServerFiles, **more: Any) -> AsyncIterator[_Server]:
     """Run the server of our services, with the protocol that they have."""
     settings = Settings.load(
         tls_certificate=files.certificate, tls_key=files.key, broker_url="http://127.0.0.1:9", **more
@@ -385,3 +385,38 @@ def test_settings_of_tls() -> None:
 def test_uvicorn_has_what_the_tls_server_overrides() -> None:
     assert {"startup", "shutdown", "serve"} <= set(dir(uvicorn.Server))
     assert "sockets" in uvicorn.Server.startup.__annotations__
+
+
+async def test_the_certificate_of_a_public_authority_is_for_its_names_and_the_cell_keeps_its_own(
+    certificates: Certificates, tmp_path: Path
+) -> None:
+    own = certificates.make("localhost", "127.0.0.1", "webui")
+    public = Certificates(tmp_path / "public").make("cell-3.example", "*.line.example")
+    async with serving(own, public_tls_certificate=public.certificate, public_tls_key=public.key) as server:
+
+        async def shown_to(name: str) -> int:
+            context = ssl.create_default_context()
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            _, writer = await asyncio.open_connection(
+                "localhost", server.port, ssl=context, server_hostname=name
+            )
+            der = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
+            writer.close()
+            with contextlib.suppress(OSError, ssl.SSLError):
+                await writer.wait_closed()
+            return serial_of(der)
+
+        for name in ("cell-3.example", "CELL-3.example", "a.line.example"):
+            assert await shown_to(name) == serial_in(public.certificate)
+        for name in ("webui", "localhost", "127.0.0.1", "b.a.line.example", "line.example", "other.example"):
+            assert await shown_to(name) == serial_in(own.certificate)
+        renewed = Certificates(tmp_path / "public").make("cell-3.example")
+        assert server.certificate.reload()
+        assert await shown_to("cell-3.example") == serial_in(renewed.certificate)
+        assert await shown_to("a.line.example") == serial_in(own.certificate)
+
+
+def test_a_public_certificate_alone_is_refused_with_the_way_out(certificates: Certificates) -> None:
+    files = certificates.make("cell-3.example")
+    with pytest.raises(UsageError, match="public_tls_certificate is set without tls_certificate"):
+        Settings.load(public_tls_certificate=files.certificate)
