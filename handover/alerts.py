@@ -35,6 +35,14 @@ def alert_id(settings: Settings, key: str) -> str:
     return settings.entity_id("Alert", _NOT_IN_IDS.sub("-", key).strip("-"))
 
 
+def unshown_key(task_id: str) -> str:
+    """Return the key of the Alert that a Task asks for an unknown gesture.
+
+    The gesture controller raises it, and the orchestrator clears it when a person has dealt with the Task.
+    """
+    return f"{task_id.rsplit(':', 1)[-1]} cannot be shown"
+
+
 async def raise_alert(
     broker: BrokerClient,
     settings: Settings,

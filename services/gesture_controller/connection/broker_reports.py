@@ -3,7 +3,7 @@
 from typing import Self
 
 from handover import alert_catalogue
-from handover.alerts import clear_alert, raise_alert
+from handover.alerts import clear_alert, raise_alert, unshown_key
 from handover.broker import BrokerClient
 from handover.messages import message
 from handover.reporting_writer import reporting_writer
@@ -82,7 +82,7 @@ class BrokerReports:
         """Raise an Alert: nobody can be asked for the gesture of a Task."""
         self._raise(
             alert_catalogue.UNKNOWN_GESTURE,
-            key=f"{task_id.rsplit(':', 1)[-1]} cannot be shown",
+            key=unshown_key(task_id),
             source=task_id,
             description=reason,
         )

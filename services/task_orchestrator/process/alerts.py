@@ -12,6 +12,7 @@ from handover.alert_catalogue import (
     TASK_UNREADABLE,
     AlertType,
 )
+from handover.alerts import unshown_key
 from handover.messages import message, with_code
 from services.task_orchestrator.model import Escalation
 from services.task_orchestrator.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
@@ -192,8 +193,10 @@ def raise_incident(step: Step, process: ProcessRecord, urn: str, incident: Incid
 
 
 def clear_incident(step: Step, process: ProcessRecord, urn: str, incident: IncidentRecord) -> None:
-    """Clear the Alert: the token continues, or has gone."""
+    """Clear the Alert, and that of a Task that could not be shown: the token continues, or has gone."""
     step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _incident_key(process, incident)})
+    if incident.task is not None:
+        step.enqueue(process.id, MessageKind.CLEAR, incident.task, {"key": unshown_key(incident.task)})
 
 
 def _raise(
