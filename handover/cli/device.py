@@ -1,7 +1,7 @@
 """`handover device`: register devices and robots, list them, make tokens, simulate them."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,9 +47,19 @@ def list_devices(as_json: AsJson = False) -> None:
         print_json(devices)
         return
     for one in devices:
-        state = (one["state"] or "connected") if one["connected"] else "away"
+        state = state_of(one)
         values = ", ".join(f"{name} {value['value']:g}" for name, value in list(one["values"].items())[:4])
         print(f"{one['name']:<24} {one['kind']:<12} {state:<14} {values}")
+
+
+def state_of(device: Mapping[str, Any]) -> str:
+    """Return the state of a device as the page shows it.
+
+    A device that sends by HTTP or MQTT has values without a connection of its own: it is away once all of
+    them are stale.
+    """
+    is_here = device["connected"] or any(not value["stale"] for value in device["values"].values())
+    return str(device["state"] or "connected") if is_here else "away"
 
 
 def _devices() -> Iterator[dict[str, Any]]:
