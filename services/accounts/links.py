@@ -18,6 +18,7 @@ from services.accounts.grants import add_grant, checked_grant
 from services.accounts.tables import audit, links, row_of_token
 from services.accounts.users import add_user, find, set_password
 
+LINK_USED: Final = "link.used"
 OWNER, INVITATION, PASSWORD = "owner", "invitation", "password"
 MAX_LINKS: Final = 1000
 OWNER_LINK_VALID_S: Final = 24 * 3600.0
@@ -91,7 +92,7 @@ def use_link(change: Change, secret: str, name: str | None, password_hash: str) 
         add_grant(change, subject, checked_grant(Role(role), resource))
     # The invitation may name the person: that text belongs to the user now, and is deleted with the user.
     connection.execute(delete(audit.texts).where(or_(audit.texts.c.about == link["id"])))
-    change.record("link.used", subject)
+    change.record(LINK_USED, subject)
     return subject
 
 

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, select
 from handover.security.caller import Caller
 from services.accounts import tables
 from services.accounts.directory import Directory
+from services.accounts.links import LINK_USED
 
 
 class AccountsAudit:
@@ -28,9 +29,20 @@ class AccountsAudit:
         await self._directory.change(caller.subject, lambda change: change.record(action, resource))
 
 
+def _used_links(connection: Connection) -> dict[str, str]:
+    """Return the names of the users that links have made: the subject of what a link did is its id."""
+    records = tables.audit.records.c
+    made = (
+        select(records.subject, tables.users.c.name)
+        .join(tables.users, tables.users.c.subject == records.resource)
+        .where(records.action == LINK_USED)
+    )
+    return {row[0]: row[1] for row in connection.execute(made)}
+
+
 def subject_names(connection: Connection) -> dict[str, str]:
     """Return the names of users and tokens by subject."""
-    names: dict[str, str] = {}
+    names = _used_links(connection)
     for table in (tables.users, tables.tokens):
         names.update({row[0]: row[1] for row in connection.execute(select(table.c.subject, table.c.name))})
     return names

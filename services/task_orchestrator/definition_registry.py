@@ -62,6 +62,10 @@ class DefinitionRegistry(Library):
         for record in records:
             self._records.setdefault(record.name, []).append(record)
 
+    def first_deployed_at(self) -> datetime | None:
+        """Return when the first definition was deployed; None without any."""
+        return min((record.deployed_at for records in self._records.values() for record in records), default=None)
+
     def latest(self) -> list[DefinitionRecord]:
         """Return the latest version of each definition that is not deleted."""
         return [self._records[name][-1] for name in sorted(self._records) if not self._is_deleted(name)]

@@ -31,7 +31,7 @@ class ProcessStart(BaseModel):
     key: str | None = Field(
         None,
         pattern=r"^[^\x00]{1,200}$",
-        description="the business key, which people see; a second request with it starts no process",
+        description="the business key, which people see; the same key never starts a second process",
     )
     request: str | None = Field(
         None,

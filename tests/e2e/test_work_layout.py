@@ -108,6 +108,14 @@ BLANKS = """() => {
 }"""
 
 
+BEGINS_ABOVE = """() => {
+  const box = document.querySelector(".work__text");
+  const top = box.getBoundingClientRect().top - box.scrollTop;
+  const isAbove = (one) => one.getBoundingClientRect().top < top - 1;
+  return [...box.children].filter(isAbove).map((one) => one.textContent);
+}"""
+"""The parts of the question that begin before the place to which its box can be scrolled."""
+
 FITS = """() => {
   window.fits = {};
   const note = () => {
@@ -221,6 +229,29 @@ def test_the_prompt_is_readable_from_the_station_and_answered_without_scrolling(
             assert words is not None
             assert figure is not None
             assert words["width"] + figure["width"] >= 0.85 * SIZES[size]["width"]
+
+
+def test_the_question_is_reached_on_a_magnified_page_and_its_place_is_marked_in_forced_colours(
+    asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path]
+) -> None:
+    """At 200 % of a small screen, what has no room is reached by scrolling, and the buttons stay."""
+    asked()
+    page = open_page(WORK, viewport={"width": 640, "height": 400}, device_scale_factor=2)
+    look(page, "en", "light")
+    question = page.locator(".work__text > :first-child")
+    question.scroll_into_view_if_needed()
+    keep(page, "work-magnified")
+    hidden = page.evaluate(BEGINS_ABOVE)
+    assert hidden == [], "what begins above its box cannot be scrolled to"
+    assert_visible(page, MAIN["en"])
+    page.emulate_media(forced_colors="active")
+    grounds = page.evaluate(
+        "[...document.querySelectorAll('.shell__page')].map((link) =>"
+        " [link.hasAttribute('aria-current'), getComputedStyle(link).backgroundColor])"
+    )
+    marked = {ground for is_current, ground in grounds if is_current}
+    assert marked
+    assert marked.isdisjoint(ground for is_current, ground in grounds if not is_current)
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -91,7 +91,7 @@ class Tasks(EntityHandler):
         description = inputs.get("description") or (task.description.value if task.description else None)
         name = str(description or inputs.get("operation") or kind)
         reason = (message_in(outputs, "reason") or "") if status is TaskStatus.FAILED else ""
-        text = f'"{name}" {STATUS_TEXTS[status]} {short_name(who) or "nobody"}'
+        text = f'"{name}" {STATUS_TEXTS[status]} {short_name(who) or "a person"}'
         text += f": {reason}" if reason else ""
         self._services.record_message(self._devices.performer_of(who) or BROKER, text, at)
         self._events.record(

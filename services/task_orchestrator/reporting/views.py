@@ -126,14 +126,23 @@ def cause_views(causes: Sequence[Cause], titles: Names) -> list[CauseView]:
 
 
 def resources_view(
-    worked: Mapping[str, int], agents: Mapping[str, Agent], period: Period, now: datetime
+    worked: Mapping[str, int],
+    agents: Mapping[str, Agent],
+    period: Period,
+    now: datetime,
+    *,
+    cell_begins: datetime | None,
 ) -> ResourcesView:
-    """Return the utilisation of all resources that have worked, and of agents with roles or skills."""
+    """Return the utilisation of all resources that have worked, and of agents with roles or skills.
+
+    Nobody was available before the cell was there: `cell_begins`, when its first definition was deployed.
+    """
     ends = min(period.ends_at, now)
+    begins = period.begins_at if cell_begins is None else max(period.begins_at, cell_begins)
     idle = (agent.id for agent in agents.values() if agent.skills or agent.roles)
     resources: list[ResourceTimes] = []
     for resource in dict.fromkeys([*worked, *idle]):
-        available = available_ms(agents.get(resource), period.begins_at, ends)
+        available = available_ms(agents.get(resource), begins, ends)
         worked_ms = worked.get(resource, 0)
         resources.append(
             {

@@ -173,7 +173,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
         """
         period, now = period_of(query), orchestrator.clock()
         worked = await orchestrator.read(reports.work, period, scope_of(registry, query), now)
-        view = resources_view(worked, orchestrator.state.allocator.rules.agents.by_id, period, now)
+        agents = orchestrator.state.allocator.rules.agents.by_id
+        view = resources_view(worked, agents, period, now, cell_begins=registry.first_deployed_at())
         if query.format == "csv":
             return csv_response("resources", ResourceTimes, view["resources"])
         return json_response(view)

@@ -115,6 +115,10 @@ async def test_a_new_password_ends_the_other_sessions(accounts: Accounts) -> Non
     assert wrong.status_code == 403
     audit = await accounts.call("GET", "/audit?action=passwordChange.failed", token=owner)
     assert [(one["outcome"], one["text"]) for one in audit.json()] == [("refused", f"from {HOME}")]
+    joined = (await accounts.call("GET", "/audit?action=link.used", token=owner)).json()
+    names = {one["subjectName"] for one in joined}
+    assert "Anna" in names
+    assert None not in names, "the subject of what a link did is the link"
     assert (await accounts.as_page("POST", "/password-changes", password_change(here))).status_code == 204
     ended = await accounts.as_page("POST", "/session-tokens", {"session": there})
     assert ended.status_code == 401

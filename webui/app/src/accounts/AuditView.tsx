@@ -10,12 +10,12 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
-import { RelativeTime } from "~/design/RelativeTime";
 import { Select } from "~/design/Select";
 import { StatusBadge } from "~/design/StatusBadge";
 import type { Tone } from "~/design/StatusBadge";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
+import { exactTime } from "~/design/times";
 import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
@@ -197,10 +197,10 @@ function useNames(): ReadonlyMap<string, string> {
 }
 
 function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[] {
-  const { t } = useTranslation(["accounts", "common"]);
+  const { t, i18n } = useTranslation(["accounts", "common"]);
   return useMemo(
     () => [
-      { id: "when", name: t("audit.when"), width: "minmax(96px, 0.8fr)", isDescendingFirst: true, sortBy: ({ at }) => at, cell: ({ at }) => <RelativeTime at={at} /> },
+      { id: "when", name: t("audit.when"), width: "minmax(150px, 1fr)", isDescendingFirst: true, sortBy: ({ at }) => at, cell: ({ at }) => <time dateTime={at}>{exactTime(at, i18n.language)}</time> },
       {
         id: "who", name: t("audit.who"), width: "minmax(120px, 1.2fr)", sortBy: ({ subject }) => names.get(subject) ?? subject,
         cell: ({ subject, subjectName }) => (
@@ -232,6 +232,6 @@ function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[
       },
       { id: "details", name: t("audit.details"), width: "minmax(140px, 2fr)", cell: ({ text }) => <span className="quiet small accounts__action">{text ?? ""}</span> },
     ],
-    [t, names],
+    [t, i18n.language, names],
   );
 }

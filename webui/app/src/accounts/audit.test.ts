@@ -61,7 +61,7 @@ it("exports what it can read, and names the services that are away", async () =>
   try {
     const file = await exported(NO_FILTER, ["accounts", "study"], "json", new Map([["user-1", "Anna"]]));
     expect(file.name).toBe("audit-without-study.json");
-    expect(file.missing).toEqual([{ service: "study", failure: "study does not answer" }]);
+    expect(file.missing).toEqual([{ service: "study", failure: "Study does not answer" }]);
     expect((JSON.parse(file.text) as AuditView[]).map(({ seq, subjectName }) => [seq, subjectName])).toEqual([[1, "Anna"], [2, "Anna"]]);
     await expect(exported(NO_FILTER, ["study"], "csv", new Map())).rejects.toThrow("study does not answer");
   } finally {

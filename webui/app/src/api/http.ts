@@ -1,5 +1,6 @@
 /** REST of the services, through the proxy at `/api/<service>/<path>`. Error responses throw `ApiError`. */
 import { localizedText } from "~/i18n/server";
+import { sentence } from "~/live/readable";
 import { loadAdmins, missingRight } from "~/session/rights";
 import { currentSession } from "~/session/session";
 
@@ -33,8 +34,8 @@ export class NetworkError extends Error {
 
 /** The text of an error, in the language of the page if the server sent a code. */
 export function errorText(error: unknown): string {
-  if (error instanceof ApiError) return missingRight(error.problem) ?? localizedText(error.problem, "detail") ?? error.message;
-  return error instanceof Error ? error.message : String(error);
+  if (error instanceof ApiError) return missingRight(error.problem) ?? sentence(localizedText(error.problem, "detail") ?? error.message);
+  return sentence(error instanceof Error ? error.message : String(error));
 }
 
 export interface RequestOptions {

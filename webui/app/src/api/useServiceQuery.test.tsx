@@ -18,13 +18,13 @@ async function requestsInAMinute(path: string, problem: object): Promise<number>
   vi.stubGlobal("fetch", sent);
   const { result, unmount } = renderHook(() => useServiceQuery("ros-bridge", path, { intervalMs: 2000 }));
   await act(() => vi.advanceTimersByTimeAsync(60_000));
-  expect(result.current.failure).toBe("it does not exist");
+  expect(result.current.failure).toBe("It does not exist");
   unmount();
   return sent.mock.calls.length;
 }
 
 test("a service that the cell does not have is asked once, a resource that may be added is polled", async () => {
-  const detail = "it does not exist";
+  const detail = "It does not exist";
   expect(await requestsInAMinute("rules", { title: "No such service", detail, detailCode: "page.no_such_service" })).toBe(1);
   expect(await requestsInAMinute("rules/belt", { title: "Not found", detail })).toBeGreaterThan(20);
 });

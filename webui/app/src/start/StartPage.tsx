@@ -75,6 +75,9 @@ function useDay(): PeriodStatistics | null {
   return useServiceQuery<PeriodStatistics>("task-orchestrator", path, { revision: ended, intervalMs: POLL_INTERVAL_MS }).value;
 }
 
+/** From how many completed processes a median says something. */
+const MIN_FOR_MEDIAN = 3;
+
 function Day() {
   const { t, i18n } = useTranslation("common");
   const day = useDay();
@@ -87,7 +90,7 @@ function Day() {
         <Figure name={t("start.day.failed")} isBad={(day?.failed ?? 0) > 0}>
           {formatted(day?.failed)}
         </Figure>
-        <Figure name={t("start.day.median")}>{day?.medianMs == null ? "–" : duration(day.medianMs, i18n.language)}</Figure>
+        <Figure name={t("start.day.median")}>{day?.medianMs == null || day.completed < MIN_FOR_MEDIAN ? "–" : duration(day.medianMs, i18n.language)}</Figure>
       </dl>
     </Card>
   );

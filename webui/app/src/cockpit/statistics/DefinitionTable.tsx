@@ -9,7 +9,7 @@ import { useFigureColumns } from "./figures";
 export function DefinitionTable({ rows, onOpen }: { rows: readonly DefinitionTimes[]; onOpen: (name: string) => void }) {
   const { t } = useTranslation("cockpit");
   const [sorting, setSorting] = useSorting("-started", "definitionSort");
-  const { count, time } = useFigureColumns<DefinitionTimes>();
+  const { count, percentile } = useFigureColumns<DefinitionTimes>();
   const columns: readonly Column<DefinitionTimes>[] = useMemo(
     () => [
       { id: "title", name: t("bar.definition"), width: "minmax(160px, 2fr)", sortBy: (row) => row.title, cell: (row) => <span className="cell__name">{row.title}</span> },
@@ -18,10 +18,10 @@ export function DefinitionTable({ rows, onOpen }: { rows: readonly DefinitionTim
       count("started", t("totals.started")),
       count("completed", t("totals.completed")),
       count("failed", t("totals.failed")),
-      time("medianMs", t("totals.medianMs")),
-      time("p90Ms", t("totals.p90Ms")),
+      percentile("medianMs", t("totals.medianMs")),
+      percentile("p90Ms", t("totals.p90Ms")),
     ],
-    [t, count, time],
+    [t, count, percentile],
   );
   return (
     <DataTable

@@ -18,15 +18,15 @@ export interface ElementTableProps {
 export function ElementTable({ rows, picked, onPick }: ElementTableProps) {
   const { t, i18n } = useTranslation("cockpit");
   const [sorting, setSorting] = useSorting("", "elementSort");
-  const { count, time } = useFigureColumns<ElementTimes>();
+  const { count, percentile } = useFigureColumns<ElementTimes>();
   const longest = Math.max(1, ...rows.map((row) => row.meanMs ?? 0));
   const columns: readonly Column<ElementTimes>[] = useMemo(
     () => [
       { id: "name", name: t("elements.name"), width: "minmax(140px, 1.8fr)", sortBy: (row) => row.name, cell: (row) => <span className="cell__name">{row.name === "" ? row.element : row.name}</span> },
       count("completed", t("totals.completed")),
       count("failed", t("totals.failed")),
-      time("medianMs", t("totals.medianMs")),
-      time("p90Ms", t("totals.p90Ms")),
+      percentile("medianMs", t("totals.medianMs")),
+      percentile("p90Ms", t("totals.p90Ms")),
       {
         id: "parts",
         name: t("elements.parts"),
@@ -43,7 +43,7 @@ export function ElementTable({ rows, picked, onPick }: ElementTableProps) {
         },
       },
     ],
-    [t, i18n.language, count, time, longest],
+    [t, i18n.language, count, percentile, longest],
   );
   return (
     <>

@@ -13,6 +13,7 @@ import { ProcessTable } from "../processes/ProcessTable";
 import { CauseTable } from "./CauseTable";
 import { DefinitionTable } from "./DefinitionTable";
 import { ElementTable } from "./ElementTable";
+import { hasEnough } from "./figures";
 import { HeatMap } from "./HeatMap";
 import { ResourceTable } from "./ResourceTable";
 import { ThroughputChart } from "./ThroughputChart";
@@ -85,7 +86,7 @@ function Totals({ total }: { total: Total }) {
   const { t, i18n } = useTranslation("cockpit");
   const counts = (["running", "withIncidents", "started", "completed", "failed"] as const).map((name) => [name, number(total[name], i18n.language)] as const);
   const times = (["medianMs", "p90Ms", "meanMs"] as const)
-    .filter((name) => total[name] !== undefined && total[name] !== null)
+    .filter((name) => total[name] !== undefined && total[name] !== null && hasEnough(name, total.completed))
     .map((name) => [name, duration(total[name] ?? 0, i18n.language)] as const);
   return (
     <dl className="cockpit__totals" aria-label={t("totals.label")}>

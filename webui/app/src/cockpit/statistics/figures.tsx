@@ -6,6 +6,13 @@ import { number } from "~/design/numbers";
 import { duration } from "~/design/times";
 
 /** Columns over members of a row that are numbers or null; the largest first. */
+/** From how many values a percentile says something. */
+export const MIN_COMPLETED = { medianMs: 3, p90Ms: 10 } as const;
+
+export function hasEnough(name: string, completed: number | undefined): boolean {
+  return !(name in MIN_COMPLETED) || completed === undefined || completed >= MIN_COMPLETED[name as keyof typeof MIN_COMPLETED];
+}
+
 export function useFigureColumns<T extends object>() {
   const { i18n } = useTranslation("cockpit");
   return useMemo(() => {
@@ -20,6 +27,12 @@ export function useFigureColumns<T extends object>() {
     return {
       count: (id: keyof T & string, name: string) => column(id, name, (value) => number(value, i18n.language)),
       time: (id: keyof T & string, name: string) => column(id, name, (value) => duration(value, i18n.language)),
+      /** A percentile, where enough is completed to say one. */
+      percentile: (id: keyof T & (keyof typeof MIN_COMPLETED), name: string): Column<T> => {
+        const whole = column(id, name, (value) => duration(value, i18n.language));
+        const isEnough = (row: T) => hasEnough(id, (row as { completed?: number }).completed);
+        return { ...whole, sortBy: (row) => (isEnough(row) ? (whole.sortBy?.(row) ?? null) : null), cell: (row) => (isEnough(row) ? whole.cell(row) : <span>–</span>) };
+      },
     };
   }, [i18n.language]);
 }

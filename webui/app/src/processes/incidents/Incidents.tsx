@@ -9,6 +9,7 @@ import { Field } from "~/design/Field";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Select } from "~/design/Select";
 import { localizedText } from "~/i18n/server";
+import { sentence } from "~/live/readable";
 import { elementName, type BpmnElement, type BpmnElements } from "../diagram/elements";
 import { MendDialog } from "./MendDialog";
 import { RetryButton } from "./RetryButton";
@@ -57,7 +58,7 @@ export function Incidents({ process, elements, moving, onMove, onTarget, onPick 
                 </span>
                 {incident.code !== null && <span className="quiet small"> · {t("incident.code", { code: incident.code })}</span>}
               </p>
-              <p className="incident__reason">{localizedText(incident, "reason")}</p>
+              <p className="incident__reason">{sentence(localizedText(incident, "reason") ?? "")}</p>
             </div>
             {moving?.incident.token === incident.token ? (
               <MovePanel process={process} moving={moving} elements={elements} onMove={onMove} onTarget={onTarget} />

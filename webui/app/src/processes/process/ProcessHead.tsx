@@ -15,6 +15,7 @@ import { useNow } from "~/live/clock";
 import { useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { processState } from "~/live/processState";
+import { sentence } from "~/live/readable";
 import { shortName } from "~/live/urn";
 import { useUserName } from "~/shell/userName";
 import { pathOf } from "../address";
@@ -45,7 +46,7 @@ export function ProcessHead({ process }: { process: ProcessView }) {
         </span>
       </div>
       <Acts process={process} />
-      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{localizedText(process, "reason")}</p>}
+      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{sentence(localizedText(process, "reason") ?? "")}</p>}
       {last !== undefined && (
         <p className="process__act quiet small">
           {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <RelativeTime at={last.at} isStop />

@@ -3,6 +3,7 @@ import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
 import { localizedText } from "~/i18n/server";
 import type { LiveEvent } from "~/live/messages";
+import { readable } from "~/live/readable";
 
 /** A text or number as text; undefined for everything else. */
 function plain(value: unknown): string | undefined {
@@ -14,17 +15,19 @@ export function useMessageText(): (event: LiveEvent) => string {
   return useCallback(
     (event: LiveEvent) => {
       const key = `event.${event.key}`;
-      if (!i18n.exists(key, { ns: "system" })) return event.text;
+      if (!i18n.exists(key, { ns: "system" })) return readable(event.text);
       const [state, service, detail] = ["state", "service", "detail"].map((name) => plain(event.values[name]));
       const words = {
         ...event.values,
         ...(state === undefined ? {} : { state: t(`common:deviceState.${state}`, { defaultValue: state }) }),
         ...(service === undefined ? {} : { service: t(`common:services.${service}`, { defaultValue: service }) }),
       };
-      const text = t(key, words);
+      // A Task that involves nobody has no `who` yet; who completed it on a screen is in `by`.
+      const who = plain(event.values["who"]) || plain(event.values["by"]) || "";
+      const text = event.key.startsWith("task.") && who === "" ? t(`event.taskOfPeople.${event.key.slice("task.".length)}`, words) : t(key, { ...words, ...(who === "" ? {} : { who }) });
       // The reason is translated if the component gave it a code.
       const why = localizedText(event.values, "reason") ?? detail ?? "";
-      return why === "" ? text : `${text}: ${why}`;
+      return why === "" ? text : `${text}: ${readable(why)}`;
     },
     [t, i18n],
   );

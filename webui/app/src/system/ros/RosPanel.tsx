@@ -11,6 +11,7 @@ import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { rate } from "~/design/times";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
+import { plainValue } from "~/live/readable";
 import { oneLine, stateOf, useRules, type RuleView, type Standing } from "./rules";
 import "./RosPanel.css";
 
@@ -87,7 +88,7 @@ function useColumns(turn: (rule: RuleView, on: boolean) => void): readonly Colum
           </>
         ),
       },
-      { id: "value", name: t("ros.value"), width: "minmax(140px, 1.7fr)", cell: (rule) => <code className="ros__value">{oneLine(rule.lastValue)}</code> },
+      { id: "value", name: t("ros.value"), width: "minmax(140px, 1.7fr)", cell: (rule) => <code className="ros__value">{oneLine(plainValue(rule.lastValue))}</code> },
       {
         id: "error", name: t("ros.error"), width: "minmax(140px, 1.7fr)", isDescendingFirst: true,
         sortBy: (rule) => (rule.lastErrorAt === null ? null : Date.parse(rule.lastErrorAt)),

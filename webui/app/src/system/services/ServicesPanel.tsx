@@ -8,6 +8,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { healthTone } from "~/design/states";
 import { rate } from "~/design/times";
 import { useTopic } from "~/live/hooks";
+import { readable } from "~/live/readable";
 import type { ServiceHealth } from "~/live/messages";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
@@ -50,7 +51,7 @@ function useColumns(): readonly Column<ServiceHealth>[] {
         cell: (service) => (
           <>
             <StatusBadge tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</StatusBadge>
-            {service.detail !== null && <p className="cell__detail">{service.detail}</p>}
+            {service.detail !== null && <p className="cell__detail">{readable(service.detail)}</p>}
           </>
         ),
       },
@@ -66,7 +67,7 @@ function useColumns(): readonly Column<ServiceHealth>[] {
         cell: ({ lastMessage }) =>
           lastMessage !== null && (
             <>
-              <span className="services__message">{lastMessage.text}</span>{" "}
+              <span className="services__message">{readable(lastMessage.text)}</span>{" "}
               <span className="quiet small">
                 <RelativeTime at={lastMessage.at} />
               </span>
