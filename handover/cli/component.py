@@ -1,15 +1,20 @@
 """`handover component`: the programs of others that perform the Tasks of a Device."""
 
+import asyncio
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Final
 from urllib.parse import urlsplit
 
 import typer
 
+from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.cli.access import cli_access
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.security.service_access import AccountsUnavailable
 from handover.settings import COMPONENTS_FILE
 from handover.transport_security.local_authority import AUTHORITY
 from services.accounts.settings import AccountsSettings
@@ -63,14 +68,19 @@ def add(
 
 @app.command()
 def remove(name: Name, data_dir: DataDir = None) -> None:
-    """Revoke the token of a component, and send it no notifications any more."""
+    """Revoke the token of a component, and delete its subscriptions."""
     from services.accounts.set_up import revoke_component_tokens  # noqa: PLC0415 - as above
 
     settings = _settings(data_dir)
-    if not revoke_component_tokens(settings, name):
+    if not revoke_component_tokens(settings, name) and _noted_endpoint(settings, name) is None:
         raise UsageError(f'there is no component "{name}" with a token')
+    endpoint = _noted_endpoint(settings, name)
+    try:
+        count = asyncio.run(_delete_subscriptions(settings, name, endpoint))
+    except (BrokerError, AccountsUnavailable) as error:
+        raise UsageError(f"the token of {name} is revoked, but its subscriptions stay: {error}") from None
     _note_endpoint(settings, name, None)
-    print(f"the token of {name} is revoked")
+    print(f"the token of {name} is revoked, and {count} subscriptions are deleted")
 
 
 def _settings(data_dir: Path | None) -> AccountsSettings:
@@ -112,6 +122,33 @@ def _lines(settings: AccountsSettings, name: str, urn: str, token: str, url: str
         # The certificate stands in this file, too: readers of PEM skip the other lines.
         lines += ["HANDOVER_TLS_AUTHORITY='.env'", "AUTHORITY='", authority.read_text().strip(), "'"]
     return lines
+
+
+async def _delete_subscriptions(settings: AccountsSettings, name: str, endpoint: str | None) -> int:
+    """Delete what a component has subscribed to, by its endpoint or its name; return the number."""
+    own = settings.entity_id("Subscription", f"{name}-tasks")
+    count = 0
+    async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
+        for one in await broker.subscriptions():
+            uri = str(one.get("notification", {}).get("endpoint", {}).get("uri", ""))
+            if one.get("id") == own or (endpoint is not None and _is_at(uri, endpoint)):
+                with suppress(NotFound):
+                    await broker.delete_subscription(str(one["id"]))
+                count += 1
+    return count
+
+
+def _is_at(uri: str, endpoint: str) -> bool:
+    try:
+        return _endpoint_of(uri) == endpoint
+    except UsageError:
+        return False
+
+
+def _noted_endpoint(settings: AccountsSettings, name: str) -> str | None:
+    file = settings.security_folder / COMPONENTS_FILE
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return next((line.partition(" ")[0] for line in lines if line.partition(" ")[2] == name), None)
 
 
 def _note_endpoint(settings: AccountsSettings, name: str, endpoint: str | None) -> None:

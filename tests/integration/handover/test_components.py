@@ -101,16 +101,26 @@ def test_a_client_that_is_no_service_is_refused_with_the_way_out(cell: Cell, tmp
     assert "handover component add NAME --device ID" in refused.stderr
 
 
-def test_a_component_that_was_removed_has_no_rights(cell: Cell, tmp_path: Path) -> None:
-    file = tmp_path / "arm.env"
-    assert handover(cell, "component", "add", "arm", "--device", "arm-1", "--file", str(file)).returncode == 0
+def test_a_component_that_was_removed_has_neither_rights_nor_subscriptions(
+    cell: Cell, tmp_path: Path
+) -> None:
+    file, address = tmp_path / "arm.env", f"http://127.0.0.1:{next_free_port()}"
+    words = ("--device", "arm-1", "--url", address, "--file", str(file))
+    assert handover(cell, "component", "add", "arm", *words).returncode == 0
     values = dict(line.split("=", 1) for line in file.read_text().splitlines() if "=" in line)
     headers = {"Authorization": f"Bearer {values['HANDOVER_SERVICE_TOKEN'].strip(chr(39))}"}
-    url = f"{cell.url('context_broker')}/ngsi-ld/v1/entities?local=true"
-
-    def status() -> int:
-        return httpx.get(url, headers=headers, timeout=60, trust_env=False).status_code
-
-    assert status() == 200
-    assert handover(cell, "component", "remove", "arm").returncode == 0
-    wait_for(lambda: status() == 401, 60, "the token is still valid")
+    base = f"{cell.url('context_broker')}/ngsi-ld/v1"
+    subscription = {
+        "type": "Subscription",
+        "entities": [{"type": "Task"}],
+        "notification": {"endpoint": {"uri": f"{address}/any"}},
+    }
+    with httpx.Client(base_url=base, headers=headers, timeout=60, trust_env=False) as client:
+        assert client.get("/entities?local=true").status_code == 200
+        assert client.post("/subscriptions", json=subscription).status_code == 201
+        removed = handover(cell, "component", "remove", "arm")
+        assert removed.returncode == 0, removed.stderr
+        assert "1 subscriptions are deleted" in removed.stdout
+        wait_for(
+            lambda: client.get("/entities?local=true").status_code == 401, 60, "the token is still valid"
+        )
