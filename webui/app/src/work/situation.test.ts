@@ -87,6 +87,7 @@ describe("what can be started", () => {
       definition({ name: "b", title: "B" }),
       definition({ name: "c", title: "C", unusable: "it names an unknown lane" }),
       definition({ name: "d", title: "D", parameters: [{ name: "part", required: true, default: null }] }),
+      definition({ name: "e", title: "E", holds: [{ kind: "suspended", by: "Olga", why: null, at: "2026-05-04T08:00:00.000Z", verified: false }] }),
     ];
     expect(startable({ definitions, processes: [] }).map(({ name }) => name)).toEqual(["a", "b"]);
     const processes = [process({ definition: "b" })];

@@ -93,11 +93,11 @@ export function gloveOf({ gloves, chosen }: Pick<Scene, "gloves" | "chosen">): G
   return gloves.length === 1 ? (gloves[0] ?? null) : null;
 }
 
-/** Return the definitions without required parameters, the last used first. */
+/** Return the definitions without required parameters that are not suspended, the last used first. */
 export function startable(scene: Pick<Scene, "definitions" | "processes">): DefinitionView[] {
   const last = latest(scene.processes)?.definition;
   return scene.definitions
-    .filter((definition) => definition.unusable === undefined && !definition.parameters.some(({ required }) => required))
+    .filter((definition) => definition.unusable === undefined && !definition.holds.some(({ kind }) => kind === "suspended") && !definition.parameters.some(({ required }) => required))
     .sort((a, b) => Number(b.name === last) - Number(a.name === last) || (a.title < b.title ? -1 : 1));
 }
 
