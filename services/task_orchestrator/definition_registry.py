@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import chain
 from typing import Any
 
 from handover.errors import HandoverError, Problem
@@ -64,7 +65,8 @@ class DefinitionRegistry(Library):
 
     def first_deployed_at(self) -> datetime | None:
         """Return when the first definition was deployed; None without any."""
-        return min((record.deployed_at for records in self._records.values() for record in records), default=None)
+        records = chain.from_iterable(self._records.values())
+        return min((record.deployed_at for record in records), default=None)
 
     def latest(self) -> list[DefinitionRecord]:
         """Return the latest version of each definition that is not deleted."""

@@ -232,7 +232,10 @@ class DeliveryWorker:
             self._is_sending = False
         if is_done:
             self._sending = []
-            sent = [one for one in some if self._queue and self._queue[0] is one and self._queue.popleft()]
+            sent: list[PendingNotification] = []
+            for one in some:  # some may have been dropped meanwhile
+                if self._queue and self._queue[0] is one:
+                    sent.append(self._queue.popleft())  # noqa: PERF401 - each changes which is the first
             for one in sent:
                 self._endpoint_queue.release(one.size)
             self._settle(sent)
