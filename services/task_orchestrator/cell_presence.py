@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 from datamodels.entities import Cell
 from datamodels.states import CellState
 from handover.background_tasks import BackgroundTasks
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.retry import Backoff, with_jitter
 from handover.telemetry import get_logger
 from services.task_orchestrator.storage.cell_identity import identity_of
@@ -28,6 +28,8 @@ log = get_logger(__name__)
 
 HEARTBEAT_S: Final = 30.0
 WATCH_S: Final = 2.5 * HEARTBEAT_S
+SETTLE_S: Final = 1.0
+"""After this time it is looked whether another orchestrator has created or replaced the cell, too."""
 GOODBYE_S: Final = 2.0
 """How long the end waits for a broker that may have ended before."""
 
@@ -108,22 +110,37 @@ class CellPresence:
 
     async def _claim(self) -> None:
         present = await self._read()
+        if present is None and not await self._create():
+            await asyncio.sleep(SETTLE_S)  # a broker may refuse the second creation before it shows the first
+            present = await self._read()
+            if present is None:
+                raise BrokerUnavailable(
+                    503, "Cell not claimed", f"{self._id} is created and deleted by others"
+                )
         other = None if present is None else _other_than(self._identity, present)
         if other is not None and not self._has_ended(other):
-            raise CellNameInUse(
-                503,
-                "Name of the cell in use",
-                f"another cell has the name {self._settings.factory!r} in this tenant of "
-                f"{self._settings.broker_url}; stop that one, or give this one another name "
-                "(HANDOVER_FACTORY) or tenant (HANDOVER_BROKER_TENANT). Until then it sends nothing to the "
-                f"broker. The other one counts as ended when {self._id} does not change for "
-                f"{self._watch_s:.0f} s",
-            )
+            raise self._name_in_use()
         await self._write(CellState.RUNNING)
+        if present is not None and _value(present, "identity") != self._identity:
+            await asyncio.sleep(SETTLE_S)  # another one may replace the same cell now: the last one has it
+            present = await self._read()
+            if present is None or _value(present, "identity") != self._identity:
+                raise self._name_in_use()
         if other is not None:
             log.warning("the cell that had the name before does not write any more", cell=self._id)
         self._seen = None
         self._claimed.set()
+
+    def _name_in_use(self) -> CellNameInUse:
+        return CellNameInUse(
+            503,
+            "Name of the cell in use",
+            f"another cell has the name {self._settings.factory!r} in this tenant of "
+            f"{self._settings.broker_url}; stop that one, or give this one another name "
+            "(HANDOVER_FACTORY) or tenant (HANDOVER_BROKER_TENANT). Until then it sends nothing to the "
+            f"broker. The other one counts as ended when {self._id} does not change for "
+            f"{self._watch_s:.0f} s",
+        )
 
     def _has_ended(self, other: tuple[str, str]) -> bool:
         now_s = asyncio.get_running_loop().time()
@@ -160,7 +177,18 @@ class CellPresence:
         except NotFound:
             return None
 
+    async def _create(self) -> bool:
+        """Create the cell; return whether no other orchestrator has done so."""
+        try:
+            await self._broker.create(await self._described(CellState.RUNNING))
+        except AlreadyExists:
+            return False
+        return True
+
     async def _write(self, state: CellState) -> None:
+        await self._broker.upsert([await self._described(state)])
+
+    async def _described(self, state: CellState) -> Cell:
         working = self._state
         now = working.clock()
         counted: PeriodCount = await self._on_disk(working.store.counts_since, now - timedelta(hours=1), now)
@@ -176,7 +204,7 @@ class CellPresence:
             "completed_last_hour": counted.completed,
             "failed_last_hour": counted.failed,
         }
-        await self._broker.upsert([Cell.model_validate(values)])
+        return Cell.model_validate(values)
 
 
 def _other_than(identity: str, present: Mapping[str, Any]) -> tuple[str, str] | None:

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +130,43 @@ async def test_a_second_cell_with_one_name_sends_nothing_until_the_first_has_end
 
             await until(is_there, 30, "what had waited was not sent")
             assert (await refused.leases.acquire([arm], holder, 10.0))[0].is_granted
+
+
+@pytest.mark.parametrize("was_stopped", [False, True])
+async def test_of_two_cells_with_one_name_that_start_together_one_runs(
+    tmp_path: Path, broker: BrokerClient, monkeypatch: pytest.MonkeyPatch, was_stopped: bool
+) -> None:
+    monkeypatch.setattr("services.task_orchestrator.cell_presence.SETTLE_S", 4.0)  # for a slow machine
+    names = ["first", "second", *(["before"] if was_stopped else [])]
+    made = [Components(settings_of(tmp_path / name, broker, "north")).orchestrator for name in names]
+    for each in made:
+        await each.state.load()
+
+    class Slow(BrokerClient):
+        """All orchestrators have read before one of them writes."""
+
+        async def retrieve(self, entity_id: str) -> dict[str, Any]:
+            try:
+                return await super().retrieve(entity_id)
+            finally:
+                await asyncio.sleep(0.3)
+
+    presences = [CellPresence(each.state, Slow(each.settings), each.on_disk) for each in made]
+    if was_stopped:
+        before = presences.pop()
+        async with before, asyncio.timeout(120):
+            await before.wait()
+    async with AsyncExitStack() as running:
+        for presence in presences:
+            await running.enter_async_context(presence)
+
+        async def claims() -> list[bool]:
+            done = await asyncio.gather(*(one.require() for one in presences), return_exceptions=True)
+            assert all(one is None or isinstance(one, CellNameInUse) for one in done), done
+            return sorted(isinstance(one, CellNameInUse) for one in done)
+
+        for _ in range(5):
+            assert await claims() == [False, True]
 
 
 async def test_a_cell_that_was_killed_leaves_its_name_after_it_was_silent(
