@@ -50,7 +50,9 @@ class Reconciler:
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._cells = OtherCells(self._settings, broker)
-        self._registered = self._was_unavailable = False
+        self._is_subscribed = self._registered = self._was_unavailable = False
+        self._gone: set[str] = set()
+        """The Tasks that were missing at the last comparison: a started one stays so until somebody decides."""
         self._definitions_missing = asyncio.Event()
         self._unfinished = UnfinishedCount(broker, "Task", MAX_UNCOMPARED_S)
         self._tasks = BackgroundTasks("reconciler")
@@ -69,7 +71,7 @@ class Reconciler:
 
     async def probe(self) -> None:
         """Raise `Problem` 503 while the subscription to Tasks is missing."""
-        if not self._registered:
+        if not self._is_subscribed:
             await self._orchestrator.cell.require()
             raise Problem(503, "Not subscribed", "the broker has not accepted the subscription yet")
 
@@ -79,6 +81,7 @@ class Reconciler:
         await self._orchestrator.cell.require()
         await self._subscriptions.keep(self._subscription())
         await self._subscriptions.keep(self._agents_subscription())
+        self._is_subscribed = True
         if not self._registered:
             await self._register()
         awaited = self._orchestrator.broker_changes.awaited()
@@ -91,9 +94,11 @@ class Reconciler:
             entities = await self._broker.query(type="Task", id=ids)
             await self._orchestrator.broker_changes.receive(entities)
             gone = set(ids).difference(str(entity.get("id")) for entity in entities)
-            if gone:
-                log.warning("tasks missing in the broker", tasks=sorted(gone))
+            if gone - self._gone:
+                log.warning("tasks missing in the broker", tasks=sorted(gone - self._gone))
                 self._registered = False
+            self._gone = self._gone.difference(ids) | gone
+            if gone:
                 await self._orchestrator.broker_changes.missing(gone)
 
     async def _select_changed(self, awaited: list[str]) -> list[str]:
@@ -168,7 +173,7 @@ class Reconciler:
             await self.reconcile()
         except BrokerError as error:
             log.warning("tasks not reconciled", error=str(error))
-            self._was_unavailable, self._registered = True, False
+            self._was_unavailable, self._registered, self._is_subscribed = True, False, False
             self._unfinished.forget()
             return False
         except Problem as problem:

@@ -404,6 +404,8 @@ class Process:
             self._report_process(step, now)
         else:
             self.record_task(task.changed(lost=task.lost + 1), step)
+            if task.lost == 0:  # the broker may have lost the process with it
+                self._report_process(step, now)
             if task.lost == 1:
                 alerts.raise_lost(step, task)
 

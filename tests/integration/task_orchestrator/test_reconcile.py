@@ -129,6 +129,28 @@ async def test_a_task_that_the_broker_has_lost_is_found_by_the_number_and_posted
     await until(is_back, 30, "the Task is not posted again")
 
 
+async def test_a_broker_that_has_lost_a_started_task_gets_its_process_again_and_the_service_is_ready(
+    bench: Bench,
+) -> None:
+    task = await bench.start()
+    await bench.report(task, "inProgress")
+    await bench.queries()
+    kinds = ("Task", "Process", "ProcessDefinition", "TaskDefinition")
+    lost = [str(each["id"]) for kind in kinds for each in await bench.broker.query(type=kind)]
+    await bench.broker.delete_batch(lost)
+    for _ in range(3):  # a started Task is not posted again: it stays missing
+        await bench.queries()
+        await bench.reconciler.probe()
+    assert bench.known(task) == "inProgress"
+
+    async def are_back() -> bool:
+        found = [await bench.broker.query(type=kind) for kind in kinds[1:]]
+        alerts = await bench.broker.query(type="Alert")
+        return all(found) and [each["subCategory"]["value"] for each in alerts] == ["taskLost"]
+
+    await until(are_back, 30, "process and definitions are not written again, with one Alert")
+
+
 async def test_tasks_of_others_are_expected_once_they_were_seen(bench: Bench) -> None:
     for _ in range(4):
         await bench.start()
