@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from handover.messages import Message, message, with_code
-from services.task_orchestrator.allocation.assignment import AssignmentRules, names_of
+from services.task_orchestrator.allocation.assignment import Assignment, AssignmentRules, names_of
 from services.task_orchestrator.allocation.choice import Request
 from services.task_orchestrator.allocation.mapping import MappingEntry, NameKind
 from services.task_orchestrator.forms.registry import FormRegistry
-from services.task_orchestrator.model import Activity, Definition
+from services.task_orchestrator.model import Activity, Definition, Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,7 @@ def allocation_report(
 ) -> list[dict[str, Any]]:
     """Return for each activity of a definition who gets it and why, as JSON."""
     found = []
+    machines = {node.id for node in definition.nodes() if node.kind is Kind.SERVICE_TASK}
     for element, activity in definition.activities().items():
         assignment = rules.assign(activity, None)
         view = {
@@ -40,10 +41,21 @@ def allocation_report(
             "warning": None,
         }
         warning = assignment.warning or _form_warning(forms, activity)
+        if warning is None and element in machines and not is_performed(assignment):
+            warning = message(
+                "allocation.no_performer",
+                "no performer is named for this service task, so people get it; map its name to a performer "
+                "on the page Cockpit, or name a resource in the file",
+            )
         if warning is not None:
             view |= with_code("warning", warning)
         found.append(view)
     return found
+
+
+def is_performed(assignment: Assignment) -> bool:
+    """Return whether a device or person is named, or can be chosen."""
+    return bool(assignment.performer or assignment.request or assignment.candidates)
 
 
 def mapped_names(rules: AssignmentRules, definitions: Iterable[Definition]) -> list[UsedName]:

@@ -9,7 +9,7 @@ from collections.abc import Container, Iterator, Mapping
 
 from lxml import etree
 
-from handover.messages import message, text_of
+from handover.messages import message
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.faults import BadBpmn
 
@@ -75,9 +75,33 @@ def _tree(xml: bytes) -> etree._Element:
         return etree.fromstring(xml, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
         raise _refusal(
-            message("bpmn.not_xml", "this is not well-formed XML: {error}", error=text_of(error)),
+            message("bpmn.not_xml", "this is not well-formed XML: {error}", error=_fault_of(error)),
             getattr(error, "lineno", None),
         ) from None
+
+
+def _fault_of(error: Exception) -> str:
+    """Return in plain words what the parser does not accept."""
+    match getattr(error, "code", None):
+        case etree.ErrorTypes.ERR_DOCUMENT_EMPTY:
+            return message("bpmn.xml_empty", "it does not begin with an element; choose the BPMN file itself")
+        case (
+            etree.ErrorTypes.ERR_TAG_NAME_MISMATCH
+            | etree.ErrorTypes.ERR_TAG_NOT_FINISHED
+            | etree.ErrorTypes.ERR_DOCUMENT_END
+        ):
+            return message(
+                "bpmn.xml_unclosed",
+                "an element is not closed, or is closed under another name; export the file again",
+            )
+        case etree.ErrorTypes.ERR_INVALID_ENCODING | etree.ErrorTypes.ERR_INVALID_CHAR:
+            return message("bpmn.xml_encoding", "it has bytes that are no text; save it as UTF-8")
+        case etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE:
+            return message("bpmn.xml_prefix", "the prefix of a name is not declared; declare it with xmlns")
+        case etree.ErrorTypes.ERR_UNDECLARED_ENTITY:
+            return message("bpmn.xml_entity", "an entity such as &name; is not declared; write the character")
+        case _:
+            return message("bpmn.xml_syntax", "it is not written as XML there; correct it or export it again")
 
 
 def _refusal(text: str, line: int | None = None) -> BadBpmn:

@@ -62,6 +62,9 @@ def test_a_file_gives_no_work_to_a_robot_until_an_engineer_confirms_the_mapping(
     assert (table["version"], table["by"]) == (1, None)
     report = deploy(running, "first")
     assert report["grip"]["warningCode"] == "allocation.unconfirmed"
+    unmapped = deploy(running, "unmapped", dry=True)
+    assert unmapped["grip"]["warningCode"] == "allocation.no_performer"
+    assert unmapped["check"]["warning"] is None, "people perform it"
     waiting = posted(running, running.start("first"), "grip")
     assert waiting["involves"] == []
     confirmed = running.api.put(

@@ -16,15 +16,19 @@ from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing, start
         (b"", "not well-formed"),
         (b"this is no XML", "not well-formed"),
         (b"\xff\xfe\x00", "not well-formed"),
+        (b"<a b='\xff'/>", "no text; save it as UTF-8"),
+        (b"<a:b/>", "not declared; declare it with xmlns"),
+        (b"<a>&nbsp;</a>", "is not declared; write the character"),
         (b"<a/>", "the root must be bpmn:definitions"),
         (drawing(ONE_STEP)[:-20], "not well-formed"),
+        (b"<a><b></a>", "an element is not closed, or is closed under another name"),
         (b" " * (MAX_BYTES + 1), f"at most {MAX_BYTES} bytes"),
         (b" " * 50_000_000, f"at most {MAX_BYTES} bytes"),
         (drawing("<bpmn:task/>" * 100_000), f"at most {MAX_ELEMENTS} elements, not 100002"),
         (drawing("<bpmn:subProcess>" * 150 + "</bpmn:subProcess>" * 150), "nested at most 100 deep"),
         (drawing("<bpmn:subProcess>" * 9000 + "</bpmn:subProcess>" * 9000), "not well-formed"),
     ],
-    ids=range(10),
+    ids=range(14),
 )
 def test_a_file_that_is_no_bpmn_is_refused(xml: bytes, reason: str) -> None:
     with pytest.raises(BadBpmn, match=reason):

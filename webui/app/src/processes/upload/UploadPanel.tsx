@@ -89,6 +89,7 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
   const { check, faults } = looked;
   if (looked.failure !== null) return <ErrorMessage>{t("upload.untried", { why: looked.failure })}</ErrorMessage>;
   if (check === null) return <StatusBadge tone="stop">{t("upload.faulty", { count: faults.length })}</StatusBadge>;
+  const concerns = looked.warnings.length + check.allocation.filter((line) => line.warning !== null).length;
   const deploy = () => {
     setBusy(true);
     setFailure(null);
@@ -99,8 +100,10 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
   return (
     <>
       {check.definitions.length > 1 && <p className="quiet">{t("upload.several", { titles: check.definitions.map(({ title }) => title).join(", ") })}</p>}
-      <StatusBadge tone="ok">{t(check.created ? "upload.fine" : "upload.known", { title: check.title, version: check.version })}</StatusBadge>
-      {looked.warnings.length > 0 && <StatusBadge tone="attention">{t("upload.warned", { count: looked.warnings.length })}</StatusBadge>}
+      <StatusBadge tone={concerns === 0 ? "ok" : "attention"}>
+        {t(!check.created ? "upload.known" : concerns === 0 ? "upload.fine" : "upload.warnedFine", { title: check.title, version: check.version })}
+      </StatusBadge>
+      {concerns > 0 && <StatusBadge tone="attention">{t("upload.warned", { count: concerns })}</StatusBadge>}
       <Button kind="main" icon={<FileCheck2 aria-hidden size={18} />} isDisabled={busy} onPress={deploy}>
         {t(check.created ? "upload.deploy" : "upload.see", { title: check.title, version: check.version })}
       </Button>
