@@ -16,6 +16,7 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic import SecretStr
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 from typer.main import get_command
 
 from glove_sdk_bridge.command_line import parser as glove_parser
@@ -183,6 +184,8 @@ def _free_port() -> int:
 
 def _default(info: FieldInfo) -> str:
     value = info.default
+    if value is PydanticUndefined:  # made at the start, from other settings
+        return "–"
     if value is None or value == () or isinstance(value, SecretStr):
         return "–"
     if isinstance(value, tuple):

@@ -256,6 +256,11 @@ class Endpoint:
     """The middleware, `cyclonedds`, `fastdds` or another."""
     ours: bool
 
+    @property
+    def shown_node(self) -> str:
+        """Return the name of its node for people."""
+        return self.node or f"a node without a name yet ({self.vendor})"
+
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:

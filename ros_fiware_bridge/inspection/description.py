@@ -52,7 +52,7 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
                 yield f"{planned.name}: {why}"
             qos = planned.reader_qos(other.qos for other in speakers)
             if (unmet := qos.unmet(one.qos)) is not None:
-                yield f"{planned.name}: {one.node} will not be received: {unmet}; change qos of the rule"
+                yield f"{planned.name}: {one.shown_node} will not be received: {unmet}; change qos of the rule"
     for to_ros in plan.ngsild_to_ros:
         topic = topics.get(to_ros.rule.topic.with_settings(plan.settings).constant or "")
         for one in topic.subscribers if topic else ():
@@ -62,19 +62,19 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
             ):
                 yield f"{to_ros.name}: {why}"
             if not one.ours and (unmet := one.qos.unmet(to_ros.qos)) is not None:
-                yield f"{to_ros.name}: {one.node} will not receive messages: {unmet}; change qos of the rule"
+                yield f"{to_ros.name}: {one.shown_node} will not receive messages: {unmet}; change qos of the rule"
     for asked in plan.requests:
         yield from _request_problems(asked, graph)
 
 
 def _other_type(plan: Plan, type_name: str, peer: Endpoint, does: str) -> str | None:
     if peer.type_name != type_name:
-        return f"{peer.node} {does} {peer.type_name}, not {type_name}; give the rule that type"
+        return f"{peer.shown_node} {does} {peer.type_name}, not {type_name}; give the rule that type"
     ours = plan.definitions.hash(type_name)
     if peer.type_hash is None or peer.type_hash == ours:
         return None
     return (
-        f"{peer.node} {does} another definition of {type_name} (its hash is {peer.type_hash}, ours is "
+        f"{peer.shown_node} {does} another definition of {type_name} (its hash is {peer.type_hash}, ours is "
         f"{ours}); name the files of its definition in type_paths"
     )
 
