@@ -8,6 +8,8 @@ from ros_fiware_bridge.mapping.model import RosToNgsild, ServiceCall
 from ros_fiware_bridge.mapping.values import MADE_OF, Source
 from ros_fiware_bridge.rules.plan import Plan, PlannedRequest, PlannedRosToNgsild
 
+CHANGE_QOS = "change qos of the rule"
+
 
 def lines(plan: Plan) -> Iterator[str]:
     """Yield a description of each rule."""
@@ -52,7 +54,7 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
                 yield f"{planned.name}: {why}"
             qos = planned.reader_qos(other.qos for other in speakers)
             if (unmet := qos.unmet(one.qos)) is not None:
-                yield f"{planned.name}: {one.shown_node} will not be received: {unmet}; change qos of the rule"
+                yield f"{planned.name}: {one.shown_node} will not be received: {unmet}; {CHANGE_QOS}"
     for to_ros in plan.ngsild_to_ros:
         topic = topics.get(to_ros.rule.topic.with_settings(plan.settings).constant or "")
         for one in topic.subscribers if topic else ():
@@ -62,7 +64,7 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
             ):
                 yield f"{to_ros.name}: {why}"
             if not one.ours and (unmet := one.qos.unmet(to_ros.qos)) is not None:
-                yield f"{to_ros.name}: {one.shown_node} will not receive messages: {unmet}; change qos of the rule"
+                yield f"{to_ros.name}: {one.shown_node} will not receive messages: {unmet}; {CHANGE_QOS}"
     for asked in plan.requests:
         yield from _request_problems(asked, graph)
 

@@ -19,6 +19,7 @@ import type { Stage } from "~/robot3d/stage";
 import { mayDo } from "~/session/session";
 import { pathOf, saveUrdf, SERVICE } from "../gateway";
 import { titleOf } from "../values";
+import { linksWithMeshes } from "./meshes";
 import { viewOf } from "./urdf";
 
 const RobotView = lazy(() => import("~/robot3d/Robot3d").then(({ RobotView }) => ({ default: RobotView })));
@@ -64,6 +65,7 @@ export function ModelPart({ device, details, onChanged }: ModelPartProps) {
     }
   };
   const joints = details.description.joints ?? [];
+  const meshes = useMemo(() => (urdf === null ? [] : linksWithMeshes(urdf)), [urdf]);
   const value = (limit: number | null | undefined) => (limit == null ? "–" : number(limit, i18n.language, { maximumFractionDigits: 4 }));
   return (
     <div className="device__columns">
@@ -81,6 +83,7 @@ export function ModelPart({ device, details, onChanged }: ModelPartProps) {
             </Suspense>
           </div>
         )}
+        {meshes.length > 0 && <p className="quiet">{t("model.meshes", { count: meshes.length, links: meshes.join(", ") })}</p>}
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
         {mayDo("configure") && (
           <div className="device-form__acts">
