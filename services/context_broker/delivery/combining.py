@@ -10,10 +10,13 @@ from typing import Any, Final
 
 import orjson
 
+from services.context_broker.delivery.endpoint_queue import WINDOW
 from services.context_broker.storage.entries import PendingNotification
 
 MAX_ITEMS_PER_NOTIFICATION: Final = 1000
-"""Maximum entities, or registrations, in one notification; more are sent in several."""
+"""Maximum entities, or registrations, in one notification that is composed when it is sent."""
+MAX_CHANGES_PER_NOTIFICATION: Final = WINDOW
+"""Maximum changes of one request in one notification: as many as are in memory."""
 MAX_BYTES_PER_NOTIFICATION: Final = 1024 * 1024
 """Size from which on a notification takes no more changes of its request."""
 
@@ -25,7 +28,7 @@ def first_together(queue: Iterable[PendingNotification]) -> list[PendingNotifica
     """
     found: list[PendingNotification] = []
     entities, size = set[str](), 0
-    for notice in islice(queue, MAX_ITEMS_PER_NOTIFICATION):
+    for notice in islice(queue, MAX_CHANGES_PER_NOTIFICATION):
         if found and (
             (notice.at, notice.headers) != (found[0].at, found[0].headers)
             or notice.entity in entities
