@@ -26,6 +26,7 @@ from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 from starlette.websockets import WebSocket
 
+from handover.api_description import describe_problems
 from handover.body_limit import limit_of, limited
 from handover.database_outage import outage_problem
 from handover.errors import ChangeMade, Problem
@@ -167,6 +168,7 @@ def create_app(
     add_operations(app, checks or {})
     if audit is not None:
         add_audit_routes(app, audit, prefix=audit_prefix)
+    describe_problems(app, has_guard=guard is not None)
     app.add_exception_handler(Problem, _on_problem)  # type: ignore[arg-type]  # WebSockets as well
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)

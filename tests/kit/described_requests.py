@@ -122,6 +122,16 @@ class DescribedRequests:
                 for value, body in with_strange(request.body):
                     yield replace(request, body=body, has_null=value is None)
 
+    def refusals(self) -> set[tuple[str, str, int]]:
+        """Return the described refusals: method, path and status."""
+        return {
+            (method.upper(), path, int(status))
+            for path, methods in self.paths.items()
+            for method, operation in methods.items()
+            for status, response in operation["responses"].items()
+            if status.isdecimal() and "application/problem+json" in response.get("content", {})
+        }
+
     def reads(self) -> list[str]:
         """Return the paths that can be read without a parameter."""
         return [

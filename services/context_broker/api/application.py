@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from handover.errors import Problem, UsageError
 from handover.storage import require_storage
 from handover.telemetry import get_logger
+from services.context_broker.api.description import paths_of
 from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.model.problems import is_standby, went_wrong
 from services.context_broker.request.request_context import (
@@ -32,6 +33,7 @@ from services.context_broker.request.request_context import (
     problem_response,
     send_response,
 )
+from services.context_broker.request.routing import Router
 from services.context_broker.storage.journal import Journal, NotStored
 
 if TYPE_CHECKING:
@@ -55,6 +57,7 @@ class Broker(Protocol):
     """What the application needs of a broker."""
 
     journal: Journal
+    router: Router
     guard: "Guard"
     audit: "AuditTrail"
 
@@ -173,6 +176,7 @@ class BrokerApplication:
             )
             self._rest.state.audit = None
             service.add_audit_routes(self._rest, _PresentAudit(self))
+            self._rest.openapi()["paths"] |= paths_of(self._broker.router.operations)
         self._rest.state.guard = self._broker.guard
         return self._rest
 

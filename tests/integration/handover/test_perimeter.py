@@ -237,6 +237,9 @@ def test_no_route_acts_on_plain_text_or_a_form(cell: Cell, service: str) -> None
 
 def test_no_operation_of_the_broker_acts_on_plain_text(cell: Cell, tmp_path: object) -> None:
     operations = operations_of(BrokerSettings(_env_file=None, data_dir=tmp_path))
+    described = httpx.get(f"{cell.url('context_broker')}/openapi.json", timeout=120).json()["paths"]
+    listed = {(one.method.lower(), f"/ngsi-ld/v1/{one.path}") for one in operations}
+    assert listed <= {(method, path) for path, methods in described.items() for method in methods}
     with_body = [one for one in operations if one.method in {"POST", "PUT", "PATCH"}]
     assert len(with_body) > 10
     for one in with_body:

@@ -48,13 +48,17 @@ def test_no_route_of_a_service_fails_for_a_strange_value_nor_a_read_after_it(
     with httpx.Client(base_url=cell.url(service), timeout=120, trust_env=False) as http:
         described = DescribedRequests(http.get("/openapi.json").json(), EXISTING.get(service))
         failing = {path for path in described.reads() if http.get(path).status_code >= 500}
-        bodies = 0
+        bodies, refusals, undescribed = 0, described.refusals(), set[tuple[str, str, int]]()
         for request in (*described.valid(), *described.strange(EVERY)):
             with answered(http, request) as answer:
                 is_known = answer.status_code in {501, 502, 503, 504}  # what it would need does not run here
                 assert answer.status_code < 500 or is_known, (request, answer.read())
+                if answer.status_code >= 400:
+                    undescribed |= {(request.method, request.template, answer.status_code)} - refusals
+                    assert answer.headers["content-type"] == "application/problem+json", request
             bodies += request.content is not None
         assert bodies or service in WITHOUT_BODIES
+        assert not undescribed
         for path in described.reads():
             answer = http.get(path)
             assert answer.status_code < 500 or path in failing, (path, answer.text)
