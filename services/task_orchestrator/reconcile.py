@@ -52,7 +52,7 @@ class Reconciler:
         self._cells = OtherCells(self._settings, broker)
         self._is_subscribed = self._registered = self._was_unavailable = False
         self._gone: set[str] = set()
-        """The Tasks that were missing at the last comparison: a started one stays so until somebody decides."""
+        """Tasks that were missing at the last comparison: a started one stays so until somebody decides."""
         self._definitions_missing = asyncio.Event()
         self._unfinished = UnfinishedCount(broker, "Task", MAX_UNCOMPARED_S)
         self._tasks = BackgroundTasks("reconciler")

@@ -233,11 +233,10 @@ class DeliveryWorker:
         if is_done:
             self._sending = []
             sent: list[PendingNotification] = []
-            for one in some:  # some may have been dropped meanwhile
+            for one in some:  # those that were dropped, or moved with the subscription, are not first
                 if self._queue and self._queue[0] is one:
-                    sent.append(self._queue.popleft())  # noqa: PERF401 - each changes which is the first
-            for one in sent:
-                self._endpoint_queue.release(one.size)
+                    sent.append(self._queue.popleft())
+                    self._endpoint_queue.release(one.size)
             self._settle(sent)
 
     async def _send_periodic(self, notice: PendingNotification) -> None:
