@@ -140,7 +140,8 @@ def test_all_tenants_are_copied_with_documents_and_a_second_copy_finds_all_equal
         create(source.url, parts(3), "clinic")
         create(source.url, [{"id": "urn:ngsi-ld:Task:1", "type": "Task", "name": "weld"}], "line-2")
         with ask(source, **LD) as http:
-            hosted = http.post("/jsonldContexts", json={"@context": PLAIN_CONTEXT}).headers["location"]
+            added = http.post("/jsonldContexts", json={"@context": PLAIN_CONTEXT})
+            hosted = str(added.url.join(added.headers["location"]))
             for name, context in (("hosted", hosted), ("given", PLAIN_CONTEXT)):
                 subscription = {
                     "@context": context,
