@@ -38,7 +38,8 @@ def alert_id(settings: Settings, key: str) -> str:
 def unshown_key(task_id: str) -> str:
     """Return the key of the Alert that a Task asks for an unknown gesture.
 
-    The gesture controller raises it, and the orchestrator clears it when a person has dealt with the Task.
+    The gesture controller raises it before it fails the Task. The orchestrator clears it when a person has
+    dealt with the incident of the Task, at once if the process continues without a person.
     """
     return f"{task_id.rsplit(':', 1)[-1]} cannot be shown"
 

@@ -226,7 +226,7 @@ class GestureController(Performer):
             )
             return replace(spec, requires_pin=await requires_pin(job.task, job.parameters, self.broker))
         except TaskFailed as failure:
-            self._reports.cannot_be_shown(job.task.id, failure.reason)
+            await self._reports.cannot_be_shown(job.task.id, failure.reason)
             raise
 
     # Background loops

@@ -4,7 +4,7 @@ from typing import Self
 
 from handover import alert_catalogue
 from handover.alerts import clear_alert, raise_alert, unshown_key
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, BrokerError
 from handover.messages import message
 from handover.reporting_writer import reporting_writer
 from handover.telemetry import get_logger
@@ -78,14 +78,23 @@ class BrokerReports:
         """Clear the Alert of the calibration."""
         self._clear(f"{glove.name} fit")
 
-    def cannot_be_shown(self, task_id: str, reason: str) -> None:
-        """Raise an Alert: nobody can be asked for the gesture of a Task."""
-        self._raise(
-            alert_catalogue.UNKNOWN_GESTURE,
-            key=unshown_key(task_id),
-            source=task_id,
-            description=reason,
-        )
+    async def cannot_be_shown(self, task_id: str, reason: str) -> None:
+        """Raise an Alert: nobody can be asked for the gesture of a Task.
+
+        It is written before this returns, so that it never follows the end of the Task, which clears it.
+        While the broker does not accept it, it is left out: the failure of the Task has the same reason.
+        """
+        try:
+            await raise_alert(
+                self._broker,
+                self._settings,
+                alert_catalogue.UNKNOWN_GESTURE,
+                key=unshown_key(task_id),
+                source=task_id,
+                description=reason,
+            )
+        except BrokerError as error:
+            log.warning("alert not written", task=task_id, error=str(error))
 
     def specification_database_changed(self, state: DatabaseState) -> None:
         """Raise or clear the Alert that the specification database is unavailable."""

@@ -196,7 +196,12 @@ def clear_incident(step: Step, process: ProcessRecord, urn: str, incident: Incid
     """Clear the Alert, and that of a Task that could not be shown: the token continues, or has gone."""
     step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _incident_key(process, incident)})
     if incident.task is not None:
-        step.enqueue(process.id, MessageKind.CLEAR, incident.task, {"key": unshown_key(incident.task)})
+        clear_unshown(step, process, incident.task)
+
+
+def clear_unshown(step: Step, process: ProcessRecord, task_id: str) -> None:
+    """Clear the Alert that the gesture of a Task cannot be shown: nobody has to deal with the Task."""
+    step.enqueue(process.id, MessageKind.CLEAR, task_id, {"key": unshown_key(task_id)})
 
 
 def _raise(

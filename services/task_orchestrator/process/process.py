@@ -509,6 +509,8 @@ class Process:
         if change.final and self.run is not None and self.is_current(self.run, task):
             self._continue_run(self.run, task, change, now)
         self.update(step, now)
+        if change.status is TaskStatus.FAILED and all(each.task != task.id for each in self.record.incidents):
+            alerts.clear_unshown(step, self.record, task.id)
 
     def is_current(self, run: Run, task: TaskRecord) -> bool:
         """Return whether the activity that the Task was made for is still open."""

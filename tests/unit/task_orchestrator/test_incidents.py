@@ -280,3 +280,20 @@ def test_the_alert_of_a_task_that_could_not_be_shown_ends_when_a_person_has_deal
     else:
         interventions.cancel(driver.process, "Ann", driver.next_step(), driver.now)
     assert key in cleared(driver.step)
+
+
+@pytest.mark.parametrize("way", ["caught", "cancelled"])
+def test_the_alert_of_a_task_that_could_not_be_shown_ends_with_a_task_that_leaves_no_incident(
+    way: str,
+) -> None:
+    caught = (
+        boundary("any", "work", "<bpmn:errorEventDefinition/>")
+        + activity("help")
+        + path("any", "help", "work")
+    )
+    driver = ProcessDriver(ONE_STEP + (caught if way == "caught" else ""))
+    if way == "cancelled":
+        interventions.cancel(driver.process, "Ann", driver.next_step(), driver.now)
+    driver.receive("work-1", "failed", reason='there is no gesture "Wave"')
+    assert driver.process.record.incidents == ()
+    assert unshown_key(task_id("work-1")) in cleared(driver.step)
