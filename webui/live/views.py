@@ -104,10 +104,11 @@ class GivenAnswer(TypedDict):
 
 
 class Threshold(TypedDict):
-    """The thresholds of a finger: straight above `upper`, bent below `lower`."""
+    """The thresholds of a finger: straight above `upper`, bent below `lower`; the reverse if `inverted`."""
 
     upper: float
     lower: float
+    inverted: NotRequired[bool]
 
 
 class Recognizer(TypedDict):

@@ -21,7 +21,9 @@ def learnt_from(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calibration | None:
-    """Return the calibration in `learnt`; None if there is none, or if it is invalid."""
+    """Return the calibration in `learnt`; None if there is none, or if it is invalid or
+    shows another direction of a sensor than `thresholds`.
+    """
     try:
         levels = tuple(
             FingerLevels(
@@ -37,7 +39,10 @@ def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calib
         )
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
-    sound = all(math.isfinite(level.noise) and 0 < level.span < math.inf for level in levels)
+    sound = all(
+        math.isfinite(level.noise) and 0 < (-level.span if threshold.inverted else level.span) < math.inf
+        for level, threshold in zip(levels, thresholds.fingers, strict=True)
+    )
     return Calibration(thresholds, levels, samples) if sound else None
 
 

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 from enum import Enum
 from statistics import median
 
-from services.gesture_controller.recognition.levels import Calibration, FingerLevels, levels_of
+from services.gesture_controller.recognition.levels import (
+    Calibration,
+    FingerLevels,
+    inverted_fingers,
+    levels_of,
+)
 from services.gesture_controller.recognition.thresholds import FINGERS
 
 MIN_RELATIVE_SPAN = 0.3
@@ -75,18 +80,19 @@ def find_lasting_faults(calibration: Calibration) -> list[SensorFault]:
 
 
 def _faults(levels: Sequence[FingerLevels], sensors: Sequence[Sequence[float]]) -> Iterator[SensorFault]:
-    usual_span = median(abs(level.span) for level in levels)
-    for finger, level, values in zip(FINGERS, levels, sensors, strict=True):
+    usual_span, inverted = median(abs(level.span) for level in levels), inverted_fingers(levels)
+    for place, (finger, level, values) in enumerate(zip(FINGERS, levels, sensors, strict=True)):
+        span = -level.span if place in inverted else level.span
         if values and min(values) == max(values):
             is_saturated = values[0] in SATURATION_VALUES
             yield SensorFault(finger, FaultKind.SATURATED if is_saturated else FaultKind.DEAD)
         elif values and _is_saturated(values):
             yield SensorFault(finger, FaultKind.SATURATED)
-        elif level.span < -max(MIN_RELATIVE_SPAN * usual_span, level.noise):
+        elif span < -max(MIN_RELATIVE_SPAN * usual_span, level.noise):
             yield SensorFault(finger, FaultKind.WRONG_WAY)
-        elif level.span < MIN_RELATIVE_SPAN * usual_span or level.span <= 0:
+        elif span < MIN_RELATIVE_SPAN * usual_span or span <= 0:
             yield SensorFault(finger, FaultKind.SMALL_SPAN)
-        elif level.noise > MAX_NOISE * level.span:
+        elif level.noise > MAX_NOISE * span:
             yield SensorFault(finger, FaultKind.NOISY)
 
 

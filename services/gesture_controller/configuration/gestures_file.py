@@ -325,7 +325,7 @@ class Reader(LinedYaml):
         thresholds = M2O2P_THRESHOLDS
         for finger in self.entries(section.value, f'the thresholds of glove "{glove}"'):
             bounds = {
-                bound.key: self.number(bound, f"{finger.key} {bound.key}")
+                bound.key: self._bound(bound, f"{finger.key} {bound.key}")
                 for bound in self.entries(finger.value, f'finger "{finger.key}"')
             }
             try:
@@ -333,3 +333,11 @@ class Reader(LinedYaml):
             except WrongThreshold as error:
                 raise self.wrong(finger.line, f'glove "{glove}": {error}') from None
         return thresholds
+
+    def _bound(self, entry: Entry, what: str) -> float:
+        if entry.key != "inverted":
+            return self.number(entry, what)
+        word = self.text(entry.value, what)
+        if word not in {"true", "false"}:
+            raise self.wrong(entry.line, f'{what} must be true or false, not "{word}"')
+        return word == "true"

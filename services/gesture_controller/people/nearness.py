@@ -144,5 +144,5 @@ def _neighbour(
 
 def _sigmas(sample: Sample, place: int, state: str, thresholds: Thresholds) -> float:
     threshold, level = thresholds.fingers[place], sample.levels[place]
-    margin = level - threshold.upper if state == STRAIGHT else threshold.lower - level
+    margin = threshold.straight_margin(level) if state == STRAIGHT else threshold.bent_margin(level)
     return max(margin, 0.0) / max(sample.noise[place], MIN_NOISE)

@@ -221,5 +221,8 @@ def _written_fit(fit: Fit) -> dict[str, Any]:
 
 
 def _plain(numbers: Any) -> list[float]:
-    """Return whole numbers as integers: 800, not 800.0."""
-    return [int(number) if float(number).is_integer() else float(number) for number in numbers]
+    """Return whole numbers as integers: 800, not 800.0; true and false stay."""
+    return [
+        number if isinstance(number, bool) else int(number) if float(number).is_integer() else float(number)
+        for number in numbers
+    ]

@@ -21,7 +21,7 @@ class WornGlove(TypedDict):
 class FitView(TypedDict):
     """What is adapted to a person for one glove."""
 
-    thresholds: dict[Finger, dict[Literal["upper", "lower"], float]] | None
+    thresholds: dict[Finger, dict[Literal["upper", "lower", "inverted"], float]] | None
     recognizer: str | None
     changedAt: str | None
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from services.gesture_controller.recognition.finger_states import BETWEEN, STRAIGHT
-from services.gesture_controller.recognition.levels import Calibration
+from services.gesture_controller.recognition.levels import Calibration, FingerLevels
 from services.gesture_controller.recognition.thresholds import FINGERS, Threshold, Thresholds
 
 TIME_S = 20.0
@@ -121,11 +121,8 @@ class DriftBounds:
         self._calibration = calibration
         self._thresholds = thresholds
         self._levels = calibration.levels
-        self.spans = tuple(level.span for level in calibration.levels)
-        self._near = [
-            (level.fist + FAR_BELOW * level.span, level.fist + FAR_ABOVE * level.span)
-            for level in calibration.levels
-        ]
+        self.spans = tuple(abs(level.span) for level in calibration.levels)
+        self._near = [_between(level, FAR_BELOW, FAR_ABOVE) for level in calibration.levels]
         self._ranges: dict[str, list[tuple[float, float]]] = {}
 
     def far_from(self, bend: Sequence[float], offsets: Sequence[float]) -> int | None:
@@ -170,7 +167,13 @@ class DriftBounds:
     def _range(self, code: str, place: int) -> tuple[float, float]:
         level, threshold = self._levels[place], self._thresholds.fingers[place]
         low, high = _range_of(code, place, self._calibration, threshold)
-        return level.fist + low * level.span, level.fist + high * level.span
+        return _between(level, low, high)
+
+
+def _between(level: FingerLevels, low: float, high: float) -> tuple[float, float]:
+    """Return the range between two shares of the span, in raw units."""
+    ends = level.fist + low * level.span, level.fist + high * level.span
+    return min(ends), max(ends)
 
 
 def _range_of(code: str, place: int, calibration: Calibration, threshold: Threshold) -> tuple[float, float]:
@@ -180,12 +183,12 @@ def _range_of(code: str, place: int, calibration: Calibration, threshold: Thresh
         beside = code[max(place - 1, 0) : place + 2]
         alone = place == 0 or beside.count(STRAIGHT) == 1
         low, high = _RANGE_STRAIGHT_ALONE if alone else _RANGE_STRAIGHT
-        high = max(high, (threshold.upper - level.fist) / level.span + _CLEAR)
-        low = max(low, min((threshold.upper - level.fist) / level.span + _CLEAR, high))
+        high = max(high, (threshold.straight - level.fist) / level.span + _CLEAR)
+        low = max(low, min((threshold.straight - level.fist) / level.span + _CLEAR, high))
     else:
         low, high = _RANGE_BENT_THUMB if place == 0 else _RANGE_BENT
-        low = min(low, (threshold.lower - level.fist) / level.span - _CLEAR)
-        high = min(high, max((threshold.lower - level.fist) / level.span - _CLEAR, low))
+        low = min(low, (threshold.bent - level.fist) / level.span - _CLEAR)
+        high = min(high, max((threshold.bent - level.fist) / level.span - _CLEAR, low))
     for sample in calibration.samples:
         if sample.code == code:
             low = min(low, sample.shares[place] - _AROUND_SAMPLE)

@@ -26,6 +26,12 @@ MIN_FRAMES = 10
 MIN_CORRECT_SHARE = 0.9
 """The share of the calibration frames that the thresholds must classify correctly."""
 
+MAX_INVERTED = 2
+"""If the sensors of more fingers fall when the hand opens, fist and open hand were exchanged."""
+
+MIN_INVERTED_SPAN = 0.3
+"""An inverted sensor falls by this share of the median span of all fingers; less is no movement."""
+
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -43,7 +49,7 @@ class FingerLevels:
 
     @property
     def span(self) -> float:
-        """The range of the sensor, in raw units."""
+        """The range of the sensor, in raw units; negative for an inverted finger."""
         return self.open - self.fist
 
     def at(self, share: float) -> float:
@@ -129,10 +135,27 @@ def levels_of(fist: Sequence[float], open_hand: Sequence[float]) -> FingerLevels
 def _finger(name: str, fist: Sequence[float], open_hand: Sequence[float]) -> _Finger:
     levels = levels_of(fist, open_hand)
     place = FINGERS.index(name)
-    threshold = Threshold(levels.at(STRAIGHT_ABOVE[place]), levels.at(BENT_BELOW[place]))
-    bent = sum(value < threshold.lower for value in fist) / len(fist)
-    straight = sum(value > threshold.upper for value in open_hand) / len(open_hand)
+    bounds = levels.at(BENT_BELOW[place]), levels.at(STRAIGHT_ABOVE[place])
+    threshold = Threshold(max(bounds), min(bounds), levels.span < 0)
+    bent = sum(threshold.bent_margin(value) > 0 for value in fist) / len(fist)
+    straight = sum(threshold.straight_margin(value) > 0 for value in open_hand) / len(open_hand)
     return _Finger(name, levels, threshold, bent, straight)
+
+
+def inverted_fingers(levels: Sequence[FingerLevels]) -> frozenset[int]:
+    """Return the places of the fingers whose sensors fall clearly when the hand opens.
+
+    There is none if so many fall that fist and open hand were exchanged.
+    """
+    falling = [place for place, level in enumerate(levels) if level.span < 0]
+    if len(falling) > MAX_INVERTED:
+        return frozenset()
+    usual_span = median(abs(level.span) for level in levels)
+    return frozenset(
+        place
+        for place in falling
+        if -levels[place].span >= max(MIN_INVERTED_SPAN * usual_span, levels[place].noise)
+    )
 
 
 def _noise(values: Sequence[float]) -> float:
@@ -141,10 +164,11 @@ def _noise(values: Sequence[float]) -> float:
 
 
 def _faults(fingers: Sequence[_Finger]) -> Iterator[str]:
-    for finger in fingers:
+    inverted = inverted_fingers([finger.levels for finger in fingers])
+    for place, finger in enumerate(fingers):
         levels = finger.levels
         fist, opened, noise = f"{levels.fist:g}", f"{levels.open:g}", f"{levels.noise:g}"
-        if levels.span <= 0:
+        if levels.span <= 0 and place not in inverted:
             yield message(
                 "calibration.sensor_does_not_rise",
                 "{finger}: the sensor does not rise when the hand opens ({fist} in the fist, {open} in the "

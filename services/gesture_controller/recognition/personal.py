@@ -226,7 +226,7 @@ def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Pop
 def _unrest(calibration: Calibration) -> list[float]:
     """Return the standard deviation of each finger that its sensor causes, as a share."""
     return [
-        float(np.hypot(raw, level.noise) / level.span)
+        float(np.hypot(raw, level.noise) / abs(level.span))
         for raw, level in zip(RAW_UNREST, calibration.levels, strict=True)
     ]
 
@@ -237,7 +237,7 @@ def _samples(calibration: Calibration) -> Iterator[_Row]:
             (
                 place,
                 float(np.clip(stand, MIN_SHARE, MAX_SHARE)),
-                float(np.hypot(np.hypot(SAMPLE_SPREAD, noise), RAW_UNREST[place] / 2 / level.span)),
+                float(np.hypot(np.hypot(SAMPLE_SPREAD, noise), RAW_UNREST[place] / 2 / abs(level.span))),
                 SAMPLE_TAILS,
                 BETWEEN,
             )

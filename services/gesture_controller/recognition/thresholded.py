@@ -154,8 +154,8 @@ class ThresholdRecognizer:
         threshold = self.thresholds.fingers[place]
         leeway = LEEWAY * (threshold.upper - threshold.lower)
         if state == STRAIGHT:
-            return value >= threshold.upper - leeway
-        return value <= threshold.lower + leeway
+            return threshold.straight_margin(value) >= -leeway
+        return threshold.bent_margin(value) >= -leeway
 
 
 _NONE_BETWEEN: tuple[float | None, ...] = (None,) * len(FINGERS)
@@ -186,14 +186,15 @@ def _close_since_s(before: Recognition | None, at_s: float) -> float:
 def _share(value: float, threshold: Threshold) -> float:
     width = threshold.upper - threshold.lower
     if width <= 0:
-        return 1.0 if value > threshold.upper else 0.0
-    return round(min(max((value - threshold.lower) / width, 0.0), 1.0), 3)
+        return 1.0 if threshold.straight_margin(value) > 0 else 0.0
+    return round(min(max(-threshold.bent_margin(value) / width, 0.0), 1.0), 3)
 
 
 def _described(finger: str, value: float, threshold: Threshold, state: str) -> str:
     if threshold.lower <= value <= threshold.upper:
         taken = {STRAIGHT: ", taken for straight", BENT: ", taken for bent"}.get(state, "")
         return f"{finger} {value:g} is between {threshold.lower:g} and {threshold.upper:g}{taken}"
-    if value > threshold.upper:
-        return f"{finger} {value:g} is above {threshold.upper:g}, straight"
-    return f"{finger} {value:g} is below {threshold.lower:g}, bent"
+    is_above = value > threshold.upper
+    side, bound = ("above", threshold.upper) if is_above else ("below", threshold.lower)
+    shown = "bent" if is_above == threshold.inverted else "straight"
+    return f"{finger} {value:g} is {side} {bound:g}, {shown}"

@@ -1,5 +1,8 @@
 """Thresholds: a finger is straight above the upper value of its sensor and bent below the lower one.
 
+The sensor of an inverted finger falls when the finger is stretched: it is straight below the lower value and
+bent above the upper one.
+
 Hands differ in span and gloves in gain, so thresholds belong to a glove on a person.
 """
 
@@ -19,10 +22,32 @@ class WrongThreshold(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """A finger is straight above `upper` and bent below `lower`, in raw sensor units."""
+    """A finger is straight above `upper` and bent below `lower`, in raw sensor units.
+
+    With `inverted` it is bent above `upper` and straight below `lower`.
+    """
 
     upper: float
     lower: float
+    inverted: bool = False
+
+    @property
+    def straight(self) -> float:
+        """The bound beyond which the finger is straight."""
+        return self.lower if self.inverted else self.upper
+
+    @property
+    def bent(self) -> float:
+        """The bound beyond which the finger is bent."""
+        return self.upper if self.inverted else self.lower
+
+    def straight_margin(self, value: float) -> float:
+        """Return how far `value` is beyond the bound of straight; negative if it is not straight."""
+        return self.lower - value if self.inverted else value - self.upper
+
+    def bent_margin(self, value: float) -> float:
+        """Return how far `value` is beyond the bound of bent; negative if it is not bent."""
+        return value - self.upper if self.inverted else self.lower - value
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +57,8 @@ class Thresholds:
     fingers: tuple[Threshold, ...]
 
     def with_changes(self, changes: Mapping[str, Mapping[str, float]]) -> Self:
-        """Return these thresholds with `changes`: `{finger: {"upper": …, "lower": …}}`, either may be
-        missing.
+        """Return these thresholds with `changes`: `{finger: {"upper": …, "lower": …, "inverted": …}}`, each
+        may be missing.
 
         Raises `WrongThreshold` for an unknown finger or bound, a value that is not finite, or lower above
         upper.
@@ -49,7 +74,7 @@ class Thresholds:
                         known=", ".join(FINGERS),
                     )
                 )
-            unknown = set(bounds) - {"upper", "lower"}
+            unknown = set(bounds) - {"upper", "lower", "inverted"}
             if unknown:
                 raise WrongThreshold(
                     message(
@@ -61,19 +86,23 @@ class Thresholds:
                 )
             before = changed[finger]
             changed[finger] = checked(
-                finger, bounds.get("upper", before.upper), bounds.get("lower", before.lower)
+                finger,
+                bounds.get("upper", before.upper),
+                bounds.get("lower", before.lower),
+                inverted=bool(bounds.get("inverted", before.inverted)),
             )
         return type(self)(tuple(changed.values()))
 
     def as_dict(self) -> dict[str, dict[str, float]]:
-        """Return `{finger: {"upper": …, "lower": …}}`."""
+        """Return `{finger: {"upper": …, "lower": …}}`, with `"inverted": True` for an inverted finger."""
         return {
             finger: {"upper": threshold.upper, "lower": threshold.lower}
+            | ({"inverted": True} if threshold.inverted else {})
             for finger, threshold in zip(FINGERS, self.fingers, strict=True)
         }
 
 
-def checked(finger: str, upper: float, lower: float) -> Threshold:
+def checked(finger: str, upper: float, lower: float, *, inverted: bool = False) -> Threshold:
     """Return the threshold of `finger`; raise `WrongThreshold` if it is invalid."""
     if not (math.isfinite(upper) and math.isfinite(lower)):
         raise WrongThreshold(
@@ -96,7 +125,7 @@ def checked(finger: str, upper: float, lower: float) -> Threshold:
                 upper=f"{upper:g}",
             )
         )
-    return Threshold(upper, lower)
+    return Threshold(upper, lower, inverted)
 
 
 M2O2P_THRESHOLDS = Thresholds(

@@ -53,11 +53,20 @@ def test_a_sensor_that_is_at_its_stop_in_the_open_hand_alone_is_saturated() -> N
     assert faults(shown(FIST), open_hand) == [("middle", "saturated")]
 
 
-def test_a_sensor_the_wrong_way_round_is_reported() -> None:
-    assert faults(shown(FIST), shown(with_ring(OPEN, 310))) == [("ring", "wrongWay")]
+def test_sensors_the_wrong_way_round_are_reported_if_they_are_too_many_for_inverted_ones() -> None:
+    assert faults(shown(FIST), shown(with_ring(OPEN, 310))) == []
+    falling = [200.0, 300, 300, *OPEN[3:]]
+    assert [why for _, why in faults(shown(FIST), shown(falling))] == ["wrongWay"] * 3
 
 
-@pytest.mark.parametrize("ring", [310.0, 540.0])
+def test_an_inverted_sensor_is_judged_by_its_span_as_any_other() -> None:
+    calibration = calibrate(shown(FIST), shown(with_ring(OPEN, 310)))
+    assert calibration.thresholds.fingers[3].inverted
+    assert find_lasting_faults(calibration) == []
+    assert faults(shown(FIST, (2, 2, 2, 30, 2)), shown(with_ring(OPEN, 310))) == [("ring", "noisy")]
+
+
+@pytest.mark.parametrize("ring", [480.0, 540.0])
 def test_each_fault_has_advice(ring: float) -> None:
     (fault,) = find_sensor_faults(shown(FIST), shown(with_ring(OPEN, ring)))
     assert fault.as_dict()["finger"] == "ring"

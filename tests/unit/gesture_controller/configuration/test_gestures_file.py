@@ -39,6 +39,11 @@ gloves:
 """
 
 
+def test_a_finger_of_a_glove_may_be_inverted() -> None:
+    (glove,) = parse("gloves: {g: {thresholds: {ring: {inverted: true}, thumb: {inverted: false}}}}").gloves
+    assert [each.inverted for each in glove.thresholds.fingers] == [False, False, False, True, False]
+
+
 def test_a_whole_file_is_read() -> None:
     site = parse(WHOLE)
     assert site.gestures.codes["Thumbs up"] == "02222"
@@ -126,6 +131,7 @@ def test_own_gestures_keep_those_default_commands_that_they_have() -> None:
         ("gloves: {g: {thresholds: {ring: {upper: .nan}}}}", "ring upper must be a number"),
         ("gloves: {g: {thresholds: {ring: {upper: nan}}}}", "ring: thresholds are finite numbers"),
         ("gloves: {g: {thresholds: {ring: {top: 5}}}}", 'ring: unknown bound "top"'),
+        ("gloves: {g: {thresholds: {ring: {inverted: 5}}}}", 'ring inverted must be true or false, not "5"'),
         ("gloves: {g: {thresholds: 5}}", 'the thresholds of glove "g" must be names with values'),
     ],
 )

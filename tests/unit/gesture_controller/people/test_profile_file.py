@@ -44,7 +44,9 @@ OWN = st.lists(st.sampled_from(FREE), unique=True, max_size=5).flatmap(
         )
     )
 )
-BOUNDS = st.tuples(NUMBERS, NUMBERS).map(lambda pair: {"upper": max(pair), "lower": min(pair)})
+BOUNDS = st.tuples(NUMBERS, NUMBERS, st.booleans()).map(
+    lambda drawn: {"upper": max(drawn[:2]), "lower": min(drawn[:2]), "inverted": drawn[2]}
+)
 THRESHOLDS = st.none() | st.fixed_dictionaries(dict.fromkeys(FINGERS, BOUNDS)).map(
     M2O2P_THRESHOLDS.with_changes
 )

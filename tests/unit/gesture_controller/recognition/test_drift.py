@@ -1,14 +1,17 @@
 """Drift is followed slowly and never turns a held gesture into another; a jump asks for a calibration."""
 
+from collections.abc import Sequence
+
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.gesture_controller.calibration.fitting import calibration_from, learnt_from
 from services.gesture_controller.calibration.samples import sample_of, with_sample
 from services.gesture_controller.recognition.drift import MAX_DRIFT, MAX_RATE_PER_S
 from services.gesture_controller.recognition.frames import Frame
 from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.levels import calibrate
+from services.gesture_controller.recognition.levels import MAX_INVERTED, calibrate
 from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
 from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 
@@ -93,6 +96,35 @@ def test_levels_never_move_faster_or_further_than_they_may(
                 assert abs(now - before) <= MAX_RATE_PER_S * span / 10 + 1e-6
                 assert abs(now) <= MAX_DRIFT * span + 1e-6
             seen.append(one)
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.tuples(*[st.integers(-4, 12).map(lambda eighths: eighths / 8)] * 5), min_size=1, max_size=4),
+    st.sets(st.integers(0, 4), min_size=1, max_size=MAX_INVERTED),
+    st.sampled_from(BOTH),
+)
+def test_an_inverted_finger_is_recognized_and_followed_as_any_other(
+    shapes: list[tuple[float, ...]], inverted: set[int], recognizer: str
+) -> None:
+    def turned(bend: Sequence[float]) -> list[float]:
+        return [1024 - value if place in inverted else value for place, value in enumerate(bend)]
+
+    made = calibrate([turned(FIST)] * 50, [turned(OPEN)] * 50)
+    stored = Thresholds((Threshold(1, 0),) * 5).with_changes(made.thresholds.as_dict())
+    assert [each.inverted for each in stored.fingers] == [place in inverted for place in range(5)]
+    kept = calibration_from(learnt_from(made), stored)
+    other = RecognitionConfig(stored, GESTURES, calibration=kept, recognizer_name=recognizer)
+    assert other.missing is None
+    plain = config(recognizer)
+    one, two = PipelineState(), PipelineState()
+    for number in range(40 * len(shapes)):
+        bend = raw(shapes[number // 40])
+        one = process_frame(one, Frame((number + 1) / 20, bend), plain)
+        two = process_frame(two, Frame((number + 1) / 20, turned(bend)), other)
+        assert (two.states, two.gesture) == (one.states, one.gesture)
+        assert two.drift.wants_calibration == one.drift.wants_calibration
+        assert list(map(abs, two.drift.offsets)) == pytest.approx(list(map(abs, one.drift.offsets)), abs=1e-6)
 
 
 _CONFIGS = {recognizer: config(recognizer) for recognizer in BOTH}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.recognition.finger_states import finger_states
-from services.gesture_controller.recognition.levels import CalibrationFailed, calibrate
+from services.gesture_controller.recognition.levels import MAX_INVERTED, CalibrationFailed, calibrate
 
 FIST, OPEN = [300.0, 500, 500, 500, 450], [400.0, 700, 700, 690, 680]
 
@@ -88,4 +88,13 @@ def test_thresholds_never_come_out_the_wrong_way_round(fist: list[float], open_h
     except CalibrationFailed:
         return
     for place, threshold in enumerate(calibration.thresholds.fingers):
-        assert fist[place] < threshold.lower <= threshold.upper < open_hand[place]
+        ends = sorted((fist[place], open_hand[place]))
+        assert ends[0] < threshold.lower <= threshold.upper < ends[1]
+    assert finger_states(fist, calibration.thresholds) == "22222"
+    assert finger_states(open_hand, calibration.thresholds) == "00000"
+    assert sum(threshold.inverted for threshold in calibration.thresholds.fingers) <= MAX_INVERTED
+
+
+def test_a_sensor_that_hardly_falls_is_no_inverted_one() -> None:
+    with pytest.raises(CalibrationFailed, match=r"^ring: the sensor does not rise"):
+        calibrate(shown(FIST), shown([*OPEN[:3], FIST[3] - 30, OPEN[4]]))

@@ -14,6 +14,10 @@ def test_the_fingers_named_change_and_the_others_stay() -> None:
 
 def test_thresholds_come_back_from_what_was_written() -> None:
     assert M2O2P_THRESHOLDS.with_changes(M2O2P_THRESHOLDS.as_dict()) == M2O2P_THRESHOLDS
+    turned = M2O2P_THRESHOLDS.with_changes({"ring": {"inverted": True}})
+    assert turned.fingers[3] == Threshold(1800, 800, inverted=True)
+    assert M2O2P_THRESHOLDS.with_changes(turned.as_dict()) == turned
+    assert turned.with_changes({"ring": {"upper": 1700}}).fingers[3] == Threshold(1700, 800, inverted=True)
 
 
 @pytest.mark.parametrize(

@@ -53,11 +53,12 @@ function Gauge({ glove, finger, thresholds, top }: { glove: string; finger: Fing
   const bend = useTopicSelector(`glove/${glove}`, (view) => view?.bend?.[place] ?? null);
   const share = (value: number) => `${Math.min(Math.max(value / top, 0), 1) * 100}%`;
   const state = bend === null ? null : stateUnder(thresholds, bend);
+  const [above, below] = thresholds.inverted ? ["bent", "straight"] : ["straight", "bent"];
   return (
     <div className="calibrate__now">
       <div className="calibrate__gauge" aria-hidden>
-        <span className="calibrate__zone calibrate__zone--straight" style={{ bottom: share(thresholds.upper), top: 0 }} />
-        <span className="calibrate__zone calibrate__zone--bent" style={{ bottom: 0, height: share(thresholds.lower) }} />
+        <span className={`calibrate__zone calibrate__zone--above calibrate__zone--${above}`} style={{ bottom: share(thresholds.upper), top: 0 }} />
+        <span className={`calibrate__zone calibrate__zone--below calibrate__zone--${below}`} style={{ bottom: 0, height: share(thresholds.lower) }} />
         {bend !== null && <span className="calibrate__level" style={{ bottom: share(bend), background: `var(--finger-${place})` }} />}
       </div>
       <p className="calibrate__says">

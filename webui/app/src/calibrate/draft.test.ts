@@ -32,6 +32,12 @@ describe("thresholds that are being changed", () => {
     expect([1001, 1000, 800, 799].map((bend) => stateUnder(saved.thumb, bend))).toEqual(["0", "1", "1", "2"]);
   });
 
+  it("keep the direction of an inverted finger", () => {
+    const inverted = { ...saved, ring: { upper: 1800, lower: 800, inverted: true } };
+    expect([1801, 1800, 800, 799].map((bend) => stateUnder(inverted.ring, bend))).toEqual(["2", "1", "1", "0"]);
+    expect(moved(inverted, "ring", "lower", 825).ring).toEqual({ upper: 1800, lower: 825, inverted: true });
+  });
+
   it("leave room above the highest", () => {
     expect(topOf(saved)).toBe(2600);
   });

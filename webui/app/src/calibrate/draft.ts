@@ -15,7 +15,7 @@ export function moved(thresholds: Thresholds, finger: Finger, bound: Bound, to: 
   const { upper, lower } = thresholds[finger];
   const whole = Math.round(to);
   const after = bound === "upper" ? { upper: Math.max(whole, lower), lower } : { upper, lower: Math.min(whole, upper) };
-  return { ...thresholds, [finger]: after };
+  return { ...thresholds, [finger]: { ...thresholds[finger], ...after } };
 }
 
 /** The changed thresholds as a request body; null without changes. */
@@ -25,9 +25,10 @@ export function changesOf(saved: Thresholds, draft: Thresholds): Partial<Thresho
 }
 
 /** The state of a finger: 0 straight, 1 between, 2 bent. */
-export function stateUnder({ upper, lower }: Thresholds[Finger], bend: number): "0" | "1" | "2" {
-  if (bend > upper) return "0";
-  return bend < lower ? "2" : "1";
+export function stateUnder({ upper, lower, inverted = false }: Thresholds[Finger], bend: number): "0" | "1" | "2" {
+  if (bend > upper) return inverted ? "2" : "0";
+  if (bend < lower) return inverted ? "0" : "2";
+  return "1";
 }
 
 /** The upper end of the gauges: a little above the highest threshold, independent of the signal. */

@@ -151,10 +151,11 @@ export interface SensorWarning {
   advice: string;
 }
 
-/** The thresholds of a finger: straight above `upper`, bent below `lower`. */
+/** The thresholds of a finger: straight above `upper`, bent below `lower`; the reverse if `inverted`. */
 export interface Threshold {
   upper: number;
   lower: number;
+  inverted?: boolean;
 }
 
 /** Topic `glove/<name>`: a glove, from the gesture controller. */

@@ -61,7 +61,7 @@ export interface Figures {
 
 /** What is adapted to a person for one glove. */
 export interface FitView {
-  thresholds: Record<"thumb" | "index" | "middle" | "ring" | "little", Record<"upper" | "lower", number>> | null;
+  thresholds: Record<"thumb" | "index" | "middle" | "ring" | "little", Record<"upper" | "lower" | "inverted", number>> | null;
   recognizer: string | null;
   changedAt: string | null;
 }
