@@ -20,6 +20,7 @@ from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NgsiLd, NotFound
 from handover.messages import message
 from handover.settings import Settings
+from handover.subscription_record import SubscriptionRecord
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
@@ -42,12 +43,15 @@ class _Written:
 
 
 class OwnSubscriptions:
-    """The subscriptions of the service `name` in `broker`."""
+    """The subscriptions of the service `name` in `broker`; what it writes is added to `record`."""
 
-    def __init__(self, name: str, settings: Settings, broker: BrokerClient) -> None:
+    def __init__(
+        self, name: str, settings: Settings, broker: BrokerClient, record: SubscriptionRecord | None = None
+    ) -> None:
         self._name = name
         self._settings = settings
         self._broker = broker
+        self._record = record
         self._written: dict[str, _Written] = {}
 
     async def keep(self, subscription: NgsiLd, listed: Mapping[str, Mapping[str, Any]] | None = None) -> None:
@@ -79,10 +83,14 @@ class OwnSubscriptions:
         self._written.pop(subscription_id, None)
         with suppress(NotFound):
             await self._broker.delete_subscription(subscription_id)
+        if self._record is not None:
+            self._record.remove(subscription_id)
 
     async def _write(self, subscription: NgsiLd, *, has_alert: bool) -> None:
         subscription_id = str(subscription["id"])
         self._written.pop(subscription_id, None)
+        if self._record is not None:
+            self._record.add(subscription)
         await self._broker.ensure_subscription(subscription)
         mark = await self._mark(subscription_id)
         self._written[subscription_id] = _Written(subscription, mark, has_alert)

@@ -49,6 +49,7 @@ from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
 from handover.retry import retry
 from handover.settings import Settings
+from handover.subscription_record import SubscriptionRecord
 from handover.task_life import FINISHED, STARTED, UNFINISHED_QUERY
 from handover.telemetry import get_logger, working_on
 
@@ -98,7 +99,7 @@ class Performer(ABC):
 
     `name` identifies it to other components; the broker sends notifications to `notify_url` (see `mount`).
     `holder` is its identity for leases where replicas share one that a database guards; by default that of
-    its data directory.
+    its data directory. Its subscription is added to `subscription_record`.
     """
 
     def __init__(
@@ -109,13 +110,14 @@ class Performer(ABC):
         *,
         notify_url: str,
         holder: str | None = None,
+        subscription_record: SubscriptionRecord | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.broker = broker
         self.notify_url = notify_url
         self._receiver = NotificationReceiver(name, settings, broker)
-        self._subscriptions = OwnSubscriptions(name, settings, broker)
+        self._subscriptions = OwnSubscriptions(name, settings, broker, subscription_record)
         self._queues: dict[str, ResourceQueue] = {}
         self._jobs: dict[str, Job] = {}
         self._ended: OrderedDict[str, None] = OrderedDict()
@@ -554,9 +556,14 @@ class Performer(ABC):
         while len(self._ended) > MAX_REMEMBERED:
             self._ended.popitem(last=False)
 
+    @property
+    def subscription_id(self) -> str:
+        """The id of the subscription to Tasks."""
+        return self.settings.entity_id("Subscription", f"{self.name}-tasks")
+
     def _subscription(self) -> dict[str, Any]:
         return {
-            "id": self.settings.entity_id("Subscription", f"{self.name}-tasks"),
+            "id": self.subscription_id,
             "type": "Subscription",
             "description": f"Tasks for {self.name}",
             "entities": [{"type": Task.ngsi_type()}],

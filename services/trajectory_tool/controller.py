@@ -11,12 +11,13 @@ from fastapi import FastAPI
 
 from datamodels.entities import DeviceState
 from handover.background_tasks import BackgroundTasks
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.messages import message, text_of
 from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
-from handover.retry import Backoff
+from handover.retry import Backoff, retry
 from handover.settings import RESTARTED
+from handover.subscription_record import SubscriptionRecord
 from handover.task_life import type_of
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters
@@ -47,8 +48,19 @@ class Controllers:
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
         self.workcell = Workcell(settings, broker=broker)
+        self._broker = broker
+        self._record = SubscriptionRecord(settings.data_dir / "trajectory_tool" / "subscriptions.json")
         self.by_name = {
-            name: Controller(settings, cell, broker) for name, cell in self.workcell.cells.items()
+            name: Controller(settings, cell, broker, self._record)
+            for name, cell in self.workcell.cells.items()
+        }
+        self._subscription_ids = {
+            *(each.subscription_id for each in self.by_name.values()),
+            *(
+                subscription_id
+                for cell in self.workcell.cells.values()
+                for subscription_id in cell.robot.record_subscriptions(self._record)
+            ),
         }
         self._scene = SceneEntities(settings, broker)
         self._people = (
@@ -78,13 +90,23 @@ class Controllers:
         workcell.on_scene_change()
         for controller in self.by_name.values():
             await self._on.enter_async_context(controller)
-        tasks = await self._on.enter_async_context(BackgroundTasks("sensors of people"))
+        tasks = await self._on.enter_async_context(BackgroundTasks("trajectory tool"))
+        tasks.start(self._delete_unused_subscriptions)
         if self._people is not None:
             tasks.start(self._people.run)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self._on.aclose()
+
+    async def _delete_unused_subscriptions(self) -> None:
+        """Delete the subscriptions of robots that are no longer in the cell file."""
+        try:
+            await retry(
+                lambda: self._record.delete_others(self._broker, self._subscription_ids), on=BrokerUnavailable
+            )
+        except BrokerError as error:
+            log.warning("unused subscriptions stay until the next start", error=str(error))
 
 
 class Controller(Performer):
@@ -93,9 +115,19 @@ class Controller(Performer):
     A robot that cannot be switched on is tried again, and its Tasks fail meanwhile; other robots work.
     """
 
-    def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
+    def __init__(
+        self,
+        settings: TrajectorySettings,
+        cell: Cell,
+        broker: BrokerClient,
+        subscription_record: SubscriptionRecord,
+    ) -> None:
         super().__init__(
-            f"trajectory-tool-{cell.name}", settings, broker, notify_url=f"{settings.notify_url}/{cell.name}"
+            f"trajectory-tool-{cell.name}",
+            settings,
+            broker,
+            notify_url=f"{settings.notify_url}/{cell.name}",
+            subscription_record=subscription_record,
         )
         self.robot_name = cell.name
         self.cell = cell

@@ -5,7 +5,7 @@ another motion to the same target.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # the settings import this module, and with them each command
     from fastapi import FastAPI
 
     from handover.device_lease import Authority, DeviceLease
+    from handover.subscription_record import SubscriptionRecord
     from services.trajectory_tool.joint_trajectory import JointTrajectory
     from services.trajectory_tool.poses import Pose
     from services.trajectory_tool.scene import Scene
@@ -134,6 +135,10 @@ class Robot(ABC):
 
     def mount(self, app: "FastAPI") -> None:  # noqa: B027 - most robots have none
         """Add routes of the robot, such as one for notifications."""
+
+    def record_subscriptions(self, record: "SubscriptionRecord") -> Collection[str]:  # noqa: ARG002
+        """Add the subscriptions of the robot to `record` from now on; return their ids."""
+        return ()
 
     @abstractmethod
     def state(self) -> JointState:

@@ -19,7 +19,7 @@ import copy
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Self
@@ -35,6 +35,7 @@ from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiv
 from handover.outcomes import is_outcome_unknown
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
+from handover.subscription_record import SubscriptionRecord
 from handover.telemetry import get_logger
 from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.cyclic_robot import CyclicRobot, Motion
@@ -197,6 +198,10 @@ class RosRobot(CyclicRobot):
     def mount(self, app: FastAPI) -> None:
         """Add the route for notifications about orders."""
         self._gripper.mount(app)
+
+    def record_subscriptions(self, record: SubscriptionRecord) -> Collection[str]:
+        """Add the subscription to orders to `record` from now on; return its id."""
+        return [self._gripper.record_subscription(record)]
 
     async def __aenter__(self) -> Self:
         await self._gripper.start()
@@ -512,6 +517,7 @@ class _GripperOrders:
         self._notify_path = f"/notifications/{robot}/arm"
         self._receiver = NotificationReceiver(f"trajectory-tool-{robot}-arm", settings, broker)
         self._subscriptions = OwnSubscriptions("trajectory-tool", settings, broker)
+        self._settings = settings
         self._orders = Orders(robot, arm, settings, broker)
         endpoint = self._receiver.endpoint(f"{settings.service_url}{self._notify_path}")
         self._subscription: Mapping[str, Any] = self._orders.subscription(endpoint)
@@ -534,6 +540,11 @@ class _GripperOrders:
             await self._receiver.receive(request)
             self._orders.wake()
             return Response(status_code=204)
+
+    def record_subscription(self, record: SubscriptionRecord) -> str:
+        """Add the subscription to `record` from now on; return its id."""
+        self._subscriptions = OwnSubscriptions("trajectory-tool", self._settings, self._broker, record)
+        return str(self._subscription["id"])
 
     async def start(self) -> None:
         """Subscribe to orders, and end old ones."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+import json
 import random
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -14,7 +15,9 @@ import pytest
 from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
 from handover.outcomes import is_outcome_unknown
+from handover.own_subscriptions import OwnSubscriptions
 from handover.settings import RESTARTED, Settings
+from handover.subscription_record import SubscriptionRecord
 from handover.task_life import FINISHED
 from services.trajectory_tool.physics import is_available
 from tests.kit.cell import Cell
@@ -229,6 +232,42 @@ async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     await shop.in_motion()
     shop.cell.restart("trajectory_tool")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+
+
+async def test_the_subscription_of_a_robot_that_was_removed_is_deleted_and_no_other(shop: Shop) -> None:
+    def subscription(robot: str, address: str = shop.cell.url("trajectory_tool")) -> dict[str, Any]:
+        return {
+            "id": f"urn:ngsi-ld:Subscription:demo:trajectory-tool-{robot}-tasks",
+            "type": "Subscription",
+            "entities": [{"type": "Task"}],
+            "notification": {"endpoint": {"uri": f"{address}/notifications/{robot}"}},
+        }
+
+    record = SubscriptionRecord(shop.cell.data_dir / "trajectory_tool" / "subscriptions.json")
+    settings = Settings.load(_env_file=None)
+    written = OwnSubscriptions("trajectory-tool", settings, shop.broker, record)
+    for robot in ("gone", "moved"):
+        await written.keep(subscription(robot))
+    for robot in ("moved", "theirs"):  # another cell of the factory has these robots now
+        await shop.broker.ensure_subscription(subscription(robot, "http://127.0.0.1:9"))
+    shop.cell.restart("trajectory_tool")
+
+    async def ids() -> set[str]:
+        listed = await shop.broker.subscriptions()
+        return {str(each["id"]).removeprefix("urn:ngsi-ld:Subscription:demo:") for each in listed}
+
+    async def is_gone() -> bool:
+        return "trajectory-tool-gone-tasks" not in await ids()
+
+    await until(is_gone, why="the subscription of the removed robot stays")
+    kept = {f"trajectory-tool-{robot}-tasks" for robot in ("ur10-1", "moved", "theirs")}
+    assert kept <= await ids()
+
+    def is_forgotten() -> bool:
+        names = json.loads((shop.cell.data_dir / "trajectory_tool" / "subscriptions.json").read_text())
+        return [name.rpartition(":")[2] for name in names] == ["trajectory-tool-ur10-1-tasks"]
+
+    await until(is_forgotten, why="the record is not as the cell")
 
 
 async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(new_shop: Shop) -> None:
