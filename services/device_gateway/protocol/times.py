@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from services.device_gateway.protocol.messages import BadMessage
 
+_UNITS = {1_000: "milliseconds", 1_000_000: "microseconds", 1_000_000_000: "nanoseconds"}
+
 
 @dataclass(frozen=True, slots=True)
 class TimeRule:
@@ -21,17 +23,26 @@ class TimeRule:
         if t is None:
             return now_s
         if t > now_s + self.max_ahead_s:
+            unit = self._unit_of(t, now_s)
+            remedy = f"divide it by {unit}" if unit else "set the clock of the device (NTP), or leave t out"
             raise BadMessage(
                 "future",
                 f"t is {t - now_s:.0f} s ahead of the gateway, and at most {self.max_ahead_s:g} s are "
-                "allowed; set the clock of the device (NTP), or leave t out",
+                f"allowed; {remedy}",
                 seq,
             )
         if t < now_s - self.max_age_s:
             raise BadMessage(
                 "tooOld",
                 f"t is {now_s - t:.0f} s ago, and at most {self.max_age_s:g} s are allowed; set the clock of "
-                "the device (NTP, milliseconds must be divided by 1000), or leave t out",
+                "the device (NTP), or leave t out",
                 seq,
             )
         return t
+
+    def _unit_of(self, t: float, now_s: float) -> str | None:
+        """Return the factor and name of the smaller unit in which `t` is a plausible time; None if none."""
+        for factor, name in _UNITS.items():
+            if now_s - self.max_age_s <= t / factor <= now_s + self.max_ahead_s:
+                return f"{factor}: t is in seconds, and this looks like {name}"
+        return None

@@ -54,3 +54,23 @@ def test_a_message_may_be_late_but_not_from_the_future() -> None:
         with pytest.raises(BadMessage) as caught:
             rule.time_of(t, 10_000.0, 5)
         assert (caught.value.code, caught.value.seq) == (code, 5)
+
+
+@given(
+    st.floats(-3600, 60),
+    st.sampled_from([(1, ""), (1_000, "milli"), (1_000_000, "micro"), (1_000_000_000, "nano")]),
+    st.floats(1.6e9, 4e9),
+)
+def test_a_time_in_a_smaller_unit_is_refused_with_the_unit_and_no_other_with_it(
+    late_s: float, unit: tuple[int, str], now_s: float
+) -> None:
+    factor, name = unit
+    rule = TimeRule(max_age_s=3600, max_ahead_s=60)
+    if factor == 1:
+        assert rule.time_of(now_s + late_s / 2, now_s) == now_s + late_s / 2
+    else:
+        with pytest.raises(BadMessage, match=f"divide it by {factor}: t is in seconds, and .* {name}seconds"):
+            rule.time_of((now_s + late_s / 2) * factor, now_s)
+    for t in ((now_s + 1e6) * factor, 5.0):
+        with pytest.raises(BadMessage, match=r"set the clock of the device [(]NTP[)], or leave t out$"):
+            rule.time_of(t, now_s)
