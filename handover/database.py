@@ -24,6 +24,7 @@ from handover.sqlite_files import prepare_own, unreleased_format
 from handover.sqlite_integrity.checkpoints import Checkpoints, CountedConnection, make_durable
 from handover.sqlite_integrity.reserve import with_reserve
 from handover.sqlite_integrity.stamp import stamp_of
+from handover.tls_trust import postgresql_remedy
 
 OPEN_ATTEMPTS = 100
 OPEN_RETRY_S = 0.1
@@ -152,6 +153,7 @@ def connect(
     except (DBAPIError, sqlite3.Error, OSError) as error:
         engine.dispose()
         reason = database_reason(error)
+        reason += postgresql_remedy(reason)
         shown = parsed.render_as_string(hide_password=True)
         raise UsageError(
             f"the database {shown} cannot be used: {reason}; correct that or {setting}"

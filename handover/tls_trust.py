@@ -110,3 +110,10 @@ def _ssl_error_in(error: BaseException) -> ssl.SSLError | None:
         seen.add(id(current))
         current = current.__cause__ or current.__context__
     return None
+
+
+def postgresql_remedy(reason: str) -> str:
+    """Return how to correct a PostgreSQL URL after `reason`; "" unless the certificate was refused."""
+    if "certificate verify failed" in reason:
+        return " (name the authority that has signed the certificate of the server with sslrootcert)"
+    return ""

@@ -24,6 +24,7 @@ from uuid import uuid4
 
 from handover.errors import UsageError
 from handover.telemetry import get_logger
+from handover.tls_trust import postgresql_remedy
 from services.context_broker.storage.database import DatabaseAway, NotStored, Row
 
 if TYPE_CHECKING:
@@ -101,8 +102,9 @@ class PostgresDatabase:
                     connection.execute("INSERT INTO format VALUES (%s)", (version,))
                     connection.execute(_in_postgres_sql(script, self.TYPES))
         except psycopg.Error as error:
+            reason = _in_one_line(error)
             raise UsageError(
-                f"the broker cannot use {self.name}: {_in_one_line(error)}; "
+                f"the broker cannot use {self.name}: {reason}{postgresql_remedy(reason)}; "
                 "correct that or HANDOVER_BROKER_DATABASE_URL"
             ) from None
 

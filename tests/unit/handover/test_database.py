@@ -17,6 +17,9 @@ from sqlalchemy import text
 from handover.database import connect
 from handover.errors import UsageError
 from handover.sqlite_files import renew_marks
+from services.context_broker.storage.postgres import PostgresDatabase
+from tests.kit.certificates import Certificates
+from tests.kit.postgres_tls import tls_in_front_of
 
 
 def test_sqlite_loses_nothing_that_was_committed(tmp_path: Path) -> None:
@@ -207,3 +210,29 @@ def test_services_that_share_a_database_make_it_at_the_same_time(tmp_path: Path,
         with connect(f"sqlite:///{file}").begin() as connection:
             found = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'table'")).scalars()
             assert set(found) == {*tables, "handover_commits"}
+
+
+def test_postgresql_is_reached_over_tls_and_a_wrong_authority_is_refused(
+    new_database: Callable[[], str], tmp_path: Path
+) -> None:
+    certificates, others = Certificates(tmp_path / "own"), Certificates(tmp_path / "other")
+    files = certificates.make("localhost")
+    wrong = others.make("localhost").authority
+    with tls_in_front_of(new_database(), files) as url:
+        trusted = f"{url}?sslmode=verify-full&sslrootcert={files.authority}"
+        engine = connect(trusted)
+        with engine.connect() as connection:
+            driver: Any = connection.connection.driver_connection
+            assert driver.pgconn.ssl_in_use
+        engine.dispose()
+        stored = PostgresDatabase(trusted)
+        stored.open(1, "SELECT 1")
+        stored.close()
+        untrusted = f"{url}?sslmode=verify-full&sslrootcert={wrong}"
+        verify = r"certificate verify failed \(name the authority .* with sslrootcert\); correct that or "
+        with pytest.raises(UsageError, match=verify + "HANDOVER_DATABASE_URL$"):
+            connect(untrusted)
+        with pytest.raises(UsageError, match=verify + "HANDOVER_BROKER_DATABASE_URL$"):
+            PostgresDatabase(untrusted).open(1, "SELECT 1")
+        with pytest.raises(UsageError, match='root certificate file "/none" does not exist'):
+            connect(f"{url}?sslmode=verify-full&sslrootcert=/none")
