@@ -1,7 +1,7 @@
 """The subscriptions that a service has written, in a file of its data directory.
 
 What a service no longer needs, such as the subscription of a robot that was removed, is known to nobody after
-a restart, and the broker retries it for ever. The ids alone do not tell which are the service's own: another
+a restart, and the broker retries it for ever. The ids alone do not show which are the service's own: another
 cell of the same factory may use the same broker, and have the robot now. So the file has each subscription
 with the address that it notifies, from before it is written until it is deleted.
 """
