@@ -91,6 +91,8 @@ class EntityDelivery:
         self._definitions: dict[str, Definition] = {}
         self._starts: dict[str, list[_EntityStart]] = {}
         self.seen = SeenEntities()
+        self._failing: dict[tuple[str, str], str] = {}
+        """Why the condition of a start event cannot be evaluated, by the key of the start and the entity."""
 
     # Filters
 
@@ -116,6 +118,8 @@ class EntityDelivery:
         """Remove the filters and start events of a definition."""
         self._definitions.pop(name, None)
         for key, starts in list(self._starts.items()):
+            removed = {each.key for each in starts if each.definition.name == name}
+            self._failing = {each: why for each, why in self._failing.items() if each[0] not in removed}
             self._starts[key] = [each for each in starts if each.definition.name != name]
 
     def user_of(self, key: str) -> tuple[str, str]:
@@ -215,6 +219,7 @@ class EntityDelivery:
         scopes = [key, *(each.key for each in self._starts.get(key, ()) if each.condition is not None)]
         for entity in entities:
             for scope in scopes:
+                self._failing.pop((scope, entity), None)
                 if self.seen.digest(scope, entity, step.entities_seen) is not None:
                     step.entities_seen[scope, entity] = None
             for process, wait in self._waits(step, key):
@@ -329,8 +334,10 @@ class EntityDelivery:
         defaults = {each.name: each.default for each in start.definition.parameters.values()}
         try:
             holds = bool(start.condition.condition.value({**defaults, start.on.variable: entity}))
-        except ExpressionError:
+            self._failing.pop((start.key, entity["id"]), None)
+        except ExpressionError as error:
             holds = False
+            self._report_failing(start, entity["id"], str(error))
         held = self.seen.digest(start.key, entity["id"], step.entities_seen) is not None
         if holds == held:
             return
@@ -338,6 +345,19 @@ class EntityDelivery:
         self.set_contact(step, now)
         if holds:
             self._start_process(step, start, entity, taken)
+
+    def _report_failing(self, start: _EntityStart, entity: str, error: str) -> None:
+        """Log once that the condition of a start event cannot be evaluated for an entity, and why."""
+        if self._failing.get((start.key, entity)) == error:
+            return
+        self._failing[start.key, entity] = error
+        log.warning(
+            "condition of a start event cannot be evaluated",
+            definition=start.definition.name,
+            element=start.event,
+            entity=entity,
+            error=error,
+        )
 
     def _start_process(
         self, step: Step, start: _EntityStart, entity: Entity, taken: Mapping[str, str]

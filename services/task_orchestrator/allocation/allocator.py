@@ -78,8 +78,12 @@ class AskedReservation:
     @property
     def order(self) -> Order:
         """Return the order in which it is served: by the highest priority of its activities."""
-        given = [given_priority(each, self.variables) for each in self.activities]
-        priority = max((each for each in given if each is not None), default=DEFAULT_PRIORITY)
+        given: list[int] = []
+        for each in self.activities:
+            with suppress(ExpressionError):  # a variable that an earlier activity of the span sets
+                priority = given_priority(each, self.variables)
+                given += [] if priority is None else [priority]
+        priority = max(given, default=DEFAULT_PRIORITY)
         return order_of(priority, None, self.since, self.holder)
 
 

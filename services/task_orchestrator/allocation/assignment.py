@@ -23,7 +23,7 @@ from services.task_orchestrator.allocation.hints import (
 )
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable, NameKind
 from services.task_orchestrator.allocation.task_kinds import TaskKind
-from services.task_orchestrator.languages.base import Variables
+from services.task_orchestrator.languages.base import ExpressionError, Variables
 from services.task_orchestrator.model import Activity, Value
 from services.task_orchestrator.references import is_reference, resource_id
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -136,10 +136,10 @@ class AssignmentRules:
     def _by_mapping(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str]
     ) -> Assignment:
-        names = list(names_of(activity, variables))
-        entry = self.mapping.find(names)
+        entry = self.mapping.find(names_of(activity, variables))
         others = self._others(entry, activity, variables)
-        if others and entry is not None and resource_id(self._settings, entry.resource or "") in declined:
+        if others and entry is not None and self._have_all_declined(entry, declined):
+            names = names_of(activity, variables)
             entry = self.mapping.find(each for each in names if each[0] is not NameKind.ASSIGNEE)
             if entry is None:
                 reason = message(
@@ -178,12 +178,24 @@ class AssignmentRules:
         self, entry: MappingEntry | None, activity: Activity, variables: Variables | None
     ) -> dict[str, Any] | None:
         """Return the users and groups that an activity names beside the assignee whom `entry` maps."""
-        if entry is None or entry.kind is not NameKind.ASSIGNEE or entry.resource is None:
+        if entry is None or entry.kind is not NameKind.ASSIGNEE:
             return None
-        candidates = candidates_of(activity, variables)
-        if not candidates.keys() & {"users", "groups"}:
-            return None
-        return {name: value for name, value in candidates.items() if name != "assignee"}
+        hints = {name: text for name, text in activity.hints.items() if name != "assignee"}
+        candidates = candidates_of(replace(activity, hints=hints), variables)
+        return candidates if candidates.keys() & {"users", "groups"} else None
+
+    def _have_all_declined(self, entry: MappingEntry, declined: frozenset[str]) -> bool:
+        """Return whether everybody whom an entry means has declined: its resource, or all who fulfil it."""
+        if not declined:
+            return False
+        if entry.resource is not None:
+            return resource_id(self._settings, entry.resource) in declined
+        request = self._request_of(entry)
+        suitable = {agent.id for agent in self.agents.by_id.values() if request.suits(agent)}
+        return bool(suitable) and suitable <= declined
+
+    def _request_of(self, entry: MappingEntry) -> Request:
+        return Request(entry.role, entry.skills or (), people_only=self.mapping.by is None)
 
     def _by_entry(
         self, activity: Activity, entry: MappingEntry, others: Mapping[str, Any] | None
@@ -197,12 +209,10 @@ class AssignmentRules:
             },
             involves=() if entry.resource is None else (Value(entry.resource),),
         )
-        request, candidates = None, others
+        request = None if entry.resource is not None else self._request_of(entry)
+        candidates = others if request is None else None
         if entry.role is not None:
             candidates = {"groups": [entry.role]}
-        if entry.resource is None:
-            people_only = self.mapping.by is None
-            request = Request(entry.role, entry.skills or (), people_only=people_only)
         return Assignment(
             changed,
             message(
@@ -257,11 +267,20 @@ def performer_of(entry: MappingEntry) -> str:
 
 
 def names_of(activity: Activity, variables: Variables | None) -> Iterator[tuple[NameKind, str]]:
-    """Yield the names of an activity that an entry can map, the most specific first."""
+    """Yield the names of an activity that an entry can map, the most specific first.
+
+    An expression that cannot be evaluated is a name too. Raises its `ExpressionError` if a reader wants the
+    name after it: an entry for a less specific name must not hide the error.
+    """
     yield NameKind.DEFINITION, activity.definition
     for kind, hints in HINT_KINDS.items():
         for hint in hints:
-            for name in hint_values(activity, hint, variables):
+            try:
+                names = hint_values(activity, hint, variables)
+            except ExpressionError:
+                yield kind, activity.hints[hint].strip()
+                raise
+            for name in names:
                 yield kind, name
                 if hint in CODE_HINTS and name.startswith(("${", "#{")) and name.endswith("}"):
                     yield kind, name[2:-1].strip()

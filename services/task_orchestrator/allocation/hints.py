@@ -29,17 +29,22 @@ CODE_HINTS = frozenset(HINT_KINDS[NameKind.CLASS])
 
 
 def hint_values(activity: Activity, name: str, variables: Variables | None) -> list[str]:
-    """Return the names in a hint; an expression that cannot be evaluated stands for itself."""
+    """Return the names in a hint; without `variables`, before it runs, an expression stands for itself.
+
+    Raises `ExpressionError` that names the hint if its expression cannot be evaluated.
+    """
     text = activity.hints.get(name, "").strip()
     if not text:
         return []
     value: Any = text
     if variables is not None and name not in CODE_HINTS:
-        with suppress(ExpressionError):
+        try:
             if text.startswith("="):
                 value = read_feel(text).value(variables)
             elif "${" in text or "#{" in text:
                 value = read_template(text).value(variables)
+        except ExpressionError as error:
+            raise ExpressionError(f"{name}: {error}") from None
     if isinstance(value, list):
         return [str(each).strip() for each in value if each is not None]
     if value is text and (text.startswith("=") or "${" in text or "#{" in text):

@@ -177,6 +177,29 @@ async def test_a_condition_at_a_start_event_starts_a_process_each_time_that_it_b
         assert len(elements(orchestrator, "p")) == count
 
 
+async def test_a_condition_at_a_start_event_that_cannot_be_evaluated_is_logged_once_until_it_can(
+    orchestrator: Orchestrator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hot = on("conditional", "<bpmn:condition>entity.heat &gt; 50</bpmn:condition>")
+    await orchestrator.deployments.deploy(drawing(starting(hot)))
+    cases: list[tuple[dict[str, Any], int]] = [
+        ({}, 1),
+        ({}, 0),
+        ({"heat": 10}, 0),
+        ({}, 1),
+        ({"heat": "x"}, 1),
+    ]
+    for values, count in cases:
+        await judge(orchestrator, alert("1", **values))
+        lines = [line for line in capsys.readouterr().out.splitlines() if "cannot be evaluated" in line]
+        assert len(lines) == count
+        for line in lines:
+            assert all(
+                part in line for part in ("definition=p", "element=start", "Alert:demo:1", "entity.heat")
+            )
+    assert not elements(orchestrator, "p")
+
+
 async def test_own_tasks_and_alerts_about_own_processes_start_nothing(orchestrator: Orchestrator) -> None:
     await orchestrator.deployments.deploy(drawing(starting(on("message"))))
     source = {"type": "Relationship", "object": "urn:ngsi-ld:Process:demo:p-0123456789ab"}

@@ -373,6 +373,17 @@ def test_an_invalid_activity_is_an_incident_that_names_the_reason(inner: str, re
     assert created(driver.step) == []
 
 
+@pytest.mark.parametrize("text", ["${absent}", "${1 +}"])
+def test_candidates_that_cannot_be_evaluated_are_an_incident_and_no_task_for_everybody(text: str) -> None:
+    names = f'xmlns:camunda="http://camunda.org/schema/1.0/bpmn" camunda:candidateGroups="{text}"'
+    driver = ProcessDriver(
+        start() + f'<bpmn:userTask id="work" {names}/>' + end() + path("start", "work", "end")
+    )
+    (incident,) = driver.process.record.incidents
+    assert incident.reason.startswith("candidateGroups: ")
+    assert created(driver.step) == []
+
+
 def test_one_step_counts_as_one_revision_however_much_happens_in_it() -> None:
     driver = ProcessDriver(TWO_STEPS)
     assert driver.process.record.revision == 1

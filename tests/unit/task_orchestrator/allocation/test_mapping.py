@@ -6,7 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from handover.errors import UsageError
+from services.task_orchestrator.allocation.agents import Agent, Agents, Skill
 from services.task_orchestrator.allocation.assignment import AssignmentRules
+from services.task_orchestrator.allocation.hints import follow_up_of
 from services.task_orchestrator.allocation.mapping import (
     MappingEntry,
     MappingRequest,
@@ -14,6 +16,7 @@ from services.task_orchestrator.allocation.mapping import (
     read_mapping_file,
 )
 from services.task_orchestrator.languages import native
+from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import Activity, Value
 from services.task_orchestrator.settings import OrchestratorSettings
 
@@ -114,12 +117,51 @@ def test_a_role_that_nobody_has_is_a_warning() -> None:
         ("candidateGroups", "${team}", ["welders"]),
         ("candidateGroups", "=team", ["welders"]),
         ("candidateGroups", '=["welders", "packers"]', ["welders", "packers"]),
-        ("candidateGroups", "${unknown.thing()}", ["${unknown.thing()}"]),
     ],
 )
 def test_hints_may_be_expressions(hint: str, text: str, names: list[str]) -> None:
     assignment = rules().assign(activity(**{hint: text}), {"team": "welders"})
     assert assignment.candidates == {"groups": names}
+
+
+@pytest.mark.parametrize(
+    "hint", ["candidateGroups", "candidateUsers", "assignee", "priority", "dueDate", "followUpDate"]
+)
+@pytest.mark.parametrize("text", ["${absent}", "${absent.name()}", "${1 +}", "=1 +"])
+def test_a_hint_that_cannot_be_evaluated_is_an_error_that_names_it(hint: str, text: str) -> None:
+    given = activity(**{hint: text})
+    with pytest.raises(ExpressionError, match=hint):
+        follow_up_of(rules().request(given, {}).activity, {})
+    assert rules().assign(given, None).performer is None
+
+
+def test_an_entry_for_the_text_of_an_expression_maps_what_cannot_be_evaluated() -> None:
+    given = activity(lane="Robot", assignee="${robots.next()}")
+    by_text = {"kind": "assignee", "name": "${robots.next()}", "resource": "Device:ur10-1"}
+    by_lane = {"kind": "lane", "name": "Robot", "resource": "Device:ur10-2"}
+    assert rules(by_text, by_lane).assign(given, {}).performer == "Device:ur10-1"
+    with pytest.raises(ExpressionError, match="assignee"):
+        rules(by_lane).assign(given, {})
+
+
+@pytest.mark.parametrize("named", [{"role": "welder"}, {"skills": ["grip"]}])
+def test_when_all_that_the_assignee_is_mapped_to_have_declined_the_groups_beside_get_it(
+    named: dict[str, Any],
+) -> None:
+    deciding = rules({"kind": "assignee", "name": "bob", **named})
+    suitable = [
+        Agent(f"urn:ngsi-ld:Device:demo:arm-{number}", roles=frozenset({"welder"}), skills={"grip": Skill(1)})
+        for number in (1, 2)
+    ]
+    other = Agent("urn:ngsi-ld:Device:demo:other")
+    deciding.agents = Agents({each.id: each for each in (*suitable, other)})
+    given = activity(assignee="bob", candidateGroups="packers")
+    first, both = {suitable[0].id}, {each.id for each in suitable}
+    for declined in (set(), first):
+        assert deciding.request(given, {}, frozenset(declined)).request is not None
+    assignment = deciding.request(given, {}, frozenset(both))
+    assert (assignment.request, assignment.candidates) == (None, {"groups": ["packers"]})
+    assert deciding.request(activity(assignee="bob"), {}, frozenset(both)).request is not None
 
 
 def test_a_delegate_expression_is_mapped_by_its_name() -> None:

@@ -77,6 +77,7 @@ export default function ProcessesPage() {
             key={place.name}
             name={place.name}
             onStart={(definition, version) => setStarting({ definition, version })}
+            onDeleted={() => open({ kind: "nothing" })}
           />
         )}
         {place.kind === "offers" && <OffersPanel />}

@@ -32,9 +32,10 @@ const Diagram = lazy(() => import("../diagram/Diagram"));
 export interface DefinitionPanelProps {
   name: string;
   onStart: (definition: DefinitionView, version: number) => void;
+  onDeleted: () => void;
 }
 
-export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
+export function DefinitionPanel({ name, onStart, onDeleted }: DefinitionPanelProps) {
   const { t } = useTranslation("processes");
   const [asked, setAsked] = useQueryParameter("version");
   const latest = useTopic(`definition/${name}`);
@@ -88,7 +89,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
           </Button>
         </div>
         <MayNot permission="runProcesses" />
-        <Holds definition={definition} onChanged={record.reload} />
+        <Holds definition={definition} onChanged={record.reload} onDeleted={onDeleted} />
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
       <Body definition={definition} newest={newest} />

@@ -1,7 +1,7 @@
 // @vitest-environment jsdom
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
-import type { ElementCounts } from "~/api/generated/task-orchestrator";
+import type { ElementCounts, TokenState } from "~/api/generated/task-orchestrator";
 import { incident } from "~/testing/views";
 import { drawn, hasDrawing, withFlowsNamed } from "./layout";
 import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, withTargets, type MarkWords } from "./marks";
@@ -33,6 +33,13 @@ describe("the marks of a process", () => {
   it("show where its tokens are, also where no Task is", () => {
     expect(marks.get("pick")?.looks).toEqual(["token"]);
     expect(marks.get("wait")?.badges).toEqual([{ kind: "token", text: "2", title: "2 here" }]);
+  });
+
+  it("count the tokens at an element that is listed once, without the token of a loop", () => {
+    const token = (id: string, element: string, state: TokenState) => ({ token: id, element, name: "", state, instance: "", task: null });
+    const tokens = [token("1", "pick", "loop"), token("2", "pick", "work"), token("3", "pick", "work"), token("4", "wait", "waiting")];
+    const shown = marksOfProcess({ waiting: ["pick", "wait", "timer"], elements: {}, tokens }, words);
+    expect(["pick", "wait", "timer"].map((element) => shown.get(element)?.badges[0]?.text)).toEqual(["2", "", ""]);
   });
 
   it("count and time what was done", () => {

@@ -42,13 +42,16 @@ export interface MarkWords {
  * `drawnAt` returns the element of the drawing at which an element of a called process is shown.
  */
 export function marksOfProcess(
-  process: Pick<ProcessView, "waiting" | "elements"> & Partial<Pick<ProcessView, "incidents">>,
+  process: Pick<ProcessView, "waiting" | "elements"> & Partial<Pick<ProcessView, "incidents" | "tokens">>,
   words: MarkWords,
   drawnAt: (element: string) => string = (element) => element,
 ): Marks {
   const marks = new Map<string, ElementMarks>();
   const incidents = tally((process.incidents ?? []).map(({ element }) => drawnAt(element)));
-  const tokens = tally(process.waiting.filter((element) => drawnAt(element) === element));
+  // `waiting` names each element once, with the events that are waited for. The token of a loop only holds those of its instances.
+  const listed = (process.tokens ?? []).filter(({ state }) => state !== "loop").map(({ element }) => element);
+  const places = [...listed, ...process.waiting.filter((element) => !listed.includes(element))];
+  const tokens = tally(places.filter((element) => drawnAt(element) === element));
   for (const element of new Set([...tokens.keys(), ...incidents.keys(), ...Object.keys(process.elements)])) {
     const at = process.elements[element];
     const badges = at === undefined ? [] : badgesOf(at, words);

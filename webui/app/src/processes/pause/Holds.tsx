@@ -1,5 +1,5 @@
-/** What is paused or suspended of a definition, by whom and why, and the buttons that change it. */
-import { CircleOff, CirclePlay } from "lucide-react";
+/** What is paused or suspended of a definition, by whom and why, and the buttons that change it or delete it. */
+import { CircleOff, CirclePlay, Trash2 } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import type { DefinitionView } from "~/api/generated/task-orchestrator";
@@ -11,13 +11,21 @@ import { shortTitle } from "../names";
 import { SERVICE } from "../records";
 import { PaceButton } from "./PaceButton";
 
-export function Holds({ definition, onChanged }: { definition: DefinitionView; onChanged: () => void }) {
+export interface HoldsProps {
+  definition: DefinitionView;
+  onChanged: () => void;
+  onDeleted: () => void;
+}
+
+export function Holds({ definition, onChanged, onDeleted }: HoldsProps) {
   const { t } = useTranslation("processes");
   const [asks, setAsks] = useState(false);
+  const [deletes, setDeletes] = useState(false);
   const { name, holds } = definition;
   const title = shortTitle(definition.title);
   const does = holds.some(({ kind }) => kind === "suspended") ? "activate" : "suspend";
   const act = t(`hold.${does}.act`, { title });
+  const path = `definitions/${encodeURIComponent(name)}`;
   return (
     <div className="definition__holds">
       {holds.map(({ kind, by, why, at }) => (
@@ -30,6 +38,9 @@ export function Holds({ definition, onChanged }: { definition: DefinitionView; o
       <Button permission="runProcesses" icon={does === "suspend" ? <CircleOff aria-hidden size={18} /> : <CirclePlay aria-hidden size={18} />} onPress={() => setAsks(true)}>
         {act}
       </Button>
+      <Button permission="deployProcesses" icon={<Trash2 aria-hidden size={18} />} onPress={() => setDeletes(true)}>
+        {t("hold.delete.act", { title })}
+      </Button>
       {asks && (
         <MendDialog
           title={`${act}?`}
@@ -37,7 +48,17 @@ export function Holds({ definition, onChanged }: { definition: DefinitionView; o
           means={t(`hold.${does}.means`)}
           kind={does === "suspend" ? "stop" : "main"}
           onClose={() => setAsks(false)}
-          onAct={(json) => requestService(SERVICE, `definitions/${encodeURIComponent(name)}/${does}`, { method: "POST", json }).then(onChanged)}
+          onAct={(json) => requestService(SERVICE, `${path}/${does}`, { method: "POST", json }).then(onChanged)}
+        />
+      )}
+      {deletes && (
+        <MendDialog
+          title={`${t("hold.delete.act", { title })}?`}
+          act={t("hold.delete.act", { title })}
+          means={t("hold.delete.means")}
+          kind="stop"
+          onClose={() => setDeletes(false)}
+          onAct={({ by, why }) => requestService(SERVICE, `${path}?${new URLSearchParams({ by, why: why ?? "" }).toString()}`, { method: "DELETE" }).then(onDeleted)}
         />
       )}
     </div>

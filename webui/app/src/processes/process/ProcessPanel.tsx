@@ -8,7 +8,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import type { IncidentView, ProcessView } from "~/api/generated/task-orchestrator";
 import { useChoice } from "~/route/choice";
 import { UnknownName } from "~/route/UnknownName";
-import { useQueryParameter } from "~/route/queryParameter";
+import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "../diagram/elements";
 import { marksOfProcess, withPicked, withTargets, withWaiting } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
@@ -24,12 +24,13 @@ import { TasksView } from "../timeline/TasksView";
 import { ProcessHead } from "./ProcessHead";
 import { TaskPanel } from "./TaskPanel";
 import { ProcessComments } from "./ProcessComments";
+import { Tokens } from "./Tokens";
 import { Values } from "./Values";
 import "./ProcessPanel.css";
 
 const Diagram = lazy(() => import("../diagram/Diagram"));
 
-export const VIEWS = ["timeline", "table", "values", "acts", "comments"] as const;
+export const VIEWS = ["timeline", "table", "tokens", "values", "acts", "comments"] as const;
 export type View = (typeof VIEWS)[number];
 
 export function ProcessPanel({ id }: { id: string }) {
@@ -45,6 +46,7 @@ function Shown({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
   const [view, setView] = useChoice<View>("view", VIEWS, "timeline");
   const [picked, setPicked] = useQueryParameter("task");
+  const change = useQueryChange();
   const task = process.tasks.find((one) => taskMark(one) === picked) ?? null;
   const bpmn = useBpmn(process.definition, process.version);
   const elements = useMemo(() => (bpmn.value === null ? NO_ELEMENTS : elementsOf(bpmn.value)), [bpmn.value]);
@@ -89,6 +91,13 @@ function Shown({ process }: { process: ProcessView }) {
           {showsTasks && <TasksBar process={process} />}
         </div>
         <div className="process__below">
+          {view === "tokens" && (
+            <Tokens
+              process={process}
+              elements={elements}
+              onPick={(mark) => change({ view: "", task: mark })}
+            />
+          )}
           {view === "values" && <Values process={process} />}
           {view === "acts" && <Acts process={process} elements={elements} />}
           {view === "comments" && <ProcessComments id={process.id} />}
@@ -137,17 +146,17 @@ interface ProcessDiagramProps {
 function ProcessDiagram({ process, bpmn, elements, moving, picked, onPick }: ProcessDiagramProps) {
   const { t } = useTranslation("processes");
   const words = useMarkWords("process");
-  const { waiting, elements: counts, incidents } = process;
+  const { waiting, elements: counts, incidents, tokens } = process;
   const reasons = waitingReasons(process, (element) => pathOf(elements, element).drawn);
   const reasonsKey = JSON.stringify([...reasons]);
   const drawn = moving?.isDrawn === true ? moving : null;
   const to = drawn === null || drawn.to === "" ? picked : drawn.to;
   const targets = drawn?.targets.map(({ id }) => id).join(" ") ?? "";
   const marks = useMemo(() => {
-    const own = marksOfProcess({ waiting, elements: counts, incidents }, words, (element) => pathOf(elements, element).drawn);
+    const own = marksOfProcess({ waiting, elements: counts, incidents, tokens }, words, (element) => pathOf(elements, element).drawn);
     const waits = new Map(JSON.parse(reasonsKey) as [string, string][]);
     return withPicked(withTargets(withWaiting(own, waits), targets === "" ? [] : targets.split(" ")), to);
-  }, [waiting, counts, incidents, words, elements, targets, to, reasonsKey]);
+  }, [waiting, counts, incidents, tokens, words, elements, targets, to, reasonsKey]);
   if (bpmn.failure !== null) return <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>;
   return (
     <div className="process__diagram">
