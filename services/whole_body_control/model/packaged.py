@@ -15,6 +15,7 @@ from lxml import etree
 
 from handover.errors import UsageError
 from handover.robot_xml import parse_robot_xml
+from services.whole_body_control.model.urdf import number
 
 Capsule = tuple[Sequence[float], Sequence[float], float]
 """Start and end (3,) of the axis in m in the frame of the link, and the radius in m."""
@@ -49,6 +50,9 @@ def adapted(urdf: str, locked: Sequence[str], capsules: Mapping[str, Sequence[Ca
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
+        inertial = link.find("inertial")
+        if inertial is not None and number(inertial.find("mass"), "value") == 0:
+            link.remove(inertial)  # a frame; what was rehearsed is of the model without it
         for count, capsule in enumerate(capsules.get(str(link.get("name")), ())):
             _add_capsule(link, f"{link.get('name')}_{count}", *capsule)
     etree.indent(root)

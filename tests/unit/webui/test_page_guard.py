@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from handover.errors import Problem
+from handover.security.access_tokens import SigningKey, key_set
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from tests.kit.ports import next_free_port
 from tests.kit.rubbish_source import RubbishSource
 from webui.http.page_guard import PageGuard
@@ -20,7 +22,10 @@ def accounts() -> Iterator[RubbishSource]:
 
 
 async def problem_of(folder: Path, url: str, path: str) -> Problem:
-    guard = PageGuard(WebuiSettings(data_dir=folder, accounts_url=url, _env_file=None))
+    (folder / "security").mkdir(exist_ok=True)
+    (folder / "security" / PUBLIC_KEYS_FILE).write_bytes(key_set(SigningKey.generate()))
+    given = {"accounts_url": url, "service_token": "hnd_script_" + "a" * 43}  # is not exchanged
+    guard = PageGuard(WebuiSettings(data_dir=folder, _env_file=None, **given))
     try:
         with pytest.raises(Problem) as raised:
             await guard.ask_accounts(path, {"link": "hnd_link_x"})

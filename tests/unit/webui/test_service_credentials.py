@@ -31,6 +31,7 @@ def set_up_accounts(folder: Path) -> None:
 
 
 async def test_without_accounts_there_is_no_token(tmp_path: Path) -> None:
+    (tmp_path / "security").mkdir()  # a component on another machine has no such folder
     async with client(tmp_path, service_token=SCRIPT) as http:
         assert (await http.get(OURS[0])).text == ""
 

@@ -55,7 +55,8 @@ def test_each_list_is_there_for_programs_too() -> None:
     assert [words for words, options in lists.items() if "--json" not in options] == []
 
 
-def test_lists_for_programs_are_one_document(tmp_path: Path) -> None:
+def test_lists_for_programs_are_one_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDOVER_DATA_DIR", "")  # commands change it for the services that they start
     for words in (["robot", "list"], ["settings"], ["case"], ["doctor", "--data-dir", str(tmp_path)]):
         listed = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
         assert listed

@@ -70,8 +70,9 @@ def test_no_role_has_the_permissions_of_another(role: Role, permission: Permissi
 def test_everybody_with_a_role_may_see_the_cell_and_the_owner_may_do_everything() -> None:
     assert all(Permission.READ in permissions for permissions in ROLE_PERMISSIONS.values())
     assert {permission for permission in Permission if not LOCAL_OWNER.may(permission)} == {
-        Permission.VERIFY_CALLERS
-    }, "what only services do"
+        Permission.VERIFY_CALLERS,
+        Permission.PERFORM_FOR_DEVICES,
+    }, "what only services and components do"
 
 
 def test_nobody_without_a_grant_may_do_anything() -> None:
