@@ -25,7 +25,13 @@ from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineNam
 from services.whole_body_control.engines.stack_engine import Step
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish, swing_position
+from services.whole_body_control.patterns.footsteps import (
+    Footsteps,
+    Stance,
+    StepLimits,
+    Wish,
+    swing_position,
+)
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
@@ -70,6 +76,20 @@ class WalkingState:
     wanted_zmp: Array
     measured_zmp: Array
     fault: str = ""
+
+
+def footsteps_of(humanoid: Humanoid) -> Footsteps:
+    """Return how a humanoid steps with the settings of `WalkingController`."""
+    kinematics, settings = Kinematics(humanoid), WalkingSettings()
+    kinematics.update(kinematics.standing(settings.pose))
+    links = {side: humanoid.contacts[settings.contacts[side]].link for side in SIDES}
+    left, right = (Footprint.below(side, kinematics.pose(links[side])) for side in SIDES)
+    return Footsteps(_step_limits(left, right), PERIOD_S)
+
+
+def _step_limits(left: Footprint, right: Footprint) -> StepLimits:
+    width = float(np.linalg.norm(left.place - right.place))
+    return StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
 
 
 class _Ground:
@@ -117,8 +137,7 @@ class WalkingController:
         self._com_height = float(self._kinematics.centre_of_mass()[2])
         self._pendulum = Pendulum(self._com_height)
         stance = Stance(self._footprint("left"), self._footprint("right"))
-        width = float(np.linalg.norm(stance.left.place - stance.right.place))
-        limits = limits or StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
+        limits = limits or _step_limits(stance.left, stance.right)
         self._control = ZmpControl(self._pendulum, margin_m=ZMP_MARGIN_M)
         self._pattern = WalkingPattern(self._control, limits, self._sole, stance)
         self._limits = limits
@@ -181,9 +200,7 @@ class WalkingController:
     @property
     def fastest(self) -> Wish:
         """Return the highest speed ahead and turn that the steps allow; a higher wish is walked like it."""
-        limits = self._limits
-        step_s = (limits.single + limits.double) * PERIOD_S
-        return Wish(np.array([limits.max_length_m / step_s, 0.0]), limits.max_yaw / step_s)
+        return Footsteps(self._limits, PERIOD_S).walked(Wish(np.array([math.inf, 0.0]), math.inf))
 
     @property
     def step_limits(self) -> StepLimits:

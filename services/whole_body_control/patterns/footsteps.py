@@ -6,6 +6,7 @@ The robot begins to step when a velocity is wanted, and stops after the step tha
 side. Joints never freeze in single support: a step that began is finished.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -91,6 +92,22 @@ class Footsteps:
     def __init__(self, limits: StepLimits, period_s: float) -> None:
         self.limits = limits
         self._step_s = (limits.single + limits.double) * period_s
+
+    def walked(self, wish: Wish) -> Wish:
+        """Return what is walked of a wish that stays: steps shorten it, or it is too small to step.
+
+        The wish is in the frame of the feet. One foot steps outwards and the other follows it, so that the
+        speed to a side is the mean of both.
+        """
+        if not self.is_moving(wish):
+            return Wish(np.zeros(2))
+        limits, most = self.limits, self.limits.max_length_m
+        ahead, aside = (wish.velocity * self._step_s).tolist()
+        outer, inner = limits.max_width_m - limits.width_m, limits.width_m - limits.min_width_m
+        sideways = (min(abs(aside), outer) + min(abs(aside), inner)) / 2
+        yaw = min(max(wish.yaw_rate * self._step_s, -limits.max_yaw), limits.max_yaw)
+        step = np.array([min(max(ahead, -most), most), math.copysign(sideways, aside)])
+        return Wish(step / self._step_s, yaw / self._step_s)
 
     def after(self, stance: Stance, wish: Wish) -> Stance:
         """Return the stance of the next period."""

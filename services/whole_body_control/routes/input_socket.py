@@ -1,6 +1,7 @@
 """The WebSocket of people who exercise or steer. Nothing queues: each message replaces the one before."""
 
 import asyncio
+import math
 from contextlib import suppress
 from typing import Any, Final
 
@@ -25,10 +26,13 @@ from services.whole_body_control.running.inputs import (
     Turns,
     WishMessage,
 )
+from services.whole_body_control.running.motion import Motion
 from services.whole_body_control.running.signals import PatientSignals
 
 MAX_MESSAGE_CHARS: Final = 4096
 MAX_REASON_CHARS: Final = 300
+SAME_SPEED: Final = 1e-6
+"""In m/s or rad/s."""
 TAKEN: Final = {
     "patient": message("humanoid.patient_taken", "another person exercises already; wait for their end"),
     "therapist": message("humanoid.therapist_taken", "another therapist steers already; wait for their end"),
@@ -66,7 +70,10 @@ def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSig
         ],
     )
     async def inputs(socket: WebSocket) -> None:
-        """Take poses and pulls of the patient, or wishes of the therapist; answer echoes, haptic pulses."""
+        """Take poses and pulls of the patient, or wishes of the therapist.
+
+        Answers are echoes and haptic pulses, and what is walked of a wish where that is less.
+        """
         await socket.accept()
         role = _role(socket)
         sending = asyncio.create_task(_send_signals(socket, signals)) if role == "patient" else None
@@ -92,9 +99,19 @@ def _take(control: HumanoidControl, role: str, turns: Turns, who: object, text: 
     INPUTS.labels("accepted").inc()
     if isinstance(given, WishMessage):
         control.motion.walk(given.ahead, given.left, given.yaw, is_held=given.held)
-        return None
+        return shortfall(control.motion, given)
     control.receive(given)
     return {"kind": "echo", "t": given.t} if isinstance(given, PoseMessage) else None
+
+
+def shortfall(motion: Motion, wish: WishMessage) -> dict[str, Any] | None:
+    """Return what is walked of a wish that is held, and why, if that is less; else None."""
+    wanted, walked = (wish.ahead, wish.left, wish.yaw), motion.walked
+    is_same = all(math.isclose(*pair, abs_tol=SAME_SPEED) for pair in zip(wanted, walked, strict=True))
+    if is_same or not wish.held:
+        return None
+    ahead, left, yaw = (round(each, 4) for each in walked)
+    return {"kind": "walked", "ahead": ahead, "left": left, "yaw": yaw, "because": motion.why_less()}
 
 
 def _read(text: str, role: str) -> PoseMessage | PullMessage | WishMessage | str:

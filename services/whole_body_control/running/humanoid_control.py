@@ -17,6 +17,7 @@ from handover.telemetry import get_logger
 from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault, behaviours_of
 from services.whole_body_control.behaviours.rehearsal import FILE as REHEARSALS
 from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.behaviours.walking import footsteps_of
 from services.whole_body_control.cycle.loop import Hold, Mode
 from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import folder, humanoid
@@ -86,7 +87,7 @@ class HumanoidControl:
         self.model = humanoid(settings.model_name)
         self.offered = behaviours_of(self.model)
         self.process = CycleProcess(settings)
-        self.motion = Motion()
+        self.motion = Motion(footsteps_of(self.model))
         self.limits = limits
         self.inputs = PersonInputs()
         self.steering = Turns()

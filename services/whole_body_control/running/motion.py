@@ -11,12 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+
 from handover.control.dead_man import DeadMan
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.messages import message
 from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.metrics import STOPS
+from services.whole_body_control.patterns.footsteps import Footsteps, Wish
 from services.whole_body_control.patterns.throwing import Throw as PlannedThrow
 
 HOLD_TIMEOUT_S: Final = 0.25
@@ -53,9 +56,13 @@ class Throw:
 
 
 class Motion:
-    """The wish for the control cycle. Not thread-safe."""
+    """The wish for the control cycle. Not thread-safe.
 
-    def __init__(self) -> None:
+    `footsteps` says what the robot can step of a wish.
+    """
+
+    def __init__(self, footsteps: Footsteps | None = None) -> None:
+        self._footsteps = footsteps
         self.behaviour = Behaviour.WALKING
         self.stopped: Stopped | None = None
         self.is_paused = False
@@ -95,6 +102,28 @@ class Motion:
         """The velocity that is wanted now, before the limit: ahead and left in m/s, yaw in rad/s."""
         is_free = self.stopped is None and not self.is_paused and self.behaviour is Behaviour.WALKING
         return self._velocity if is_free and self._dead_man.permits(time.monotonic()) else (0.0, 0.0, 0.0)
+
+    @property
+    def walked(self) -> tuple[float, float, float]:
+        """What the robot walks of the wish, as `velocity`: after the limit and within what it can step."""
+        share = max(0.0, min(1.0, self.limit.fraction))
+        ahead, left, yaw = (share * each for each in self.velocity)
+        if self._footsteps is None:
+            return ahead, left, yaw
+        steps = self._footsteps.walked(Wish(np.array([ahead, left]), yaw))
+        return float(steps.velocity[0]), float(steps.velocity[1]), steps.yaw_rate
+
+    def why_less(self) -> str:
+        """Return why less is walked than is held: the first cause that applies."""
+        if self.stopped is not None:
+            return "stopped"
+        if self.is_paused:
+            return "paused"
+        if self.behaviour is not Behaviour.WALKING:
+            return "behaviour"
+        if self.needs_release:
+            return "needsRelease"
+        return "limit" if self.limit.fraction < 1 else "steps"
 
     def require_throwing(self, target: Sequence[float]) -> None:
         """Raise `Problem` 409 or 422 unless the robot may throw to a target now."""

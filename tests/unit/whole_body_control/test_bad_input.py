@@ -1,22 +1,28 @@
 """What has no meaning, met by the running control cycle: the robot stands or holds, and a code says why."""
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
+from typing import Any
 
 import numpy as np
 import pytest
 
+from handover.control.speed_limits import Allowed
 from services.whole_body_control import control_process
 from services.whole_body_control.behaviours.humanoid_component import PHASES, Behaviour, Fault
+from services.whole_body_control.behaviours.walking import footsteps_of
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.cycle.loop import Hold, Mode
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.reading import read_folder
-from services.whole_body_control.robots import COMAN
+from services.whole_body_control.robots import COMAN, humanoid
+from services.whole_body_control.routes.input_socket import shortfall
+from services.whole_body_control.running import motion as motion_module
 from services.whole_body_control.running.humanoid_control import FAULTS, HOLDS
-from services.whole_body_control.running.inputs import PersonInputs
+from services.whole_body_control.running.inputs import PersonInputs, WishMessage
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import Motion
 from tests.unit.whole_body_control.cycle import Cycle
@@ -177,6 +183,36 @@ def test_every_reason_is_shown_with_the_code_of_its_message(values: dict[str, fl
     assert shown["code"] == code
     assert shown["message"]
     assert shown["messageCode"].startswith("humanoid.")
+
+
+def test_a_wish_of_which_less_is_walked_is_answered_with_what_is_walked_and_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(motion_module, "HOLD_TIMEOUT_S", math.inf)  # a slow machine loses no message
+    motion = Motion(footsteps_of(humanoid("coman")))
+    motion.limit = Allowed("body", fraction=1.0)
+
+    def answer(ahead: float, yaw: float = 0.0, *, held: bool = True) -> dict[str, Any] | None:
+        wish = WishMessage(kind="wish", ahead=ahead, yaw=yaw, held=held)
+        motion.walk(wish.ahead, wish.left, wish.yaw, is_held=held)
+        return shortfall(motion, wish)
+
+    assert answer(0.2, held=False) is None
+    assert answer(0.1) is None
+    assert answer(0.2, 0.4) == {
+        "kind": "walked",
+        "ahead": 0.125,
+        "left": 0.0,
+        "yaw": 0.25,
+        "because": "steps",
+    }
+    assert answer(0.005) == {"kind": "walked", "ahead": 0.0, "left": 0.0, "yaw": 0.0, "because": "steps"}
+    motion.limit = Allowed("body", fraction=0.5)
+    assert answer(0.1) == {"kind": "walked", "ahead": 0.05, "left": 0.0, "yaw": 0.0, "because": "limit"}
+    motion.stop("Aino", "enough")
+    assert answer(0.1) == {"kind": "walked", "ahead": 0.0, "left": 0.0, "yaw": 0.0, "because": "stopped"}
+    motion.reset()
+    assert (answer(0.1) or {})["because"] == "needsRelease"
 
 
 def test_relaxed_constraints_are_shown_with_their_slack() -> None:

@@ -160,6 +160,30 @@ def test_step_limits_that_contradict_are_named() -> None:
         StepLimits(width_m=0.1, min_width_m=0.12, max_width_m=0.2, max_length_m=0.1)
 
 
+@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3))
+def test_what_is_walked_of_a_wish_is_what_the_steps_make_of_it(x: float, y: float) -> None:
+    steps, wish = Footsteps(LIMITS, PERIOD_S), Wish(np.array([x, y]))
+    stance, moved, periods = START, [np.zeros(2)], 2 * (LIMITS.single + LIMITS.double)
+    for _ in range(6):
+        for _ in range(periods):
+            stance = steps.after(stance, wish)
+        moved.append((stance.left.place + stance.right.place) / 2)
+    assert steps.walked(wish).velocity == pytest.approx(
+        (moved[-1] - moved[-2]) / (periods * PERIOD_S), abs=1e-9
+    )
+
+
+@given(rate=st.floats(-2, 2))
+def test_what_is_turned_of_a_wish_is_what_the_steps_make_of_it(rate: float) -> None:
+    steps, wish = Footsteps(LIMITS, PERIOD_S), Wish(np.zeros(2), rate)
+    stance, turned, periods = START, [0.0], 2 * (LIMITS.single + LIMITS.double)
+    for _ in range(6):
+        for _ in range(periods):
+            stance = steps.after(stance, wish)
+        turned.append((stance.left.yaw + stance.right.yaw) / 2)
+    assert steps.walked(wish).yaw_rate == pytest.approx((turned[-1] - turned[-2]) / (periods * PERIOD_S))
+
+
 @given(
     x=st.floats(-1, 1), y=st.floats(-1, 1), rate=st.floats(-2, 2), swing=st.sampled_from(["left", "right"])
 )

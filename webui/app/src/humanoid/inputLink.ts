@@ -41,6 +41,7 @@ export type InputMessage = WishMessage | PoseMessage | PullMessage;
 
 export type Answer =
   | { kind: "echo"; t: number }
+  | { kind: "walked"; ahead: number; left: number; yaw: number; because: string }
   | { kind: "haptic"; hand: Side; intensity: number; ms: number }
   | { kind: "error"; reason: string; reasonCode?: string; reasonParameters?: Record<string, unknown> };
 
