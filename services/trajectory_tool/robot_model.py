@@ -17,7 +17,7 @@ from typing import Any, Literal
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.messages import message, text_of
+from handover.messages import Message, message, text_of
 from handover.robot_xml import link_of, loop_faults, mesh_faults, number_of
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Frame, Pose, Vector, cross, turn
@@ -236,7 +236,10 @@ class RobotModel:
     @cached_property
     def _planner(self) -> Any:
         # Imported here: it needs the extra, and a second to start.
-        return import_module("services.trajectory_tool.planning.planner").Planner(self)
+        return import_module("services.trajectory_tool.planning.planner").Planner(
+            self,
+            checks_payload=False,  # it plans nothing
+        )
 
     def measured_within(self, joints: Joints) -> Joints:
         """Return measured joints without what they are beyond a limit by the errors of servo and encoder."""
@@ -249,14 +252,19 @@ class RobotModel:
 
         return tuple(within(joint, position) for joint, position in zip(self.joints, joints, strict=True))
 
-    def payload_fault(self, payload_kg: float) -> str | None:
+    def payload_fault(self, payload_kg: float) -> Message | None:
         """Return why the robot may not carry a part of this mass in its tool; None if it may."""
         if self.max_payload_kg is None or payload_kg + self.tool_kg <= self.max_payload_kg:
             return None
-        return (
-            f"a part of {payload_kg:g} kg and the tool of {self.tool_kg:g} kg are more than the "
-            f"{self.max_payload_kg:g} kg that {self.name} may carry; choose a lighter part, or correct "
-            "part_mass_kg of the scene, or max_payload_kg of the model"
+        return message(
+            "robot.payload_exceeded",
+            "a part of {part} kg and the tool of {tool} kg are more than the {limit} kg that {robot} may "
+            "carry; choose a lighter part, or correct part_mass_kg of the scene, or max_payload_kg of the "
+            "model",
+            part=f"{payload_kg:g}",
+            tool=f"{self.tool_kg:g}",
+            limit=f"{self.max_payload_kg:g}",
+            robot=self.name,
         )
 
     def allow(self, joints: Joints) -> Joints:

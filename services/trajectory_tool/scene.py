@@ -16,10 +16,13 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
+from handover.telemetry import get_logger
 from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from services.trajectory_tool.poses import Frame, Pose, Vector, pointing_down
 from services.trajectory_tool.robot import Unreachable
 from services.trajectory_tool.robot_model import RobotModel
+
+log = get_logger(__name__)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Length = Annotated[FiniteFloat, Field(gt=0, le=1)]
@@ -369,6 +372,14 @@ def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: R
     faults = [f"{source}: {fault}" for fault in _faults(scene, models)]
     if faults:
         raise UsageError("\n".join(faults))
+    for model in models:
+        if scene.gripper.part_mass_kg is not None and model.max_payload_kg is None:
+            log.warning(
+                "payload not checked: give the robot max_payload_kg in its robot.yaml",
+                robot=model.name,
+                part_mass_kg=scene.gripper.part_mass_kg,
+                tool_kg=round(model.tool_kg, 3),
+            )
     return scene
 
 

@@ -102,7 +102,11 @@ class Plan:
 
 
 class Planner:
-    """Plans for one robot; not thread-safe. Every method that plans raises `Unreachable` or `NoPath`."""
+    """Plans for one robot; not thread-safe. Every method that plans raises `Unreachable` or `NoPath`.
+
+    A world whose payload is more than the robot may carry is refused with `NoPath`, unless `checks_payload`
+    is false: for tests of torques, and where nothing is planned.
+    """
 
     def __init__(
         self,
@@ -110,8 +114,11 @@ class Planner:
         limits: Limits | None = None,
         world: World | None = None,
         options: Options | None = None,
+        *,
+        checks_payload: bool = True,
     ) -> None:
         self.model = model
+        self._checks_payload = checks_payload
         self.limits = limits or model.limits
         self.options = options or Options()
         self.arm = Arm(model)
@@ -259,6 +266,8 @@ class Planner:
         return least
 
     def _use(self, world: World) -> None:
+        if self._checks_payload and (too_heavy := self.model.payload_fault(world.payload_kg)) is not None:
+            raise NoPath(too_heavy)
         if world not in self._worlds:
             if len(self._worlds) > 16:
                 self._worlds.clear()

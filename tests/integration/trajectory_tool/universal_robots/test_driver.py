@@ -480,6 +480,28 @@ def test_a_model_with_seven_joints_is_refused(context: RobotContext) -> None:
         UniversalRobot.from_context(replace(context, model=PANDA))
 
 
+@pytest.mark.parametrize("source", ["option", "environment"])
+def test_a_payload_beyond_the_arm_is_refused(
+    context: RobotContext, monkeypatch: pytest.MonkeyPatch, source: str
+) -> None:
+    limit_kg = context.model.max_payload_kg
+    assert limit_kg is not None
+
+    def made_with(payload_kg: float) -> UniversalRobot:
+        options = {"host": "127.0.0.1"}
+        if source == "environment":
+            monkeypatch.setenv("HANDOVER_UR_PAYLOAD_KG", str(payload_kg))
+        else:
+            options |= {"payload_kg": str(payload_kg)}
+        return UniversalRobot.from_context(replace(context, options=options))
+
+    assert made_with(limit_kg).options.payload_kg == limit_kg
+    with pytest.raises(
+        UsageError, match=f"payload_kg of ur10-1 is .*may carry {limit_kg:g} kg at its flange"
+    ):
+        made_with(limit_kg + 0.1)
+
+
 def test_an_unknown_option_is_refused(context: RobotContext) -> None:
     with pytest.raises(UsageError, match=r"robots\.ur10-1\.settings\.hostname"):
         UniversalRobot.from_context(replace(context, options={"hostname": "10.0.0.5"}))

@@ -1,18 +1,24 @@
 """A robot carries no more than its model says, the tool included."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from handover.errors import UsageError
+from services.trajectory_tool.obstacles import World
+from services.trajectory_tool.planning.planner import Planner
+from services.trajectory_tool.robot import NoPath
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.robots.folder import read_folder
 from services.trajectory_tool.scene import read_scene
 
 OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
+PLANNERS = {name: Planner(model) for name, model in OWN.items()}
 TOOLS_KG = {"ur10": 1.0, "ur5e": 1.0, "panda": 0.76}
 """The gripper with its fingers; the link that the gripper is fixed to is one of the robot."""
 
@@ -33,6 +39,34 @@ def test_a_scene_whose_parts_are_too_heavy_is_refused(name: str, mass_kg: float)
         UsageError, match=r"scene: gripper: a part of .* more than the .* kg that .* may carry"
     ):
         read_scene(content, Path(), "scene", *OWN.values())
+
+
+@given(name=st.sampled_from(sorted(OWN)), mass_kg=st.floats(0, 30))
+def test_no_planner_takes_a_part_that_is_too_heavy(name: str, mass_kg: float) -> None:
+    model, world = OWN[name], World(payload_kg=mass_kg)
+    if mass_kg + TOOLS_KG[name] <= (model.max_payload_kg or 0.0):
+        PLANNERS[name].world = world
+        assert PLANNERS[name].world == world
+        return
+    with pytest.raises(NoPath, match=rf"a part of .* more than the .* kg that {model.name} may carry"):
+        Planner(model, world=world)
+    before = PLANNERS[name].world
+    with pytest.raises(NoPath, match="choose a lighter part"):
+        PLANNERS[name].world = world
+    assert PLANNERS[name].world == before
+
+
+def test_a_part_for_a_robot_without_a_limit_is_no_silent_payload() -> None:
+    content = {"name": "cell", "gripper": {"part_mass_kg": 2.0}}
+    unlimited = replace(OWN["ur5e"], name="mine", max_payload_kg=None)
+    with capture_logs() as logged:
+        read_scene({"name": "cell"}, Path(), "scene", unlimited)
+        read_scene(content, Path(), "scene", OWN["ur5e"])
+        assert not logged
+        read_scene(content, Path(), "scene", OWN["ur5e"], unlimited)
+    (warning,) = logged
+    assert "give the robot max_payload_kg in its robot.yaml" in warning["event"]
+    assert (warning["log_level"], warning["robot"]) == ("warning", "mine")
 
 
 def test_a_robot_of_a_stranger_says_what_it_carries(tmp_path: Path) -> None:
