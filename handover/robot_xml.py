@@ -16,6 +16,9 @@ from handover.errors import UsageError
 _PACKAGE = "package://"
 _XACRO_DEFINITIONS = frozenset({"property", "macro", "arg"})
 _XACRO_VALUE = re.compile(r"\$[{(]")
+SIZES = ("radius", "length", "size")
+PLACEHOLDER_M, THIN_M = 1e-3, 1e-3
+"""A shape that is nowhere longer, and flat, is a placeholder; another flat one gets this thickness."""
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
@@ -88,6 +91,43 @@ def link_of(joint: Any, end: str) -> str:
     """Return the link at the `parent` or `child` end of a joint; empty without one."""
     element = joint.find(end)
     return "" if element is None else str(element.get("link") or "")
+
+
+def settle_sizes(link: Any) -> list[str]:
+    """Remove shapes without any extent, which are placeholders, thicken flat ones, and say so."""
+    texts = []
+    for shape in (*link.findall("collision"), *link.findall("visual")):
+        sizes = {
+            (plain, attribute): sizes_of(plain.get(attribute))
+            for plain in plain_shapes(shape)
+            for attribute in SIZES
+            if plain.get(attribute) is not None
+        }
+        values = [value for size in sizes.values() for value in size]
+        if 0.0 not in values or not all(value >= 0 for value in values):
+            continue
+        if max(values) <= PLACEHOLDER_M:
+            link.remove(shape)
+            texts.append(f"a {shape.tag} without any extent is left out")
+        else:
+            for (plain, attribute), size in sizes.items():
+                plain.set(attribute, " ".join(f"{value or THIN_M:g}" for value in size))
+            texts.append(f"a {shape.tag} has a size of 0; {THIN_M:g} m is used")
+    return texts
+
+
+def plain_shapes(shape: Any) -> list[Any]:
+    """Return the shapes of a visual or collision that are no meshes."""
+    geometry = shape.find("geometry")
+    return [] if geometry is None else [one for one in geometry if one.tag != "mesh"]
+
+
+def sizes_of(written: str) -> list[float]:
+    """Return the numbers of a size; NaN if they are none."""
+    try:
+        return [float(part) for part in written.split()] or [math.nan]
+    except ValueError:
+        return [math.nan]
 
 
 def mesh_faults(root: Any) -> Iterator[str]:

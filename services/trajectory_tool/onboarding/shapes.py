@@ -16,6 +16,7 @@ import pinocchio as pin
 from lxml import etree
 
 from handover.errors import UsageError
+from handover.robot_xml import SIZES, plain_shapes, settle_sizes, sizes_of
 from services.trajectory_tool.onboarding.hulls import Piece, pieces_of
 from services.trajectory_tool.onboarding.meshes import mesh_of, read_surface, vector_of
 from services.trajectory_tool.onboarding.urdf import Examined, Finding
@@ -25,9 +26,6 @@ MIN_RADIUS_M, MIN_SIZE_M = 0.005, 0.01
 ROD_OF_LENGTH = 0.15
 """The radius of a link without any shape, as a share of its length."""
 MAX_SIZE_M = 20.0
-SIZES = ("radius", "length", "size")
-PLACEHOLDER_M, THIN_M = 1e-3, 1e-3
-"""A shape that is nowhere longer, and flat, is a placeholder; another flat one gets this thickness."""
 PIECE = "_shape_"
 PADDING_M = 1e-5
 """Plain shapes are larger by this much than what they contain, so that rounded numbers still do."""
@@ -50,7 +48,7 @@ def replace_meshes(examined: Examined, urdf: Path) -> dict[str, list[Piece]]:
     pieces: dict[str, list[Piece]] = {}
     faults: list[str] = []
     for link in examined.root.findall("link"):
-        _settle_sizes(link, examined.findings)
+        examined.findings += [Finding("info", link.get("name"), text) for text in settle_sizes(link)]
         faults += _replace_in(link, urdf, examined, pieces)
     if faults:
         raise UsageError("\n".join(dict.fromkeys(faults)))
@@ -202,47 +200,12 @@ def _add_rods(examined: Examined) -> None:
         )
 
 
-def _settle_sizes(link: Any, findings: list[Finding]) -> None:
-    """Remove shapes without any extent, which are placeholders, and thicken flat ones."""
-    for shape in (*link.findall("collision"), *link.findall("visual")):
-        sizes = {
-            (plain, attribute): _sizes(plain.get(attribute))
-            for plain in _plain_shapes(shape)
-            for attribute in SIZES
-            if plain.get(attribute) is not None
-        }
-        values = [value for size in sizes.values() for value in size]
-        if 0.0 not in values or not all(value >= 0 for value in values):
-            continue
-        kind = shape.tag
-        if max(values) <= PLACEHOLDER_M:
-            link.remove(shape)
-            text = f"a {kind} without any extent is left out"
-        else:
-            for (plain, attribute), size in sizes.items():
-                plain.set(attribute, " ".join(f"{value or THIN_M:g}" for value in size))
-            text = f"a {kind} has a size of 0; {THIN_M:g} m is used"
-        findings.append(Finding("info", link.get("name"), text))
-
-
-def _plain_shapes(shape: Any) -> list[Any]:
-    geometry = shape.find("geometry")
-    return [] if geometry is None else [one for one in geometry if one.tag != "mesh"]
-
-
-def _sizes(written: str) -> list[float]:
-    try:
-        return [float(part) for part in written.split()] or [math.nan]
-    except ValueError:
-        return [math.nan]
-
-
 def _require_plausible(link: str, shape: Any) -> None:
     kind = "collision shape" if shape.tag == "collision" else "visual shape"
-    for element in _plain_shapes(shape):
+    for element in plain_shapes(shape):
         for attribute in SIZES:
             written = element.get(attribute)
-            if written is not None and not all(0 < value <= MAX_SIZE_M for value in _sizes(written)):
+            if written is not None and not all(0 < value <= MAX_SIZE_M for value in sizes_of(written)):
                 raise UsageError(
                     f'a {kind} of "{link}" has {attribute}="{written}"; sizes are in m, above 0 and '
                     f"at most {MAX_SIZE_M:g}"

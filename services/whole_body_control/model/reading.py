@@ -43,7 +43,7 @@ from services.whole_body_control.model.humanoid import (
 )
 from services.whole_body_control.model.packaged import adapted, packaged_file
 from services.whole_body_control.model.standing import HANDS, SOLES, STAND, require_stance
-from services.whole_body_control.model.urdf import Tree, number
+from services.whole_body_control.model.urdf import Tree, number, settled
 
 FILE = "robot.yaml"
 MAX_FILE_BYTES = 20_000_000
@@ -127,6 +127,7 @@ def _urdf(given: Path | _PackagedUrdf, folder: Path) -> str:
 
 def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
     """Return the humanoid of three texts. Raises `UsageError` with a line for each fault."""
+    urdf, changed = settled(urdf)
     tree = Tree.of(urdf)
     semantics = _Semantics(parse_robot_xml(srdf, "SRDF"), tree)
     faults = [*semantics.faults(), *_entry_faults(entry, tree, semantics)]
@@ -155,7 +156,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         grips={name: Grip(name, grip.arm, grip.link, grip.point) for name, grip in entry.grips.items()},
         gain_limits=_gain_limits(entry, semantics),
         modes=tuple(dict.fromkeys(entry.modes)),
-        notes=entry.notes,
+        notes=(*entry.notes, *changed),
     )
     return require_stance(found)
 

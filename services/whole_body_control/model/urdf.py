@@ -6,15 +6,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import link_of, number_of, parse_robot_xml, tree_faults
+from handover.robot_xml import link_of, number_of, parse_robot_xml, settle_sizes, tree_faults
 
 MOVING = frozenset({"revolute", "prismatic"})
 FIXED = "fixed"
 MAX_JOINTS = 200
 INERTIA_TOLERANCE = 1e-6
 SMALLEST_M = 1e-12
+
+
+def settled(urdf: str) -> tuple[str, tuple[str, ...]]:
+    """Return a URDF without shapes of size 0, and what changed; unchanged where it has none."""
+    element = parse_robot_xml(urdf, "URDF")
+    notes = tuple(
+        f'the link "{link.get("name")}": {text}'
+        for link in element.findall("link")
+        for text in settle_sizes(link)
+    )
+    return (etree.tostring(element, encoding="unicode"), notes) if notes else (urdf, ())
 
 
 def number(element: Any, attribute: str) -> float | None:
@@ -111,12 +123,11 @@ def _place_faults(element: Any) -> Iterator[str]:
         for kind in ("visual", "collision"):
             for shape in part.findall(kind):
                 yield from (
-                    f"{where} has a {kind} {fault}"
-                    for fault in _shape_faults(shape.find("geometry"), may_be_flat=kind == "visual")
+                    f"{where} has a {kind} {fault}" for fault in _shape_faults(shape.find("geometry"))
                 )
 
 
-def _shape_faults(geometry: Any, *, may_be_flat: bool) -> Iterator[str]:
+def _shape_faults(geometry: Any) -> Iterator[str]:
     shape = next(iter(geometry), None) if geometry is not None else None
     if shape is None:
         yield "without a shape; its <geometry> has a box, cylinder, sphere or mesh"
@@ -128,8 +139,7 @@ def _shape_faults(geometry: Any, *, may_be_flat: bool) -> Iterator[str]:
     sizes = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
     for attribute in sizes.get(shape.tag, ()):
         written, count = str(shape.get(attribute)), 3 if attribute == "size" else 1
-        least = 0.0 if may_be_flat else SMALLEST_M
-        if not _are_numbers(written, count) or not all(float(each) >= least for each in written.split()):
+        if not _are_numbers(written, count) or not all(float(each) >= SMALLEST_M for each in written.split()):
             yield f'with a {shape.tag} whose {attribute} is "{written}"; it must be above 0'
 
 

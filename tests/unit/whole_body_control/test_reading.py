@@ -12,6 +12,7 @@ from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.model.reading import read_folder
 from services.whole_body_control.robots import COMAN, HUMANOIDS, humanoid
 from services.whole_body_control.simulation.body_model import build
+from services.whole_body_control.tasks.self_collision import SelfCollision
 
 Change = Callable[[str, str, str], None]
 LINE = "[0.1, 0, 0], [0, 0, 0], [-0.05, 0, 0], [-0.1, 0, 0]"
@@ -85,6 +86,31 @@ def test_a_root_and_frames_need_no_mass_of_their_own(coman: Humanoid, folder: Pa
     assert model.mass_kg == pytest.approx(coman.mass_kg)
     assert Kinematics(model).total_mass_kg == pytest.approx(coman.mass_kg)
     assert build(model).body("base_link") is not None
+
+
+@pytest.mark.parametrize(
+    ("shape", "note"),
+    [
+        ('<box size="0 0 0"/>', "without any extent is left out"),
+        ('<sphere radius="0"/>', "without any extent is left out"),
+        ('<cylinder radius="0" length="0"/>', "without any extent is left out"),
+        ('<box size="0.1 0 0.1"/>', "has a size of 0; 0.001 m is used"),
+        ('<cylinder radius="0.05" length="0"/>', "has a size of 0; 0.001 m is used"),
+    ],
+)
+def test_a_shape_of_size_0_is_left_out_or_thickened(
+    coman: Humanoid, folder: Path, shape: str, note: str
+) -> None:
+    file = folder / "coman.urdf"
+    text = file.read_text()
+    begin = text.index("<link")
+    added = f'<link name="frame"><collision><geometry>{shape}</geometry></collision></link>'
+    file.write_text(f"{text[:begin]}{added}{fixed('r_sole', 'frame')}{text[begin:]}")
+    model = read_folder(folder)
+    assert model.notes == (*coman.notes, f'the link "frame": a collision {note}')
+    assert any("frame" in pair for pair in model.collision_pairs) is ("is used" in note)
+    assert SelfCollision(Kinematics(model)).name
+    assert build(model).nbody > 1
 
 
 def test_a_body_without_any_mass_is_refused(coman: Humanoid, folder: Path) -> None:
