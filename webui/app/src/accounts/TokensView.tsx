@@ -141,6 +141,7 @@ function IssueDialog({ onClose, onIssued }: { onClose: () => void; onIssued: (se
       <Select label={t("tokens.kind")} value={kind} options={KINDS.map((value) => ({ value, name: t(`tokens.kinds.${value}`) }))} onChange={(chosen) => setKind(KINDS.find((one) => one === chosen) ?? "script")} />
       <Select label={t("tokens.valid")} value={days} options={DAYS.map((value) => ({ value, name: t(`tokens.days.${value}`) }))} onChange={(chosen) => setDays(DAYS.find((one) => one === chosen) ?? "90")} />
       <GrantForm draft={draft} onChange={setDraft} />
+      {kind === "script" && <p className="quiet small">{t("tokens.performer")}</p>}
     </ConfirmDialog>
   );
 }

@@ -18,6 +18,11 @@ describe("grants", () => {
     ]);
   });
 
+  it("of a performer, which the page does not offer, come last", () => {
+    const grants = [{ role: "performer", resource: NAO }, { role: "admin", resource: "*" }];
+    expect(byRole(grants).map(({ role }) => role)).toEqual(["admin", "performer"]);
+  });
+
   it("are one for each chosen resource, and none while the draft is incomplete", () => {
     expect(grantsOf({ ...NEW_DRAFT, role: "engineer", scope: "some", chosen: new Set([UR10, NAO]) })).toEqual([
       { role: "engineer", resource: UR10 },

@@ -10,6 +10,7 @@ import { shortName } from "~/live/urn";
 export type { AccountRequestView, DeletedUser, GrantBody, GrantView, IssuedToken, LinkView, NewLink, SessionView, TokenView, UserView };
 
 export const SERVICE = "accounts";
+/** The roles that the page offers. A performer is a program: `handover component add` makes its token and its file. */
 export const ROLES = ["viewer", "operator", "engineer", "researcher", "admin"] as const;
 export type Role = (typeof ROLES)[number];
 export const EVERYTHING = "*";
@@ -112,9 +113,10 @@ export function addressOf(link: NewLink): string {
   return `${location.origin}/join#${link.link}`;
 }
 
-/** The grants by role, in the order of the roles, each with its resources. */
+/** The grants by role, in the order of the roles and then others, each with its resources. */
 export function byRole<T extends { role: string; resource: string }>(grants: readonly T[]): { role: string; grants: T[] }[] {
-  const order = (role: string) => (ROLES as readonly string[]).indexOf(role);
+  const ordered: readonly string[] = ROLES;
+  const order = (role: string) => (ordered.includes(role) ? ordered.indexOf(role) : ordered.length);
   const roles = [...new Set(grants.map(({ role }) => role))].sort((a, b) => order(a) - order(b));
   return roles.map((role) => ({ role, grants: grants.filter((grant) => grant.role === role) }));
 }
