@@ -12,7 +12,7 @@ class UnknownType(GraphError, UsageError):
 
 
 class UnsupportedType(GraphError, UsageError):
-    """The definition contains an unsupported type (an array of `wstring`, or a recursive type)."""
+    """The definition contains an unsupported type (a recursive type)."""
 
 
 class BadDefinition(GraphError, UsageError):

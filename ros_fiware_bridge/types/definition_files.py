@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from ros_fiware_bridge.errors import BadDefinition, UnsupportedType
+from ros_fiware_bridge.errors import BadDefinition
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
 
 KINDS = ("msg", "srv", "action")
@@ -68,7 +68,6 @@ def read(type_name: str, file: Path) -> list[Definition]:
 
     Raises:
         BadDefinition: the error names the file and the line.
-        UnsupportedType: a field has an unsupported type.
     """
     try:
         text = file.read_text(encoding="utf-8")
@@ -126,10 +125,6 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
             many = cardinality[one.typ.cardinality.value]
             if many is Many.FIXED and one.typ.size < 1:
                 raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without elements')
-            if is_wide and many is not Many.ONE:
-                raise UnsupportedType(
-                    f"{where}, line {number}: arrays of wstring are not supported; use string (UTF-8)"
-                )
             kind = FieldType(base, many, one.typ.size, one.typ.str_size)
             fields.append(Field(one.name, kind, _bare(one.value)))
     return Definition(type_name, tuple(fields), constants)

@@ -42,7 +42,8 @@ _CODES = {
     "float32": "f",
     "float64": "d",
 }
-_MIN_TEXT_BYTES = 5
+MIN_TEXT_BYTES = {"string": 5, "wstring": 4}
+"""The number of bytes or units; a string ends with a zero."""
 _MAX_CACHED_BYTES = 65_536
 _EMPTY_MEMBER = FieldType("uint8")
 """The member of a structure without members."""
@@ -172,7 +173,7 @@ class Excerpts:
         if kind.is_number_array:
             return self._numbers(kind)
         read_one = self._read(kind.item, {})
-        start = self._start(kind, 1 if kind.is_message else _MIN_TEXT_BYTES)
+        start = self._start(kind, 1 if kind.is_message else MIN_TEXT_BYTES[kind.base])
 
         def read(data: memoryview, at: int) -> tuple[Any, int]:
             count, at = start(data, at)
@@ -263,7 +264,7 @@ class Excerpts:
 
             return jump
         past = self._past(kind.item)
-        start = self._start(kind, 1 if kind.is_message else _MIN_TEXT_BYTES)
+        start = self._start(kind, 1 if kind.is_message else MIN_TEXT_BYTES[kind.base])
 
         def skip(data: memoryview, at: int) -> int:
             count, at = start(data, at)

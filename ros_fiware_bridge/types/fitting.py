@@ -230,12 +230,12 @@ def _text(value: Any, bound: int) -> str:
     return value
 
 
-def _units(value: Any, bound: int) -> NDArray[np.uint32]:
-    """Return the units of UTF-16 of a text for a wstring."""
+def _units(value: Any, bound: int) -> SimpleNamespace:
+    """Return a text as the `units` of UTF-16 of a wstring."""
     units = np.frombuffer(_text(value, 0).encode("utf-16-le"), "<u2").astype(np.uint32)
     if bound and len(units) > bound:
         raise Unfit(f"{len(units)} units of UTF-16 do not fit wstring<={bound}")
-    return units
+    return SimpleNamespace(units=units)
 
 
 def _bool(value: Any) -> bool:

@@ -156,10 +156,6 @@ class TypeStore:
         if type_name in self._sound:
             return
         for one in self.definition(type_name).fields:
-            if one.type.base == "wstring" and one.type.many is not Many.ONE:
-                raise UnsupportedType(
-                    f"{type_name}.{one.name} is an array of wstring, which is not supported; use string"
-                )
             if one.type.is_message:
                 try:
                     self._walk(one.type.base, (*above, type_name))

@@ -22,8 +22,9 @@ from ros_fiware_bridge.types.excerpt import (
 
 _HEADER_BYTES = 4
 _MAX_CACHED_READERS = 1000  # more than the rules of a bridge
-_WIDE = FieldType("uint32", Many.SEQUENCE)
-"""A wstring on the wire: the number of its units of UTF-16 and each in four bytes; no zero ends it."""
+_WIDE, _UNITS = "handover/msg/WideText", FieldType("uint32", Many.SEQUENCE)
+"""A wstring on the wire: the number of its units of UTF-16 and each in four bytes; no zero ends it. The codec
+has it as a structure with these units, since it has no sequences of sequences; a structure adds no bytes."""
 _MEMBER = "structure_needs_at_least_one_member"
 
 
@@ -92,6 +93,8 @@ class Wire:
             from rosbags.typesys.store import Typestore  # noqa: PLC0415
 
             self._store, self._fault = Typestore(), SerdeError
+            self._store.fielddefs[_WIDE] = ([], [("units", _described(_UNITS))])
+            self._store.types[_WIDE] = text_of_units
         definition = self._definition_of(type_name)
         for one in definition.fields:
             if one.type.is_message:
@@ -113,18 +116,15 @@ def _require_cdr(type_name: str, data: bytes) -> None:
 def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
     names = [one.name for one in definition.fields]
     octets = [one.name for one in definition.fields if one.type.is_octets]
-    wide = [one.name for one in definition.fields if one.type.base == "wstring"]
     if not names:
         return lambda _member: {}
-    if not octets and not wide:
+    if not octets:
         return lambda *values: dict(zip(names, values, strict=True))
 
     def made(*values: Any) -> dict[str, Any]:
         message = dict(zip(names, values, strict=True))
         for name in octets:
             message[name] = message[name].tobytes()
-        for name in wide:
-            message[name] = text_of_units(message[name])
         return message
 
     return made
@@ -133,10 +133,8 @@ def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
 def _described(kind: FieldType) -> Any:
     from rosbags.interfaces import Nodetype  # noqa: PLC0415 - heavy
 
-    if kind.base == "wstring":
-        kind = _WIDE
-    if kind.is_message:
-        inner: Any = (Nodetype.NAME, kind.base)
+    if kind.is_message or kind.base == "wstring":
+        inner: Any = (Nodetype.NAME, kind.base if kind.is_message else _WIDE)
     else:
         inner = (Nodetype.BASE, ("uint8" if kind.base in ("byte", "char") else kind.base, kind.text_bound))
     if kind.many is Many.ONE:

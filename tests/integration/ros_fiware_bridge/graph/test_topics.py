@@ -164,7 +164,8 @@ async def test_our_own_messages_are_received_and_marked_as_ours(graph: RosGraph)
 async def test_a_custom_type_is_supported(
     joined: Joined, adapter: Any, domain_id: int, tmp_path: Path
 ) -> None:
-    folder = part(tmp_path, 'string<=8 name\nuint32 count\nfloat64[3] size_m\nwstring label "Gruß 𝄞"\n')
+    fields = 'string<=8 name\nuint32 count\nfloat64[3] size_m\nwstring label "Gruß 𝄞"\n'
+    folder = part(tmp_path, fields + 'wstring[2] pair ["ä", "𝄞"]\nwstring[<=3] few ["abc", ""]\n')
     with running_peer(adapter, domain_id, folder):
         async with joined(store=TypeStore([folder])) as graph:
             got: asyncio.Queue[Any] = asyncio.Queue()
@@ -172,3 +173,4 @@ async def test_a_custom_type_is_supported(
             message = (await asyncio.wait_for(got.get(), scaled(10))).message
             assert (message["name"], message["count"], message["size_m"].tolist()) == ("", 7, [0, 0, 0])
             assert message["label"] == "Gruß 𝄞"
+            assert (message["pair"], message["few"]) == (["ä", "𝄞"], ["abc", ""])

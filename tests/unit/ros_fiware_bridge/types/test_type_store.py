@@ -268,6 +268,42 @@ def test_a_wstring_is_carried_as_text(tmp_path_factory: pytest.TempPathFactory, 
         store.encode("cell_msgs/msg/Part", {"short": "abcde"})
 
 
+WIDES = "uint8 kind\nwstring[2] pair\nfloat64 length\nwstring[<=3] few\nwstring<=4[] short\nstring note\n"
+
+
+@given(
+    pair=st.lists(wide_texts, min_size=2, max_size=2), few=st.lists(wide_texts, max_size=3), note=wide_texts
+)
+def test_arrays_of_wstring_are_carried_as_lists_of_text(
+    tmp_path_factory: pytest.TempPathFactory, pair: list[str], few: list[str], note: str
+) -> None:
+    store = TypeStore([written(tmp_path_factory.mktemp("wides"), WIDES)])
+    store.sound("cell_msgs/msg/Part")
+    whole = {"kind": 3, "pair": pair, "length": 1.5, "few": few, "short": ["ab", ""], "note": note}
+    data = store.encode("cell_msgs/msg/Part", whole)
+    for text in pair:
+        assert text.encode("utf-32-le") in data or any(ord(letter) > 0xFFFF for letter in text)
+    assert store.decode("cell_msgs/msg/Part", data) == whole
+    for fields in ({("pair",)}, {("few",)}, {("note",)}, {("length",), ("short",)}, {()}):
+        for _ in range(2):  # the second one finds the texts of the first
+            excerpt = store.excerpt("cell_msgs/msg/Part", data, frozenset(fields))
+            assert excerpt
+            assert excerpt == {key: whole[key] for key in excerpt}
+    defaults = store.decode("cell_msgs/msg/Part", store.encode("cell_msgs/msg/Part", {}))
+    assert (defaults["pair"], defaults["few"]) == (["", ""], [])
+    for wrong, rule in (
+        ({"pair": ["a"]}, "exactly 2"),
+        ({"few": [""] * 4}, "at most 3"),
+        ({"short": ["abcde"]}, "<=4"),
+    ):
+        with pytest.raises(BadMessage, match=rule):
+            store.encode("cell_msgs/msg/Part", wrong)
+    for end in {4, 9, len(data) // 2, len(data) - 2}:
+        for read in (store.decode, lambda name, cut: store.excerpt(name, cut, frozenset({("note",)}))):
+            with pytest.raises(BadMessage):
+                read("cell_msgs/msg/Part", data[:end])
+
+
 def test_a_wstring_of_another_form_is_no_message(tmp_path: Path) -> None:
     """Two bytes for each unit would be read as other letters; the message is refused."""
     store = TypeStore([written(tmp_path, "wstring name\n")])
@@ -285,9 +321,6 @@ def test_a_wstring_has_another_hash_than_a_string(tmp_path: Path) -> None:
 
 
 def test_unsupported_types_are_refused(tmp_path: Path) -> None:
-    wide = TypeStore([written(tmp_path / "a", "wstring[] names\n")])
-    with pytest.raises(UnsupportedType, match="line 1: arrays of wstring are not supported; use string"):
-        wide.sound("cell_msgs/msg/Part")
     endless = TypeStore([written(tmp_path / "b", "Part[] parts\n")])
     with pytest.raises(UnsupportedType, match="contains itself"):
         endless.sound("cell_msgs/msg/Part")
