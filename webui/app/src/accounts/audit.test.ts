@@ -63,7 +63,7 @@ it("exports what it can read, and names the services that are away", async () =>
     expect(file.name).toBe("audit-without-study.json");
     expect(file.missing).toEqual([{ service: "study", failure: "Study does not answer" }]);
     expect((JSON.parse(file.text) as AuditView[]).map(({ seq, subjectName }) => [seq, subjectName])).toEqual([[1, "Anna"], [2, "Anna"]]);
-    await expect(exported(NO_FILTER, ["study"], "csv", new Map())).rejects.toThrow("study does not answer");
+    await expect(exported(NO_FILTER, ["study"], "csv", new Map())).rejects.toThrow("Study does not answer");
   } finally {
     vi.unstubAllGlobals();
   }

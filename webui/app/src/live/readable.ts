@@ -13,7 +13,7 @@ export function readable(text: string): string {
 export function plainValue(value: unknown): string {
   if (value === null || value === undefined) return "–";
   if (typeof value === "string") return value.replace(URN, (urn) => shortName(urn));
-  if (typeof value !== "object") return String(value);
+  if (typeof value !== "object") return JSON.stringify(value); // a number, true or false
   if (Array.isArray(value)) return value.map(plainValue).join(", ");
   return Object.entries(value)
     .map(([name, part]) => `${name} ${plainValue(part)}`)

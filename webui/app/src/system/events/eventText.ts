@@ -23,7 +23,7 @@ export function useMessageText(): (event: LiveEvent) => string {
         ...(service === undefined ? {} : { service: t(`common:services.${service}`, { defaultValue: service }) }),
       };
       // A Task that involves nobody has no `who` yet; who completed it on a screen is in `by`.
-      const who = plain(event.values["who"]) || plain(event.values["by"]) || "";
+      const who = ["who", "by"].map((name) => plain(event.values[name])).find((name) => name !== undefined && name !== "") ?? "";
       const text = event.key.startsWith("task.") && who === "" ? t(`event.taskOfPeople.${event.key.slice("task.".length)}`, words) : t(key, { ...words, ...(who === "" ? {} : { who }) });
       // The reason is translated if the component gave it a code.
       const why = localizedText(event.values, "reason") ?? detail ?? "";
