@@ -174,7 +174,7 @@ def test_a_route_sends_alerts_to_a_tested_channel_and_the_log_shows_them(
     page.get_by_role("button", name="Delete").click()
     asked = page.get_by_role("dialog")
     asked.get_by_role("button", name="Delete").click()
-    expect(asked.get_by_role("alert")).to_contain_text('the route "night-shift" uses the channel "pager"')
+    expect(asked.get_by_role("alert")).to_contain_text('The route "night-shift" uses the channel "pager"')
     asked.get_by_role("button", name="Cancel").click()
 
     page.get_by_role("radio", name="Sent").click()

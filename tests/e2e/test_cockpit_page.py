@@ -225,7 +225,7 @@ def test_an_engineer_confirms_who_gets_the_work(cockpit: Cell, open_page: OpenPa
     page.get_by_role("button", name="Confirm mapping").click()
     dialog.get_by_role("textbox", name="Reason").fill("new cell")
     dialog.get_by_role("button", name="Confirm mapping").click()
-    expect(dialog.get_by_role("alert")).to_contain_text("the mapping has the version 1, not 0")
+    expect(dialog.get_by_role("alert")).to_contain_text("The mapping has the version 1, not 0")
     dialog.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Apply my changes to the current version").click()
     page.get_by_role("button", name="Confirm mapping").click()

@@ -219,7 +219,7 @@ def test_a_device_is_added_described_and_deleted_on_the_page(
     name.fill("page-oven")
     add = page.get_by_role("button", name="Add a device").last
     add.click()
-    expect(page.get_by_role("alert")).to_contain_text('there is a device "page-oven" already')
+    expect(page.get_by_role("alert")).to_contain_text('There is a device "page-oven" already')
     name.fill("page-robot")
     add.click()
     dialog = page.get_by_role("dialog", name="Token of page-robot")

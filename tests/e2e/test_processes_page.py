@@ -117,7 +117,7 @@ def test_an_incident_is_marked_at_its_element_and_retried(
     has_look(page, "confirm_clear", "token")
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
     has_look(page, "confirm_clear", "incident")
-    expect(page.locator(".incident")).to_contain_text("nobody was there")
+    expect(page.locator(".incident")).to_contain_text("Nobody was there")
     expect(page.locator(".process__name")).to_contain_text("Incident")
     page.get_by_role("button", name="Filter and sort").click()
     page.get_by_label("State").first.select_option("incident")

@@ -38,7 +38,7 @@ def test_the_owner_joins_signs_out_and_signs_in(browser: Browser, own_cell: Cell
     page.get_by_label("Name", exact=True).fill("Olga")
     page.get_by_label("Password", exact=True).fill("not the password")
     page.get_by_role("button", name="Sign in").click()
-    expect(page.get_by_role("alert")).to_contain_text("the name or the password is wrong")
+    expect(page.get_by_role("alert")).to_contain_text("The name or the password is wrong")
     page.screenshot(path=SCREENSHOTS / "sign-in.png")
     box = page.get_by_role("button", name="Sign in").bounding_box()
     assert box is not None

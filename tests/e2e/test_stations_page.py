@@ -81,7 +81,7 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
     join.click()
     page.get_by_label("Badge number or QR code").fill("nobody-1")
     page.keyboard.press("Enter")
-    expect(page.get_by_role("alert")).to_contain_text("nobody has this badge")
+    expect(page.get_by_role("alert")).to_contain_text("Nobody has this badge")
     page.screenshot(path=SCREENSHOTS / "station-join.png")
     page.get_by_label("Badge number or QR code").fill("B-anna-1")
     page.keyboard.press("Enter")

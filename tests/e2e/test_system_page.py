@@ -100,7 +100,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     expect(alert).to_contain_text("Acknowledged by Aino")
     context = f"{cell.url('task_orchestrator')}/context.jsonld"
     page.get_by_role("link", name="Open the process").click()
-    expect(page.locator(".incident__reason")).to_contain_text("nobody was there")
+    expect(page.locator(".incident__reason")).to_contain_text("Nobody was there")
     [stored] = httpx.get(
         f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
         params={"type": "Alert"},

@@ -31,6 +31,7 @@ LOWERING: dict[str, set[str]] = {
     "task-orchestrator": {
         "POST /processes/{process_id}/cancel",
         "POST /processes/{process_id}/pause",
+        "POST /definitions/{name}/suspend",
         "POST /pause",
     },
     "gesture-controller": {"POST /gloves/{glove}/pause"},
