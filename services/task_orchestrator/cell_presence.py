@@ -14,10 +14,14 @@ from contextlib import suppress
 from datetime import timedelta
 from typing import Any, Final, Self
 
+from sqlalchemy.exc import SQLAlchemyError
+
 from datamodels.entities import Cell
 from datamodels.states import CellState
 from handover.background_tasks import BackgroundTasks
-from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import AlreadyExists, BrokerClient, BrokerUnavailable, NotFound
+from handover.database_outage import outage_problem
+from handover.errors import Problem
 from handover.retry import Backoff, with_jitter
 from handover.telemetry import get_logger
 from services.task_orchestrator.storage.cell_identity import identity_of
@@ -77,7 +81,7 @@ class CellPresence:
     async def __aexit__(self, *_: object) -> None:
         await self._tasks.__aexit__()
         if self._claimed.is_set():
-            with suppress(BrokerError, TimeoutError):
+            with suppress(Problem, TimeoutError):
                 async with asyncio.timeout(GOODBYE_S):
                     await self._write(CellState.STOPPED)
 
@@ -105,7 +109,7 @@ class CellPresence:
                 await self.require()
         except CellNameInUse:
             raise
-        except (BrokerError, TimeoutError):
+        except (Problem, TimeoutError):
             return  # without its broker a cell gets no Tasks either
 
     async def _claim(self) -> None:
@@ -153,7 +157,7 @@ class CellPresence:
         while True:
             try:
                 await self._describe()
-            except BrokerError as error:
+            except Problem as error:
                 log.warning("cell not described", error=str(error))
                 await asyncio.sleep(backoff.next_delay_s())
             else:
@@ -191,7 +195,11 @@ class CellPresence:
     async def _described(self, state: CellState) -> Cell:
         working = self._state
         now = working.clock()
-        counted: PeriodCount = await self._on_disk(working.store.counts_since, now - timedelta(hours=1), now)
+        hour = now - timedelta(hours=1), now
+        try:
+            counted: PeriodCount = await self._on_disk(working.store.counts_since, *hour)
+        except SQLAlchemyError as error:
+            raise outage_problem(error) or error from error
         running = working.active_processes.processes.values()
         values = {
             "id": self._id,

@@ -1,15 +1,19 @@
 """Several cells in one tenant of a broker do not mix, and two with one name do not run at once."""
 
 import asyncio
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fastapi import FastAPI
+from sqlalchemy.exc import OperationalError
 
 from handover.broker import BrokerClient
+from handover.errors import Problem
 from services.task_orchestrator.cell_presence import CellNameInUse, CellPresence
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.orchestrator import Orchestrator
@@ -201,3 +205,26 @@ async def test_a_cell_that_was_killed_leaves_its_name_after_it_was_silent(
     async with asyncio.timeout(120):
         await again.wait()
     await again.__aexit__()
+
+
+async def test_a_cell_is_described_again_after_its_database_was_away(
+    tmp_path: Path, broker: BrokerClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    working = Components(settings_of(tmp_path, broker, "north")).orchestrator
+    await working.state.load()
+    count, is_away = working.store.counts_since, True
+
+    def counts_since(since: datetime, now: datetime) -> Any:
+        if is_away:
+            raise OperationalError("SELECT", {}, sqlite3.OperationalError("unable to open database file"))
+        return count(since, now)
+
+    monkeypatch.setattr(working.store, "counts_since", counts_since)
+    client = BrokerClient(working.settings)
+    async with CellPresence(working.state, client, working.on_disk, heartbeat_s=0.2) as presence:
+        with pytest.raises(Problem, match="Database unavailable"):
+            await presence.require()
+        is_away = False
+        await cell_is(broker, "north", "running")
+        async with asyncio.timeout(120):
+            await presence.wait()
