@@ -5,6 +5,7 @@ same request may succeed later. A statement that the database refuses for what i
 """
 
 import asyncio
+import math
 import sqlite3
 import time
 from collections.abc import Awaitable, Callable
@@ -15,6 +16,7 @@ from sqlalchemy import Engine, event
 from sqlalchemy.engine import ExceptionContext
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as NoConnectionFree
+from sqlalchemy.pool import ConnectionPoolEntry
 
 from handover.errors import ChangeMade, Problem
 from handover.messages import message
@@ -27,6 +29,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 RETRY_AFTER_S: Final = 2
+_MADE_S: Final = "handover_made_s"
 
 
 def database_reason(error: BaseException) -> str:
@@ -100,6 +103,14 @@ async def shown_after_change(view: Awaitable[T]) -> T:
         raise ChangeMade(504, "Changed, not shown", detail) from error
 
 
+def _made_s(context: ExceptionContext) -> float:
+    """Return when the connection that has failed was made."""
+    try:
+        return float(context.connection.info[_MADE_S]) if context.connection is not None else math.inf
+    except (SQLAlchemyError, KeyError):
+        return math.inf
+
+
 class Outages:
     """Logs when the PostgreSQL server of `engine` goes and when it is back. Thread-safe."""
 
@@ -108,6 +119,8 @@ class Outages:
         self._lock = Lock()
         self._count = 0
         self._since_s: float | None = None
+        self._available_s = 0.0
+        """When it was back the last time."""
         event.listen(engine, "handle_error", self._failed)
         event.listen(engine, "connect", self._connected)
 
@@ -117,17 +130,20 @@ class Outages:
         if not (context.is_disconnect or is_refused) or not is_outage(error):
             return
         with self._lock:
-            if self._since_s is not None:
-                return
+            if self._since_s is not None or _made_s(context) < self._available_s:
+                return  # a connection that was not used since notices the same outage late
             self._since_s = time.monotonic()
             self._count += 1
         log.error(
             "database unavailable", database=self._database, nth=self._count, error=database_reason(error)
         )
 
-    def _connected(self, _: Any, __: Any) -> None:
+    def _connected(self, _: Any, record: ConnectionPoolEntry) -> None:
+        record.info[_MADE_S] = time.monotonic()
         with self._lock:
             since_s, self._since_s = self._since_s, None
+            if since_s is not None:
+                self._available_s = record.info[_MADE_S]
         if since_s is not None:
             seconds = round(time.monotonic() - since_s, 1)
             log.warning("database available again", database=self._database, nth=self._count, after_s=seconds)

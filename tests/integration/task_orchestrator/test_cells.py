@@ -1,13 +1,13 @@
 """Several cells in one tenant of a broker do not mix, and two with one name do not run at once."""
 
 import asyncio
-import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import psycopg
 import pytest
 from fastapi import FastAPI
 from sqlalchemy.exc import OperationalError
@@ -216,7 +216,7 @@ async def test_a_cell_is_described_again_after_its_database_was_away(
 
     def counts_since(since: datetime, now: datetime) -> Any:
         if is_away:
-            raise OperationalError("SELECT", {}, sqlite3.OperationalError("unable to open database file"))
+            raise OperationalError("SELECT", {}, psycopg.OperationalError("refused"))
         return count(since, now)
 
     monkeypatch.setattr(working.store, "counts_since", counts_since)
