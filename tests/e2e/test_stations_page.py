@@ -98,7 +98,7 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
     assert key is not None
     assert min(key["height"], key["width"]) >= 64, "for gloved hands"
     dialog.get_by_role("button", name="Confirm with the PIN").click()
-    expect(dialog.get_by_role("alert")).to_contain_text("this is not your PIN")
+    expect(dialog.get_by_role("alert")).to_contain_text("This is not your PIN")
     press(dialog, PIN)
     dialog.get_by_role("button", name="Confirm with the PIN").click()
     expect(dialog).to_have_count(0)
