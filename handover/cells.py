@@ -5,13 +5,18 @@ name of another cell is of that cell; every other one, as those of FIWARE compon
 all.
 """
 
-from typing import Final
+import re
+from collections.abc import Collection, Iterable
+from typing import Any, Final
 
 from datamodels.entities import Cell
 from handover.broker import BrokerClient
 from handover.settings import Settings
 
 _PREFIX: Final = "urn:ngsi-ld:"
+_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,63}")
+MAX_PATTERN_LENGTH: Final = 16_000
+"""Longest `idPattern` in characters; with more names, a broker sends notifications of all cells."""
 
 
 def cell_of(entity_id: str) -> str | None:
@@ -39,3 +44,47 @@ class OtherCells:
     def has(self, entity_id: object) -> bool:
         """Return whether an entity is of another cell."""
         return bool(self._others) and cell_of(str(entity_id)) in self._others
+
+    def selector(self, type_: str, acts_for: Iterable[str] = ()) -> dict[str, Any]:
+        """Return the entities of a type that are not of another cell, as a member of a subscription.
+
+        The cells of the resources in `acts_for` count as one's own. Without it, a broker of N cells would
+        send each notification to all N.
+        """
+        others = {name for name in self._others.difference(map(cell_of, acts_for)) if _NAME.fullmatch(name)}
+        pattern = ids_without(others)
+        return {"type": type_} if pattern is None else {"type": type_, "idPattern": pattern}
+
+
+def ids_without(cells: Collection[str]) -> str | None:
+    """Return a regular expression of the ids that are of none of `cells`; None if all are or it is too long.
+
+    Brokers have different dialects of regular expressions, and most have no negative lookahead.
+    """
+    if not cells:
+        return None
+    foreign = ""
+    for letter in reversed(_PREFIX):
+        foreign = f"([^{letter}].*|{letter}{foreign})?" if foreign else f"([^{letter}].*)?"
+    pattern = f"^({_PREFIX}([^:]*|[^:]*:[^:]*|[^:]*:{_texts_without(cells)}:.*)|{foreign})$"
+    return pattern if len(pattern) <= MAX_PATTERN_LENGTH else None
+
+
+def _texts_without(texts: Collection[str]) -> str:
+    """Return a regular expression of the texts without a colon that are none of `texts`.
+
+    For {"a", "ab"} it is `(a(b([^:][^:]*)|[^:b][^:]*)|[^:a][^:]*)?`: what may follow each first letter, or
+    another first letter; the question mark is there because the empty text is none of them.
+    """
+    rests: dict[str, set[str]] = {}
+    for text in texts:
+        if text:
+            rests.setdefault(text[0], set()).add(text[1:])
+    branches = [f"{_literal(letter)}{_texts_without(rest)}" for letter, rest in sorted(rests.items())]
+    letters = "".join(sorted(rests, key=lambda letter: (letter == "-", letter)))  # no range of letters
+    branches.append(f"[^:{letters}][^:]*")
+    return f"({'|'.join(branches)}){'' if '' in texts else '?'}"
+
+
+def _literal(letter: str) -> str:
+    return f"[{letter}]" if letter == "." else letter

@@ -39,6 +39,7 @@ from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.cells import OtherCells
 from handover.device_lease import DeviceLeases
 from handover.finished_tasks import End, FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone, finite_outputs
@@ -117,6 +118,7 @@ class Performer(ABC):
         self.broker = broker
         self.notify_url = notify_url
         self._receiver = NotificationReceiver(name, settings, broker)
+        self._cells = OtherCells(settings, broker)
         self._subscriptions = OwnSubscriptions(name, settings, broker, subscription_record)
         self._queues: dict[str, ResourceQueue] = {}
         self._jobs: dict[str, Job] = {}
@@ -243,6 +245,7 @@ class Performer(ABC):
         return True
 
     async def _reconcile(self) -> None:
+        await self._cells.read()
         await self._subscriptions.keep(self._subscription())
         self._subscribed = True
         await self._announce(
@@ -566,7 +569,7 @@ class Performer(ABC):
             "id": self.subscription_id,
             "type": "Subscription",
             "description": f"Tasks for {self.name}",
-            "entities": [{"type": Task.ngsi_type()}],
+            "entities": [self._cells.selector(Task.ngsi_type(), acts_for=self._queues)],
             "watchedAttributes": ["status", "requestedStatus"],
             "notification": {
                 "format": "normalized",

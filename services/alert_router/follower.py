@@ -91,9 +91,9 @@ class Follower:
 
     async def _reconcile(self) -> bool:
         try:
+            await self._cells.read()
             await self._subscriptions.keep(self._subscription())
             self._is_subscribed = True
-            await self._cells.read()
             entities = await self._broker.query(type="Alert")
             found = {}
             for entity in entities:
@@ -178,7 +178,7 @@ class Follower:
         return {
             "id": self._settings.entity_id("Subscription", SUBSCRIPTION),
             "type": "Subscription",
-            "entities": [{"type": "Alert"}],
+            "entities": [self._cells.selector("Alert")],
             "notification": {
                 "format": "normalized",
                 "endpoint": self.receiver.endpoint(f"{self._settings.service_url}/notifications"),

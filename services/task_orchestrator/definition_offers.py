@@ -249,7 +249,7 @@ class DefinitionOffers:
             "id": self._settings.entity_id("Subscription", "task-orchestrator-definitions"),
             "type": "Subscription",
             "description": "Definitions of other systems for the orchestrator",
-            "entities": [{"type": type_} for type_ in OFFERED_TYPES],
+            "entities": [self._cells.selector(type_) for type_ in OFFERED_TYPES],
             "notification": {
                 "format": "normalized",
                 "endpoint": self._receiver.endpoint(f"{self._settings.own_url}/notifications/definitions"),

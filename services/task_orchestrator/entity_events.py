@@ -309,7 +309,8 @@ class EntityEvents:
 
     def _subscription(self, key: str, watched: Watched) -> dict[str, Any]:
         on = watched.on
-        selector = {"type": on.type, **({} if on.id_pattern is None else {"idPattern": on.id_pattern})}
+        by_id = on.id_pattern is not None
+        selector = {"type": on.type, "idPattern": on.id_pattern} if by_id else self._cells.selector(on.type)
         address = f"{self._settings.own_url}/notifications/entities/{key}"
         return {
             "id": self._subscription_id(key),

@@ -1,6 +1,7 @@
 """Several cells in one tenant of a broker do not mix, and two with one name do not run at once."""
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from datetime import datetime
@@ -22,6 +23,8 @@ from services.task_orchestrator.storage.device_leases import LeaseHolder
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.kit.waiting import until
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path
+
+TASK = "urn:ngsi-ld:Task"
 
 
 def settings_of(folder: Path, broker: BrokerClient, name: str) -> OrchestratorSettings:
@@ -75,6 +78,13 @@ async def test_what_belongs_to_another_cell_is_left_to_it(tmp_path: Path, broker
         state = south.orchestrator.state
         await south.reconciler.read_agents()
         assert set(state.allocator.rules.agents.by_id) == {"urn:ngsi-ld:Device:plant:conveyor"}
+        await south.reconciler.reconcile()
+        subscription = await broker.subscription("urn:ngsi-ld:Subscription:south:task-orchestrator")
+        (selector,) = subscription["entities"]
+        notified = [
+            one for one in ("north", "plant", "south") if re.search(selector["idPattern"], f"{TASK}:{one}:1")
+        ]
+        assert notified == ["plant", "south"]
 
         await south.orchestrator.deployments.deploy(started_by_devices("any", ""))
         named = started_by_devices("named", 'idPattern=".*:north:.*"')
