@@ -6,7 +6,7 @@ all.
 """
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any, Final
 
 from datamodels.entities import Cell
@@ -15,8 +15,10 @@ from handover.settings import Settings
 
 _PREFIX: Final = "urn:ngsi-ld:"
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,63}")
-MAX_PATTERN_LENGTH: Final = 16_000
-"""Longest `idPattern` in characters; with more names, a broker sends notifications of all cells."""
+MAX_PATTERN_LENGTH: Final = 500
+"""Longest `idPattern` in characters: our broker accepts 512."""
+MAX_PATTERNS: Final = 32
+"""Patterns in a subscription. With more names, a broker sends notifications of all cells."""
 
 
 def cell_of(entity_id: str) -> str | None:
@@ -45,29 +47,52 @@ class OtherCells:
         """Return whether an entity is of another cell."""
         return bool(self._others) and cell_of(str(entity_id)) in self._others
 
-    def selector(self, type_: str, acts_for: Iterable[str] = ()) -> dict[str, Any]:
-        """Return the entities of a type that are not of another cell, as a member of a subscription.
+    def selectors(self, type_: str, acts_for: Iterable[str] = ()) -> list[dict[str, Any]]:
+        """Return the entities of a type that are not of another cell, as a subscription names them.
 
         The cells of the resources in `acts_for` count as one's own. Without it, a broker of N cells would
         send each notification to all N.
         """
         others = {name for name in self._others.difference(map(cell_of, acts_for)) if _NAME.fullmatch(name)}
-        pattern = ids_without(others)
-        return {"type": type_} if pattern is None else {"type": type_, "idPattern": pattern}
+        patterns = ids_without(others)
+        return [{"type": type_, "idPattern": pattern} for pattern in patterns] or [{"type": type_}]
 
 
-def ids_without(cells: Collection[str]) -> str | None:
-    """Return a regular expression of the ids that are of none of `cells`; None if all are or it is too long.
+def ids_without(cells: Collection[str]) -> list[str]:
+    """Return regular expressions, one of which matches an id if it is of none of `cells`.
 
-    Brokers have different dialects of regular expressions, and most have no negative lookahead.
+    The list is empty if that is every id, or if it would be too long. Brokers have different dialects of
+    regular expressions, and most have no negative lookahead.
     """
     if not cells:
-        return None
+        return []
     foreign = ""
     for letter in reversed(_PREFIX):
         foreign = f"([^{letter}].*|{letter}{foreign})?" if foreign else f"([^{letter}].*)?"
-    pattern = f"^({_PREFIX}([^:]*|[^:]*:[^:]*|[^:]*:{_texts_without(cells)}:.*)|{foreign})$"
-    return pattern if len(pattern) <= MAX_PATTERN_LENGTH else None
+    patterns = [f"^({_PREFIX}[^:]*(:[^:]*|::.*)?|{foreign})$"]
+    start, end = f"^{_PREFIX}[^:]*:(", "):"
+    branches: list[str] = []
+    for branch in _branches(cells, MAX_PATTERN_LENGTH - len(start + end)):
+        if branches and len(start + "|".join((*branches, branch)) + end) > MAX_PATTERN_LENGTH:
+            patterns.append(start + "|".join(branches) + end)
+            branches = []
+        branches.append(branch)
+    patterns.append(start + "|".join(branches) + end)
+    return patterns if len(patterns) <= MAX_PATTERNS else []
+
+
+def _branches(texts: Collection[str], max_length: int, start: str = "") -> Iterator[str]:
+    """Return regular expressions, one of which matches a text that has no colon and is none of `texts`."""
+    whole = start + _texts_without(texts)
+    if len(whole) <= max_length:
+        yield whole
+        return
+    rests = _by_first_letter(texts)
+    for letter, rest in rests.items():
+        yield from _branches(rest, max_length, start + _literal(letter))
+    yield start + _other_letter(rests)
+    if start and "" not in texts:
+        yield start
 
 
 def _texts_without(texts: Collection[str]) -> str:
@@ -76,14 +101,21 @@ def _texts_without(texts: Collection[str]) -> str:
     For {"a", "ab"} it is `(a(b([^:][^:]*)|[^:b][^:]*)|[^:a][^:]*)?`: what may follow each first letter, or
     another first letter; the question mark is there because the empty text is none of them.
     """
+    rests = _by_first_letter(texts)
+    branches = [f"{_literal(letter)}{_texts_without(rest)}" for letter, rest in rests.items()]
+    return f"({'|'.join((*branches, _other_letter(rests)))}){'' if '' in texts else '?'}"
+
+
+def _by_first_letter(texts: Collection[str]) -> dict[str, set[str]]:
     rests: dict[str, set[str]] = {}
-    for text in texts:
-        if text:
-            rests.setdefault(text[0], set()).add(text[1:])
-    branches = [f"{_literal(letter)}{_texts_without(rest)}" for letter, rest in sorted(rests.items())]
-    letters = "".join(sorted(rests, key=lambda letter: (letter == "-", letter)))  # no range of letters
-    branches.append(f"[^:{letters}][^:]*")
-    return f"({'|'.join(branches)}){'' if '' in texts else '?'}"
+    for text in sorted(filter(None, texts)):
+        rests.setdefault(text[0], set()).add(text[1:])
+    return rests
+
+
+def _other_letter(letters: Iterable[str]) -> str:
+    hyphen_last = sorted(letters, key=lambda letter: (letter == "-", letter))  # elsewhere it makes a range
+    return f"[^:{''.join(hyphen_last)}][^:]*"
 
 
 def _literal(letter: str) -> str:

@@ -569,7 +569,7 @@ class Performer(ABC):
             "id": self.subscription_id,
             "type": "Subscription",
             "description": f"Tasks for {self.name}",
-            "entities": [self._cells.selector(Task.ngsi_type(), acts_for=self._queues)],
+            "entities": self._cells.selectors(Task.ngsi_type(), acts_for=self._queues),
             "watchedAttributes": ["status", "requestedStatus"],
             "notification": {
                 "format": "normalized",

@@ -178,7 +178,7 @@ class Follower:
         return {
             "id": self._settings.entity_id("Subscription", SUBSCRIPTION),
             "type": "Subscription",
-            "entities": [self._cells.selector("Alert")],
+            "entities": self._cells.selectors("Alert"),
             "notification": {
                 "format": "normalized",
                 "endpoint": self.receiver.endpoint(f"{self._settings.service_url}/notifications"),

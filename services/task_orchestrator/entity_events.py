@@ -310,13 +310,13 @@ class EntityEvents:
     def _subscription(self, key: str, watched: Watched) -> dict[str, Any]:
         on = watched.on
         by_id = on.id_pattern is not None
-        selector = {"type": on.type, "idPattern": on.id_pattern} if by_id else self._cells.selector(on.type)
+        selected = {"type": on.type, "idPattern": on.id_pattern}
         address = f"{self._settings.own_url}/notifications/entities/{key}"
         return {
             "id": self._subscription_id(key),
             "type": "Subscription",
             "description": "Entities that are events of processes",
-            "entities": [selector],
+            "entities": [selected] if by_id else self._cells.selectors(on.type),
             **({} if on.q is None else {"q": on.q}),
             "notification": {"format": "normalized", "endpoint": self._receiver.endpoint(address)},
         }

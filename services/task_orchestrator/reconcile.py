@@ -236,7 +236,7 @@ class Reconciler:
             **self._subscription(),
             "id": self._settings.entity_id("Subscription", "task-orchestrator-agents"),
             "description": "agents for the orchestrator",
-            "entities": [self._cells.selector(type_) for type_ in TYPES],
+            "entities": [selector for type_ in TYPES for selector in self._cells.selectors(type_)],
             "watchedAttributes": list(WATCHED),
         }
 
@@ -245,7 +245,7 @@ class Reconciler:
             "id": self._settings.entity_id("Subscription", "task-orchestrator"),
             "type": "Subscription",
             "description": "Tasks for the orchestrator",
-            "entities": [self._cells.selector("Task")],
+            "entities": self._cells.selectors("Task"),
             "watchedAttributes": ["status"],
             "notification": {
                 "format": "normalized",

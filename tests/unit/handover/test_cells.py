@@ -1,13 +1,14 @@
 """An id says of which cell an entity is; what has another form is of none."""
 
 import re
+from typing import Any
 
 import pytest
 import re2
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from handover.cells import cell_of, ids_without
+from handover.cells import MAX_PATTERN_LENGTH, cell_of, ids_without
 from handover.settings import Settings
 
 names = st.from_regex(r"[A-Za-z0-9_.-]{1,12}", fullmatch=True)
@@ -33,21 +34,29 @@ ids = st.one_of(
 ).filter(bool)
 
 
+def matches(compile_pattern: Any, patterns: list[str], entity: str) -> bool:
+    return not patterns or any(compile_pattern(pattern).search(entity) for pattern in patterns)
+
+
 @given(others=st.sets(similar | names, min_size=1, max_size=8), entity=ids)
 @example(others={"a", "ab"}, entity="urn:ngsi-ld:Task:ab:1")
 @example(others={"a", "ab"}, entity="urn:ngsi-ld:Task:abb:1")
-def test_a_pattern_selects_what_is_of_no_other_cell(others: set[str], entity: str) -> None:
-    pattern = ids_without(others) or ""
+def test_patterns_select_what_is_of_no_other_cell(others: set[str], entity: str) -> None:
+    patterns = ids_without(others)
     for compile_pattern in (re.compile, re2.compile):  # of brokers; the latter has no lookahead
-        selected = compile_pattern(pattern).search(entity) is not None
-        assert selected is (cell_of(entity) not in others)
+        assert matches(compile_pattern, patterns, entity) is (cell_of(entity) not in others)
 
 
-def test_alone_in_a_tenant_no_pattern_is_needed() -> None:
-    assert ids_without(set()) is None
+@pytest.mark.parametrize("form", ["cell-{:02}", "plant-{}.line", "{}-hall"])
+def test_the_patterns_of_many_cells_are_short(form: str) -> None:
+    many = {form.format(number * 7919 % 100_003) for number in range(60)}
+    patterns = ids_without(many)
+    assert len(patterns) > 1
+    assert max(map(len, patterns)) <= MAX_PATTERN_LENGTH
+    for name in (*many, *(other[:-1] for other in many), *(f"{other}x" for other in many), "", "line"):
+        selected = matches(re2.compile, patterns, f"urn:ngsi-ld:Task:{name}:1")
+        assert selected is (name not in many)
 
 
-@pytest.mark.parametrize(("count", "selects_by_id"), [(50, True), (5000, False)])
-def test_a_pattern_stays_short(count: int, selects_by_id: bool) -> None:
-    pattern = ids_without({f"plant-{number * 7919 % 100_003}.line" for number in range(count)})
-    assert (pattern is not None) is selects_by_id
+def test_without_other_cells_or_with_very_many_all_is_selected() -> None:
+    assert ids_without(set()) == ids_without({f"{number * 7919 % 100_003}" for number in range(5000)}) == []
