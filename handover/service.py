@@ -1,7 +1,8 @@
 """A service: a FastAPI application with the routes that all services have; `serving.py` runs it.
 
 `create_app` adds `/healthz` (the process runs), `/readyz` (its dependencies answer), `/metrics` (Prometheus),
-`/context.jsonld` (our @context, so that any broker can fetch it) and problem details for every error.
+`/context.jsonld` (our @context, so that any broker can fetch it), `/docs` (the routes, to read and try in a
+browser) and problem details for every error.
 
 A route accepts only JSON, unless `accepts` names other media types: a page of another site can send a body
 only as plain text or as a form.
@@ -27,6 +28,7 @@ from starlette.types import Lifespan
 from starlette.websockets import WebSocket
 
 from handover.api_description import describe_problems
+from handover.api_docs import add_docs
 from handover.body_limit import limit_of, limited
 from handover.database_outage import outage_problem
 from handover.errors import ChangeMade, Problem
@@ -158,6 +160,8 @@ def create_app(
     app = FastAPI(
         title=title,
         description=description,
+        docs_url=None,
+        redoc_url=None,
         lifespan=lifespan if guard is None else _guarded(guard, audit, lifespan),
     )
     app.state.guard = guard
@@ -168,6 +172,7 @@ def create_app(
     add_operations(app, checks or {})
     if audit is not None:
         add_audit_routes(app, audit, prefix=audit_prefix)
+    add_docs(app)
     describe_problems(app, has_guard=guard is not None)
     app.add_exception_handler(Problem, _on_problem)  # type: ignore[arg-type]  # WebSockets as well
     app.add_exception_handler(HTTPException, _on_http_exception)

@@ -62,6 +62,7 @@ KNOWN = {
     "colorama": "BSD-3-Clause",  # Windows only
     "tzdata": "Apache-2.0",  # Windows only
     "cmeel-qhull": "Qhull",
+    "fastapi-offline": "MIT AND Apache-2.0",  # with Swagger UI in it
     "scipy": "BSD-3-Clause",  # its metadata has the text of the licence
     "bpmn-js": "bpmn.io licence (MIT, and its mark in a diagram stays visible)",
     "diagram-js": "MIT",

@@ -57,8 +57,9 @@ REST = f"""\
 {WRITTEN_BY}
 
 Every service answers `/healthz`, `/readyz`, `/metrics` and `/context.jsonld`, and shows its interface with
-schemas on `/docs`. Errors are problem details (RFC 7807). The context broker answers NGSI-LD;
-[its operations](../../services/context_broker/operations.md) are a page of their own.
+schemas on `/docs`, for which the browser needs no internet. Errors are problem details (RFC 7807). The
+context broker answers NGSI-LD; [its operations](../../services/context_broker/operations.md) have a page of
+their own.
 
 As long as no account exists, every local caller may do everything. With accounts, a caller sends a token
 (`Authorization: Bearer`), and the column *Permission* names what the route asks: a permission, and the

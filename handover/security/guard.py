@@ -15,6 +15,7 @@ from starlette.requests import HTTPConnection
 from starlette.routing import BaseRoute, Mount
 from starlette.types import Scope
 
+from handover.api_docs import DOCS_PATHS
 from handover.errors import Problem
 from handover.security.audit_trail import AuditedRequest, AuditTrail, current_request
 from handover.security.authentication import Guard
@@ -41,9 +42,7 @@ PUBLIC_PATHS: Final = frozenset(
         "/metrics",
         "/context.jsonld",
         "/openapi.json",
-        "/docs",
-        "/docs/oauth2-redirect",
-        "/redoc",
+        *DOCS_PATHS,
     }
 )
 """The routes of every service that ask nothing of their callers."""

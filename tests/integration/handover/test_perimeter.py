@@ -11,6 +11,7 @@ from ipaddress import ip_address
 
 import httpx
 import pytest
+from playwright.sync_api import Page, expect, sync_playwright
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -19,7 +20,9 @@ from handover.extensions import Service
 from services.context_broker.app import operations_of
 from services.context_broker.settings import BrokerSettings
 from tests.kit.cell import Cell, new_cell
+from tests.kit.chromium import FLAGS, chromium
 from tests.kit.other_broker import running
+from tests.kit.paths import REPOSITORY
 from tests.kit.skipping import OTHER_BROKER
 from tests.kit.sockets import listening_sockets
 from tests.kit.waiting import scaled
@@ -209,6 +212,37 @@ def test_a_long_header_of_a_handshake_is_refused(cell: Cell, service: str) -> No
 def test_health_is_available_under_any_name(cell: Cell, service: str) -> None:
     for path in ("/healthz", "/readyz", "/metrics", "/context.jsonld"):
         assert asked(cell, service, "GET", path, host="cell-3.evil.example").status == 200, path
+
+
+def test_the_docs_of_each_service_show_its_operations_without_another_host(cell: Cell) -> None:
+    with sync_playwright() as playwright:
+        flags = [*FLAGS, "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
+        browser = playwright.chromium.launch(executable_path=chromium(), args=flags)
+        for service in SERVICES:
+            page = browser.new_page()
+            own = (f"{cell.url(service)}/", "data:")
+            requested, faults = watched(page)
+            page.goto(f"{cell.url(service)}/docs")
+            operations = page.locator(".opblock")
+            expect(operations.first).to_be_visible(timeout=scaled(90) * 1000)
+            document = httpx.get(f"{cell.url(service)}/openapi.json", timeout=120).json()
+            described = sum(len(methods) for methods in document["paths"].values())
+            expect(operations).to_have_count(described, timeout=scaled(90) * 1000)
+            page.screenshot(path=REPOSITORY / "build" / "screenshots" / f"docs-{service}.png")
+            assert [url for url in requested if not url.startswith(own)] == []
+            assert faults == []
+            page.close()
+        browser.close()
+
+
+def watched(page: Page) -> tuple[list[str], list[str]]:
+    """Return the addresses that a page requests from now on, and what its console reports as an error."""
+    requested: list[str] = []
+    faults: list[str] = []
+    page.on("request", lambda request: requested.append(request.url))
+    page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    return requested, faults
 
 
 def test_a_service_answers_to_the_name_in_its_address(cell: Cell) -> None:
