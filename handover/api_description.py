@@ -32,6 +32,16 @@ _OF_STATES: Final = (409,)
 _CHANGES: Final = frozenset({"post", "put", "patch", "delete"})
 
 
+def sends(*media_types: str, or_json: Any = None) -> dict[int | str, dict[str, Any]]:
+    """Return the `responses` of a route that sends such files, or JSON of the model `or_json`.
+
+    Without the model, the route has a `response_class` without a media type, such as `Response`; otherwise it
+    is described as JSON as well.
+    """
+    described: dict[str, Any] = {"content": {media_type: {} for media_type in media_types}}
+    return {200: described if or_json is None else {**described, "model": or_json}}
+
+
 def describe_problems(app: FastAPI, *, has_guard: bool) -> None:
     """Let the OpenAPI document of `app` have the refusals of its routes."""
     derived: Callable[[], dict[str, Any]] = app.openapi

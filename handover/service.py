@@ -27,7 +27,7 @@ from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 from starlette.websockets import WebSocket
 
-from handover.api_description import describe_problems
+from handover.api_description import describe_problems, sends
 from handover.api_docs import add_docs
 from handover.body_limit import limit_of, limited
 from handover.database_outage import outage_problem
@@ -202,7 +202,7 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
         """Return that the process runs."""
         return {"status": "ok"}
 
-    @app.get("/readyz", tags=["operations"])
+    @app.get("/readyz", tags=["operations"], response_model=dict[str, str])
     async def readyz() -> Response:
         """Return whether all dependencies are ready: 200, or 503 with those that are not."""
         reasons = await asyncio.gather(*map(_failure_of, checks.values()))
@@ -210,12 +210,17 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
         status = HTTPStatus.SERVICE_UNAVAILABLE if failures else HTTPStatus.OK
         return JSONResponse({"status": "not ready" if failures else "ready", **failures}, status)
 
-    @app.get("/metrics", tags=["operations"])
+    @app.get("/metrics", tags=["operations"], response_class=Response, responses=sends("text/plain"))
     async def metrics() -> Response:
         """Return the metrics of this process in the Prometheus text format."""
         return Response(generate_latest(), media_type=CONTENT_TYPE_LATEST)
 
-    @app.get("/context.jsonld", tags=["operations"])
+    @app.get(
+        "/context.jsonld",
+        tags=["operations"],
+        response_class=Response,
+        responses=sends("application/ld+json"),
+    )
     async def context() -> Response:
         """Return our @context."""
         from datamodels.contexts import handover_context  # noqa: PLC0415 - read only when somebody asks
@@ -287,9 +292,10 @@ async def _on_problem(connection: Request | WebSocket, error: Exception) -> Resp
 
 async def _on_http_exception(_: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101
-    return problem_response(
-        Problem(error.status_code, HTTPStatus(error.status_code).phrase, str(error.detail))
-    )
+    problem = Problem(error.status_code, HTTPStatus(error.status_code).phrase, str(error.detail))
+    response = problem_response(problem)
+    response.headers.update(error.headers or {})  # such as Allow of 405
+    return response
 
 
 async def _on_validation_error(_: Request, error: Exception) -> Response:

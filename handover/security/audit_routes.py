@@ -13,6 +13,7 @@ from sqlalchemy import Connection
 from typing_extensions import TypedDict
 
 from datamodels.times import iso
+from handover.api_description import sends
 from handover.security.audit import AuditFilter, AuditLog, AuditRecord
 from handover.security.caller import Caller
 from handover.security.guard import require
@@ -132,7 +133,12 @@ def add_audit_routes(
             "withoutOutcome": await source.read(source.log.open_intents),
         }
 
-    @app.get(f"{prefix}/audit/export", tags=["audit"], response_class=Response)
+    @app.get(
+        f"{prefix}/audit/export",
+        tags=["audit"],
+        response_class=Response,
+        responses=sends("text/csv", or_json=list[AuditView]),
+    )
     async def audit_export(
         caller: Auditor,
         chosen: Chosen,

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from starlette.requests import HTTPConnection
 
 from datamodels.states import Outcome
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
@@ -188,7 +189,12 @@ def _add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
         """Return the state of a glove."""
         return _view(known.named(glove))
 
-    @app.put("/gloves/{glove}", tags=["gloves"], dependencies=[require(Permission.CONFIGURE, of_glove)])
+    @app.put(
+        "/gloves/{glove}",
+        tags=["gloves"],
+        responses={201: {"model": GloveView}},
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def declare(glove: str, declaration: Declaration, response: Response) -> GloveView:
         """Declare a glove before its first hello: 201, or 200 if it was known."""
         declared, is_new = await registry.declare(glove, declaration.hand, declaration.person)
@@ -318,7 +324,13 @@ def _add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
 
 
 def _add_streams(app: FastAPI, known: KnownGloves) -> None:
-    @app.get("/gloves/{glove}/frames", tags=["streams"], dependencies=[require(Permission.READ, of_glove)])
+    @app.get(
+        "/gloves/{glove}/frames",
+        tags=["streams"],
+        response_class=StreamingResponse,
+        responses=sends("application/x-ndjson"),
+        dependencies=[require(Permission.READ, of_glove)],
+    )
     async def frames(glove: str) -> StreamingResponse:
         """Stream the hello of the glove and then its raw frames, one JSON object a line."""
         return StreamingResponse(stream_frames(known.named(glove)), media_type="application/x-ndjson")

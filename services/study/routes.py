@@ -11,6 +11,7 @@ from typing import Annotated, Any, cast
 from fastapi import Body, FastAPI, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
@@ -133,6 +134,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         "/answers.csv",
         tags=["study"],
         response_class=Response,
+        responses=sends("text/csv"),
         dependencies=[require(Permission.READ_STUDIES)],
     )
     async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
@@ -146,6 +148,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         "/report.pdf",
         tags=["study"],
         response_class=Response,
+        responses=sends("application/pdf"),
         dependencies=[require(Permission.READ_STUDIES)],
     )
     async def as_pdf(study: Study = DEFAULT_STUDY, language: Language = "en") -> Response:

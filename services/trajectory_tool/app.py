@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.requests import HTTPConnection
 
 from datamodels.entities import DeviceState
+from handover.api_description import sends
 from handover.broker import BrokerClient
 from handover.control.lease import Leases
 from handover.errors import Problem
@@ -141,6 +142,7 @@ def _add_robots(app: FastAPI, controllers: Controllers, leases: Leases) -> None:
         "/robots/{robot}/urdf",
         tags=["robots"],
         response_class=Response,
+        responses=sends("application/xml"),
         dependencies=[require(Permission.READ, of_robot)],
     )
     async def urdf(robot: str) -> Response:

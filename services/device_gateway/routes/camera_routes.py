@@ -7,6 +7,7 @@ from fastapi import Depends, FastAPI, Header, Request, Response
 from pydantic import BaseModel, ConfigDict
 from pydantic.alias_generators import to_camel
 
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
@@ -71,6 +72,7 @@ def add_camera_routes(
         "/devices/{device}/image",
         tags=["devices"],
         response_class=Response,
+        responses=sends("image/*"),
         dependencies=[require(Permission.READ, OF_DEVICE)],
     )
     async def image(device: str) -> Response:

@@ -69,7 +69,12 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
             found = await dispatcher.wait(device, command, found, left_s)
         return command_view(found)
 
-    @app.delete("/devices/{device}/commands/{command}", tags=["commands"], dependencies=[may_command])
+    @app.delete(
+        "/devices/{device}/commands/{command}",
+        tags=["commands"],
+        responses={202: {"model": CommandView}},
+        dependencies=[may_command],
+    )
     @lowers()
     async def cancel(device: str, command: str, response: Response) -> CommandView:
         """Cancel a command; 202 while the device has not answered."""

@@ -8,6 +8,7 @@ from fastapi import FastAPI, Query, Request, Response
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Engine
 
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
@@ -119,7 +120,13 @@ def add_device_routes(
             await gateway.describe(device, DeviceDescription.model_validate(changed))
         return await details(known)
 
-    @app.get("/devices/{device}/urdf", tags=["devices"], response_class=Response, dependencies=[CAN_READ])
+    @app.get(
+        "/devices/{device}/urdf",
+        tags=["devices"],
+        response_class=Response,
+        responses=sends("application/xml"),
+        dependencies=[CAN_READ],
+    )
     async def urdf(device: str) -> Response:
         """Return the URDF of a robot."""
         return await _file(device, URDF)
@@ -132,7 +139,13 @@ def add_device_routes(
         content = await request.body()
         await gateway.save_file(device, PICTURE, DeviceFile(media_type_of(content), content))
 
-    @app.get("/devices/{device}/picture", tags=["devices"], response_class=Response, dependencies=[CAN_READ])
+    @app.get(
+        "/devices/{device}/picture",
+        tags=["devices"],
+        response_class=Response,
+        responses=sends(*PICTURE_TYPES),
+        dependencies=[CAN_READ],
+    )
     async def picture(device: str) -> Response:
         """Return the picture of a device."""
         return await _file(device, PICTURE)

@@ -15,6 +15,7 @@ from sqlalchemy import Engine
 from starlette.responses import StreamingResponse
 
 from datamodels.times import iso
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
@@ -94,7 +95,11 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         return await asyncio.to_thread(read)
 
     @app.get(
-        "/devices/{device}/values.csv", tags=["history"], response_class=Response, dependencies=[may_read]
+        "/devices/{device}/values.csv",
+        tags=["history"],
+        response_class=Response,
+        responses=sends("text/csv"),
+        dependencies=[may_read],
     )
     async def values_csv(
         device: str,
@@ -110,7 +115,11 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         return StreamingResponse(rows, media_type="text/csv; charset=utf-8", headers=headers)
 
     @app.get(
-        "/devices/{device}/values.parquet", tags=["history"], response_class=Response, dependencies=[may_read]
+        "/devices/{device}/values.parquet",
+        tags=["history"],
+        response_class=Response,
+        responses=sends("application/vnd.apache.parquet"),
+        dependencies=[may_read],
     )
     async def values_parquet(
         device: str,

@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import HTTPConnection
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
@@ -121,6 +122,7 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
         "/tests/{test}/trials.csv",
         tags=["accuracy tests"],
         response_class=Response,
+        responses=sends("text/csv"),
         dependencies=[require(Permission.READ, of_test)],
     )
     async def as_csv(test: str) -> Response:

@@ -10,6 +10,7 @@ import orjson
 from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message, text_of
@@ -185,7 +186,12 @@ def _add_persons(app: FastAPI, site: _Site) -> None:
         every = listed(site.people.gestures_of(known), site.people.commands_of(known))
         return {**_view(known, site), "gestures": every}
 
-    @app.put("/people/{person}", tags=["people"], dependencies=[require(Permission.MANAGE_PEOPLE, of_person)])
+    @app.put(
+        "/people/{person}",
+        tags=["people"],
+        responses={201: {"model": PersonView}},
+        dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
+    )
     async def add(person: str, response: Response, given: Title | None = None) -> PersonView:
         """Add a person, or change their title: 201, or 200 if they were known."""
         response.status_code = 201 if await site.people.add(person, given.title if given else None) else 200
@@ -254,6 +260,7 @@ def _add_gestures(app: FastAPI, site: _Site) -> None:
     @app.put(
         "/people/{person}/gestures/{gesture}",
         tags=["people"],
+        responses={201: {"model": DefinedGesture}},
         dependencies=[require(Permission.CONFIGURE, of_person)],
     )
     @max_body(MAX_RECORDING_BYTES)
@@ -292,6 +299,7 @@ def _add_profiles(app: FastAPI, site: _Site) -> None:
         "/people/{person}/profile.yaml",
         tags=["people"],
         response_class=Response,
+        responses=sends(YAML),
         dependencies=[require(Permission.READ, of_person)],
     )
     async def profile(person: str) -> Response:

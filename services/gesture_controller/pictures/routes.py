@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from fastapi import FastAPI, Header, Response
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import require_somewhere
@@ -34,6 +35,7 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         "/gestures/{name}.svg",
         tags=["gestures"],
         response_class=Response,
+        responses=sends("image/svg+xml"),
         dependencies=[require_somewhere(Permission.READ)],
     )
     async def svg(
@@ -53,6 +55,7 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         "/gestures/{name}.gif",
         tags=["gestures"],
         response_class=Response,
+        responses=sends("image/gif"),
         dependencies=[require_somewhere(Permission.READ)],
     )
     async def gif(

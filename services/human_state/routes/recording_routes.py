@@ -10,6 +10,7 @@ from typing import Annotated
 from fastapi import FastAPI, Path, Request, Response
 from starlette.responses import StreamingResponse
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.permissions import Permission
@@ -82,7 +83,10 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         return recordings.recording(recording, people.person(person).pseudonym)
 
     @app.get(
-        "/people/{person}/recordings/{recording}/file", tags=["recordings"], response_class=StreamingResponse
+        "/people/{person}/recordings/{recording}/file",
+        tags=["recordings"],
+        response_class=StreamingResponse,
+        responses=sends("application/octet-stream"),
     )
     async def download(
         person: Name, recording: RecordingId, caller: SignedIn, request: Request
@@ -111,6 +115,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         "/people/{person}/recordings/{recording}/bundle",
         tags=["recordings"],
         response_class=Response,
+        responses=sends("application/fhir+json"),
     )
     async def bundle(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return values and waveforms as an HL7 FHIR R5 Bundle, with SHA-256; 413 for a long recording."""
@@ -126,7 +131,12 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         }
         return Response(content, media_type="application/fhir+json", headers=headers)
 
-    @app.get("/people/{person}/recordings/{recording}/xdf", tags=["recordings"], response_class=Response)
+    @app.get(
+        "/people/{person}/recordings/{recording}/xdf",
+        tags=["recordings"],
+        response_class=Response,
+        responses=sends("application/octet-stream"),
+    )
     async def xdf(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return signals, values and markers as XDF 1.0, with its SHA-256; 413 for a long recording."""
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)

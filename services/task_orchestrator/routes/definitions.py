@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
+from handover.api_description import sends
 from handover.body_limit import max_body
 from handover.database_outage import shown_after_change
 from handover.messages import message
@@ -178,6 +179,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     @app.get(
         "/definitions/{name}/bpmn",
         tags=["definitions"],
+        response_class=Response,
+        responses=sends("application/xml"),
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
     async def bpmn(name: str, version: DefinitionVersion = None) -> Response:

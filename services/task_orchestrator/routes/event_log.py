@@ -4,6 +4,7 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
+from handover.api_description import sends
 from handover.event_log import TASK_COLUMNS, task_rows, xes_log
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -24,6 +25,7 @@ def add_event_log(app: FastAPI, at: Components) -> None:
         "/event-log",
         tags=["statistics"],
         response_class=Response,
+        responses=sends("application/xml", "text/csv"),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
     async def event_log(query: Annotated[EventLogQuery, Query()]) -> Response:

@@ -1,6 +1,6 @@
 """Routes: deploy forms, alone or together with BPMN files, and read them."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
@@ -53,7 +53,12 @@ def add_forms(app: FastAPI, at: Components) -> None:
         """Return the latest version of every form."""
         return json_response([form_record_view(record) for record in forms.latest()])
 
-    @app.get("/forms/{form_id}", tags=["forms"], dependencies=[require(Permission.READ)])
+    @app.get(
+        "/forms/{form_id}",
+        tags=["forms"],
+        response_model=dict[str, Any],
+        dependencies=[require(Permission.READ)],
+    )
     async def form(form_id: str, version: Version = None) -> Response:
         """Return a form as it was deployed."""
         return Response(forms.record(form_id, version).content, media_type="application/json")

@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY
@@ -45,7 +46,13 @@ def add_offers(app: FastAPI, at: Components) -> None:
         """Return an offer with its faults, what its acceptance would change, and who would get the work."""
         return json_response(await reader.view(orchestrator.offering.require(offer)))
 
-    @app.get("/offers/{offer}/bpmn", tags=["offers"], dependencies=[require(Permission.READ)])
+    @app.get(
+        "/offers/{offer}/bpmn",
+        tags=["offers"],
+        response_class=Response,
+        responses=sends("application/xml"),
+        dependencies=[require(Permission.READ)],
+    )
     async def bpmn(offer: str) -> Response:
         """Return the BPMN file of an offer, as it was read when the offer was made."""
         orchestrator.offering.require(offer)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
+from handover.api_description import sends
 from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover.security.guard import require
@@ -99,7 +100,7 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     @app.get(
         "/statistics/definitions",
         tags=["statistics"],
-        responses={200: {"model": list[DefinitionTimes]}},
+        responses=sends("text/csv", or_json=list[DefinitionTimes]),
         dependencies=[require(Permission.READ)],
     )
     async def definitions(query: Annotated[PeriodQuery, Query()]) -> Response:
@@ -113,7 +114,7 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     @app.get(
         "/statistics/elements",
         tags=["statistics"],
-        responses={200: {"model": ElementsView}},
+        responses=sends("text/csv", or_json=ElementsView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
     async def elements(query: Annotated[ElementsQuery, Query()]) -> Response:
@@ -133,7 +134,7 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     @app.get(
         "/statistics/throughput",
         tags=["statistics"],
-        responses={200: {"model": ThroughputView}},
+        responses=sends("text/csv", or_json=ThroughputView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
     async def throughput(query: Annotated[ThroughputQuery, Query()]) -> Response:
@@ -149,7 +150,7 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     @app.get(
         "/statistics/incidents",
         tags=["statistics"],
-        responses={200: {"model": list[CauseView]}},
+        responses=sends("text/csv", or_json=list[CauseView]),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
     async def incidents(query: Annotated[IncidentsQuery, Query()]) -> Response:
@@ -163,7 +164,7 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     @app.get(
         "/statistics/resources",
         tags=["statistics"],
-        responses={200: {"model": ResourcesView}},
+        responses=sends("text/csv", or_json=ResourcesView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
     async def resources(query: Annotated[ScopedQuery, Query()]) -> Response:

@@ -7,6 +7,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 
 from datamodels.times import iso
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import in_path, require
@@ -37,6 +38,7 @@ def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
         tags=["control"],
         dependencies=readers,
         response_class=FileResponse,
+        responses=sends("text/csv"),
     )
     async def recording(robot: str, name: str) -> FileResponse:
         """Return a recording as CSV: both inputs, m, what was commanded, and times, one row a cycle."""

@@ -10,6 +10,7 @@ import orjson
 from fastapi import FastAPI, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
+from handover.api_description import sends
 from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.security.act_recording import lowers
@@ -64,7 +65,13 @@ def _add_models(app: FastAPI, control: HumanoidControl) -> None:
         """Return chains, joints with limits and gains, sensors, contacts, stacks of tasks, default poses."""
         return ModelView.model_validate(model_view(control.model))
 
-    @app.get("/model/urdf", tags=["humanoid"], dependencies=see, response_class=Response)
+    @app.get(
+        "/model/urdf",
+        tags=["humanoid"],
+        dependencies=see,
+        response_class=Response,
+        responses=sends("application/xml"),
+    )
     async def urdf() -> Response:
         """Return the URDF."""
         return Response(control.model.urdf, media_type="application/xml")

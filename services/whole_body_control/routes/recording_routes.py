@@ -8,6 +8,7 @@ from fastapi import FastAPI, Path, Query, Response
 from pydantic import Field
 from starlette.responses import FileResponse
 
+from handover.api_description import sends
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
@@ -91,7 +92,13 @@ def add_recording_routes(app: FastAPI, recordings: Recordings) -> None:
         await recordings.delete(recording)
         return Response(status_code=204)
 
-    @app.get("/recordings/{recording}", tags=["recordings"], dependencies=see, response_class=FileResponse)
+    @app.get(
+        "/recordings/{recording}",
+        tags=["recordings"],
+        dependencies=see,
+        response_class=FileResponse,
+        responses=sends("application/octet-stream"),
+    )
     async def download(recording: RecordingId) -> FileResponse:
         """Return the MCAP file, with its SHA-256 in `Repr-Digest` (RFC 9530); 409 while it is recorded."""
         row, path = await recordings.file(recording)

@@ -3,6 +3,7 @@
 The services are those that `handover up` can start; a new one is included without a change here.
 """
 
+import inspect
 import re
 from collections.abc import Iterable, Iterator, MutableMapping
 from pathlib import Path
@@ -32,6 +33,7 @@ PUBLIC: dict[str, tuple[str, ...]] = {
     )
 }
 """The public routes of a service besides those of every service, each with a reason."""
+STATUS_SET = re.compile(r"\bresponse\.status_code = (\d{3})\b")
 WITHOUT_FASTAPI = {"context-broker"}
 """Services that check their operations by themselves, not by routes of FastAPI."""
 
@@ -54,6 +56,32 @@ def app(request: pytest.FixtureRequest, environment: Path) -> FastAPI:
         f"{service.name} has no FastAPI application; how does it authenticate its callers?"
     )
     return made
+
+
+def test_every_successful_response_is_described_with_its_media_type_and_the_schema_of_its_json(
+    app: FastAPI,
+) -> None:
+    undescribed = []
+    for path, methods in app.openapi()["paths"].items():
+        for method, operation in methods.items():
+            for status, response in operation["responses"].items():
+                content = response.get("content", {})
+                is_described = content and content.get("application/json", {"schema": True}).get("schema")
+                if status.startswith("2") and status != "204" and not is_described:
+                    undescribed.append(f"{method.upper()} {path} {status}")
+    assert undescribed == []
+
+
+def test_every_status_that_a_route_sets_is_described(app: FastAPI) -> None:
+    paths = app.openapi()["paths"]
+    undescribed = []
+    for route in app.routes:
+        if isinstance(route, APIRoute) and route.include_in_schema:
+            statuses = STATUS_SET.findall(inspect.getsource(inspect.unwrap(route.endpoint)))
+            for method in route.methods:
+                described = paths[route.path_format][method.lower()]["responses"]
+                undescribed += [f"{method} {route.path} {one}" for one in statuses if one not in described]
+    assert undescribed == []
 
 
 def test_every_route_asks_a_permission(app: FastAPI) -> None:
