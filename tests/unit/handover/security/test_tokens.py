@@ -91,24 +91,24 @@ def test_a_key_that_was_stored_signs_the_same_tokens() -> None:
     assert KEYS.verify(again.issue(ANNA, valid_s=60)).subject == ANNA.subject
 
 
-@pytest.mark.parametrize(
-    "token",
-    [
-        "",
-        "no.token.at-all",
-        SigningKey.generate().issue(ANNA, valid_s=60),
-        KEY.issue(ANNA, valid_s=-60),
-        KEY.issue(ANNA, valid_s=60)[:-4] + "AAAA",
-        changed_claims(aud="another"),
-        changed_claims(iss="another"),
-        changed_claims(sub=None),
-        changed_claims(exp=None),
-        changed_claims(grants=[["emperor", "*"]]),
-        changed_claims(kind="god"),
-        changed_claims(iat=int(time.time()) + 3600),
-        "x" * 40_000,
-    ],
-)
+OTHER_TOKENS = {
+    "empty": "",
+    "no token": "no.token.at-all",
+    "of another key": SigningKey.generate().issue(ANNA, valid_s=60),
+    "expired": KEY.issue(ANNA, valid_s=-60),
+    "wrong signature": KEY.issue(ANNA, valid_s=60)[:-4] + "AAAA",
+    "for another audience": changed_claims(aud="another"),
+    "of another issuer": changed_claims(iss="another"),
+    "without a subject": changed_claims(sub=None),
+    "without an end": changed_claims(exp=None),
+    "with an unknown role": changed_claims(grants=[["emperor", "*"]]),
+    "of an unknown kind": changed_claims(kind="god"),
+    "of the future": changed_claims(iat=int(time.time()) + 3600),
+    "too long": "x" * 40_000,
+}
+
+
+@pytest.mark.parametrize("token", OTHER_TOKENS.values(), ids=OTHER_TOKENS)
 def test_any_other_token_is_refused(token: str) -> None:
     with pytest.raises(InvalidToken):
         KEYS.verify(token)
@@ -125,18 +125,18 @@ def test_the_header_of_a_token_never_chooses_the_algorithm() -> None:
         KEYS.verify(jwt.encode(payload, secret, algorithm="HS256", headers={"kid": KEY.key_id}))
 
 
-@pytest.mark.parametrize(
-    "document",
-    [
-        b"",
-        b"[]",
-        b"{}",
-        b'{"keys": []}',
-        b'{"keys": [{"kty": "OKP"}]}',
-        b"\xff",
-        key_set(retired=[RetiredKey(KEY.public_jwk, 0.0, 1.0)]),
-    ],
-)
+DAMAGED_DOCUMENTS = {
+    "nothing": b"",
+    "a list": b"[]",
+    "no keys": b"{}",
+    "an empty list of keys": b'{"keys": []}',
+    "a key without a value": b'{"keys": [{"kty": "OKP"}]}',
+    "no text": b"\xff",
+    "retired keys only": key_set(retired=[RetiredKey(KEY.public_jwk, 0.0, 1.0)]),
+}
+
+
+@pytest.mark.parametrize("document", DAMAGED_DOCUMENTS.values(), ids=DAMAGED_DOCUMENTS)
 def test_damaged_public_keys_are_refused(document: bytes) -> None:
     with pytest.raises(UsageError):
         PublicKeys.parse(document)
