@@ -39,15 +39,22 @@ help:  ## list the commands
 setup: $(READY)  ## install everything that demo and test need into .venv, and build the page
 	@$(PAGE)
 
-no_packages = echo "the packages of Python cannot be installed: check that this machine reaches the network and its package index (pip config list), then run make again" >&2; exit 1
+# Without a network, pip and uv write lines that hide the reason; everything else that they report is shown.
+INSTALL_LOG := $(VENV)/install.log
+UNREACHABLE := retrying|connection|network|resolution|dns error|timed out|error sending request|no matching distribution
+define no_packages
+if grep -qiE '$(UNREACHABLE)' $(INSTALL_LOG); then \
+	echo "the packages of Python cannot be installed: check that this machine reaches the network and its package index (pip config list), then run make again; details are in $(INSTALL_LOG)" >&2; \
+else cat $(INSTALL_LOG) >&2; fi; exit 1
+endef
 
 # Compiled here: where PYTHONDONTWRITEBYTECODE is set, every service would compile its libraries at each start.
 define install
 	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements/uv.lock || { $(no_packages); }
-	@$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(1) || { $(no_packages); }
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements/uv.lock >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
+	@$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(1) >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
 endef
