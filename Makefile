@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test lowest nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test lowest schemathesis nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -144,11 +144,23 @@ lowest: setup  ## the unit tests and the demo with the lowest versions that pypr
 	@$(LOWEST_VENV)/bin/pytest -n $(WORKERS) -p no:cacheprovider $(LOWEST_TESTS) $(ARGS)
 	@data=$$(mktemp -d) && $(LOWEST_VENV)/bin/handover demo --once --data-dir "$$data"; ended=$$?; rm -rf "$$data"; exit $$ended
 
+SCHEMATHESIS_VENV := $(VENV)-schemathesis
+
+$(SCHEMATHESIS_VENV)/.ready: requirements/schemathesis.lock | setup
+	@rm -rf $(SCHEMATHESIS_VENV)
+	@$(BIN)/python -m venv $(SCHEMATHESIS_VENV)
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(SCHEMATHESIS_VENV)/bin/python --require-hashes -r requirements/schemathesis.lock
+	@touch $@
+
+schemathesis: $(SCHEMATHESIS_VENV)/.ready  ## schemathesis against the OpenAPI document of every service (ARGS="--service study --examples 100")
+	@$(BIN)/python -m tests.load.schemathesis_run $(SCHEMATHESIS_VENV)/bin/schemathesis $(ARGS)
+
 # Each part fails by itself, after the others have run.
-nightly: setup  ## what takes an hour: cells on another broker, the lowest versions of our dependencies, the memory of the humanoid's control process, the containers (Docker, or root and podman)
+nightly: setup  ## what takes an hour: cells on another broker, the lowest versions of our dependencies, schemathesis, the memory of the humanoid's control process, the containers (Docker, or root and podman)
 	@failed=; \
 	$(MAKE) --no-print-directory orion-test ARGS= || failed="$$failed orion-test"; \
 	$(MAKE) --no-print-directory lowest ARGS= || failed="$$failed lowest"; \
+	$(MAKE) --no-print-directory schemathesis ARGS= || failed="$$failed schemathesis"; \
 	$(BIN)/python -m benchmarks.whole_body_memory $(ARGS) || failed="$$failed whole_body_memory"; \
 	if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
 		deploy/try-containers || failed="$$failed try-containers"; \
@@ -210,6 +222,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/bench.in -o requirements/bench.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/schemathesis.in -o requirements/schemathesis.lock
 
 bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-human-state  ## measure everything
 
@@ -285,4 +298,4 @@ humanoid-figures: setup  ## the figures of CoSiMA from own runs, in webui/pictur
 	@$(BIN)/handover humanoid figures webui/pictures
 
 clean:  ## remove what setup made (not your data in .handover)
-	rm -rf $(VENV) $(ROS_VENV) $(LOWEST_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS_VENV) $(LOWEST_VENV) $(PEERS_VENV) $(SCHEMATHESIS_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
