@@ -61,10 +61,10 @@ def serve(
 ) -> None:
     """Run a performer as a service on `port` until it is stopped.
 
-    `url` is its address for the broker, by default the address on which it listens.
+    `url` is its address for the broker, by default HANDOVER_COMPONENT_URL or the address on which it listens.
     """
     settings = Settings.load()
-    own_url = settings.url_of(port, url)
+    own_url = settings.url_of(port, url or settings.component_url)
     serve_app(
         lambda: component_app(performer_class, name, settings, acts_for=acts_for, url=own_url),
         settings,
@@ -72,4 +72,5 @@ def serve(
         port=port,
         port_setting=f"the port of {name}",
         urls=[own_url],
+        is_component=True,
     )

@@ -26,6 +26,7 @@ from handover.origin_guard import OriginGuard, OriginPolicy
 from handover.ports import hold_when_free
 from handover.private_files import UMASK, make_private
 from handover.security.protection import require_protection
+from handover.security.service_access import has_component_token
 from handover.settings import LIFELINE, PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
 from handover.transport_security.server_certificate import ServerCertificate
@@ -70,14 +71,21 @@ def serve(
     port: int,
     port_setting: str,
     urls: Sequence[str] = (),
+    is_component: bool = False,
 ) -> None:
     """Serve the application of `make_app` on `port` until stopped; exits as `run` does.
 
-    `urls` are further addresses of the server, in addition to those in the settings.
+    `urls` are further addresses of the server, in addition to those in the settings. A component of others
+    that has its token may be on a machine without the keys of accounts.
     """
     try:
         set_up_logging(settings, service)
-        require_protection(settings, settings.host, "HANDOVER_HOST")
+        require_protection(
+            settings,
+            settings.host,
+            "HANDOVER_HOST",
+            accepts_no_callers=is_component and has_component_token(settings),
+        )
         os.umask(UMASK)
         require_writable(settings.data_dir)
         if os.environ.get(LIFELINE):  # before a wait for the holder of the databases

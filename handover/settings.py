@@ -233,6 +233,11 @@ class Settings(BaseSettings):
         description="addresses and networks of proxies, comma-separated, whose X-Forwarded-For and "
         "X-Forwarded-Proto name the client and its scheme; from others these headers do not count",
     )
+    component_url: str | None = Field(
+        None,
+        description="where the broker reaches a component of others, in the file of `handover component "
+        "add`; host and port if absent",
+    )
     tls_handshake_timeout_s: float = Field(10.0, gt=0, description="timeout for a TLS handshake, in seconds")
     outbound_allow: str = Field(
         "",

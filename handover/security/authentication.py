@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from handover.background_tasks import BackgroundTasks
 from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
+from handover.outbound_policy import is_loopback
 from handover.retry import Backoff
 from handover.security.accounts_mark import AccountsMark
 from handover.security.audit_trail import current_request
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind, InvalidToken
-from handover.security.keys_in_force import RELOAD_INTERVAL_S, KeysInForce
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE, RELOAD_INTERVAL_S, KeysInForce
 from handover.security.local_mode import is_local
 from handover.security.permissions import READING, ROLE_PERMISSIONS, Grant, Permission, Role
 from handover.security.resource_patterns import ANY_RESOURCE
@@ -118,8 +119,12 @@ class Guard:
             raise _unauthenticated("the session or token was revoked; sign in again")
         return caller
 
-    @staticmethod
-    def _without_accounts(address: str | None, headers: Mapping[bytes, bytes]) -> Caller:
+    def _without_accounts(self, address: str | None, headers: Mapping[bytes, bytes]) -> Caller:
+        if not is_loopback(self.settings.host):  # a component, which `require_protection` admits
+            raise _unauthenticated(
+                "this component has no public keys of accounts, so it accepts no callers; copy "
+                f"{PUBLIC_KEYS_FILE} of the cell to {self.settings.security_folder}, and start it again"
+            )
         if is_local(address, headers):
             return LOCAL_OWNER
         raise _unauthenticated(

@@ -7,18 +7,25 @@ from handover.settings import Settings
 
 
 def require_protection(
-    settings: Settings, host: str, host_setting: str, *, has_tls: bool | None = None
+    settings: Settings,
+    host: str,
+    host_setting: str,
+    *,
+    has_tls: bool | None = None,
+    accepts_no_callers: bool = False,
 ) -> None:
     """Raise `UsageError` if other machines can reach a server on `host` without TLS and accounts.
 
     A server on loopback needs neither, unless a proxy passes on requests to it. `host_setting` is the setting
-    of `host`; `has_tls` says it for a port with settings of TLS of its own.
+    of `host`; `has_tls` says it for a port with settings of TLS of its own. A server that
+    `accepts_no_callers` needs no accounts: without their keys it refuses every token, and beyond loopback
+    there is no local mode.
     """
     if is_loopback(host) and settings.tls_proxy_url is None:
         return
     if has_tls is None:
         has_tls = settings.tls_certificate is not None or settings.tls_proxy_url is not None
-    has_accounts = KeysInForce(settings.security_folder).keys() is not None
+    has_accounts = accepts_no_callers or KeysInForce(settings.security_folder).keys() is not None
     missing = [name for name, is_there in (("TLS", has_tls), ("accounts", has_accounts)) if not is_there]
     if not missing:
         return

@@ -51,6 +51,12 @@ def read_service_token(file: Path) -> str:
     return token
 
 
+def has_component_token(settings: Settings) -> bool:
+    """Return whether the settings have the token of a component of others."""
+    token = "" if settings.service_token is None else settings.service_token.get_secret_value()
+    return is_secret_token(token) and kind_of(token) != CallerKind.SERVICE
+
+
 class AccountsUnavailable(HandoverError):
     """`accounts` does not answer, or refuses; `problem` are the problem details of a refusal.
 
@@ -190,9 +196,7 @@ class ServiceAccess:
 
     def is_component(self) -> bool:
         """Return whether the settings have the token of a component of others."""
-        given = self._settings.service_token
-        token = "" if given is None else given.get_secret_value()
-        return is_secret_token(token) and kind_of(token) != CallerKind.SERVICE
+        return has_component_token(self._settings)
 
     def _secret(self) -> str:
         if self._settings.service_token is not None:

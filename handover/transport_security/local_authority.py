@@ -125,6 +125,13 @@ class LocalAuthority:
         key = ec.generate_private_key(ec.SECP256R1())
         return self._sign(key, name, ExtendedKeyUsageOID.CLIENT_AUTH), _pem(key)
 
+    def issue_server(self, names: Iterable[str]) -> tuple[bytes, bytes]:
+        """Return a new certificate of a server for `names` and loopback, and its private key, both as PEM.
+
+        The authority keeps neither, so `renew` does not make it again.
+        """
+        return self._new_server(tuple(dict.fromkeys((*map(checked_name, names), *LOOPBACK_NAMES))))[1:]
+
     def trust(self, folder: Path) -> None:
         """Write the certificate of the authority into a folder of clients, unless it is there."""
         file = folder / AUTHORITY
@@ -179,16 +186,20 @@ class LocalAuthority:
         return certificate if is_current else None
 
     def _issue(self, folder: Path, names: tuple[str, ...]) -> x509.Certificate:
-        key = ec.generate_private_key(ec.SECP256R1())
-        alternative = x509.SubjectAlternativeName(_alternative_names(names))
-        certificate = self._sign(key, names[0], ExtendedKeyUsageOID.SERVER_AUTH, alternative)
+        certificate, pem, key = self._new_server(names)
         if not folder.exists():
             folder.mkdir(parents=True, mode=0o700)
         replace_durably(folder / AUTHORITY, self.path.read_bytes(), mode=PUBLIC_MODE)
-        replace_durably(folder / KEY, _pem(key), mode=PRIVATE_MODE)
-        pem = certificate.public_bytes(serialization.Encoding.PEM)
+        replace_durably(folder / KEY, key, mode=PRIVATE_MODE)
         replace_durably(folder / CERTIFICATE, pem, mode=PUBLIC_MODE)
         return certificate
+
+    def _new_server(self, names: tuple[str, ...]) -> tuple[x509.Certificate, bytes, bytes]:
+        """Return a certificate for `names`, and it and its private key as PEM."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        alternative = x509.SubjectAlternativeName(_alternative_names(names))
+        certificate = self._sign(key, names[0], ExtendedKeyUsageOID.SERVER_AUTH, alternative)
+        return certificate, certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
 
     def _sign(
         self,

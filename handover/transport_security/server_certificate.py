@@ -96,6 +96,15 @@ class ServerCertificate:
         """A name that the certificate has, for a client that knows the address of this server otherwise."""
         return next(iter(self._loaded.names), "").replace("*", "any")
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The host names and addresses that the certificate has."""
+        return self._loaded.names
+
+    def is_for(self, host: str) -> bool:
+        """Return whether a client that connects to `host` accepts the names of the certificate."""
+        return self._loaded.has(host)
+
     def reload(self) -> bool:
         """Load changed files; return whether new connections have another certificate from now on.
 

@@ -1,10 +1,8 @@
 """Gateways with accounts and TLS: replicas that pass requests on, and an edge in another network."""
 
 import json
-import os
 import socket
 import ssl
-import subprocess
 import sys
 import threading
 import time
@@ -28,14 +26,13 @@ from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
 from tests.kit.other_broker.running import ready_path
-from tests.kit.private_network import PATH, enter, ip, private_network, require_ip
-from tests.kit.waiting import scaled, wait_for
+from tests.kit.private_network import CENTRE, Namespace, other_machine
+from tests.kit.waiting import wait_for
 
 pytestmark = pytest.mark.slow
 
 NAME = "gateway.test"
 """The name in the certificates: replicas are reached by address, and verified by name."""
-CENTRE, REMOTE = "10.231.8.1", "10.231.8.2"
 EDGE = "site-1"
 
 
@@ -154,79 +151,9 @@ def test_a_replica_passes_requests_on_over_tls_and_the_audit_names_the_caller(
         assert client.get("/audit/verification").json()["fault"] is None
 
 
-class Namespace:
-    """A network namespace that a veth pair connects with the one of the test."""
-
-    def __init__(self) -> None:
-        mark = f"{os.getpid() % 100_000}"
-        self.name, self._here, self._there = f"he{mark}", f"ve{mark}", f"vf{mark}"
-
-    def make(self) -> None:
-        """Create it; skip the test if this user may not."""
-        try:
-            ip("netns", "add", self.name)
-            pair = ("link", "add", self._here, "type", "veth", "peer", self._there, "netns", self.name)
-            ip(*pair)
-        except subprocess.CalledProcessError as error:
-            self.remove()
-            pytest.skip(f"this user may make no network namespaces (root may): {error.stderr.strip()}")
-        ip("addr", "add", f"{CENTRE}/24", "dev", self._here)
-        ip("-n", self.name, "addr", "add", f"{REMOTE}/24", "dev", self._there)
-        ip("-n", self.name, "link", "set", self._there, "up")
-        ip("-n", self.name, "link", "set", "lo", "up")
-        self.join()
-
-    def remove(self) -> None:
-        """Delete it, with the pair."""
-        with suppress(subprocess.CalledProcessError):
-            ip("netns", "del", self.name)
-
-    def join(self) -> None:
-        """Connect the networks."""
-        ip("link", "set", self._here, "up")
-
-    def part(self) -> None:
-        """Let every packet between the networks be lost, without a word to either side."""
-        ip("link", "set", self._here, "down")
-
-    def spawn(self, cell: Cell, module: str) -> processes.Process:
-        """Start a service of a cell in the namespace."""
-        command = ["ip", "netns", "exec", self.name, sys.executable, "-m", module]
-        environment = {**cell.environment, "PATH": PATH}
-        return processes.spawn(command, environment, cell.data_dir / "edge.log", cell.data_dir)
-
-    def connect(self, port: int) -> socket.socket:
-        """Return a connection to a port of the loopback interface of the namespace."""
-        made: list[socket.socket] = []
-        failed: list[OSError] = []
-
-        def connect() -> None:  # a thread has a network of its own after setns
-            try:
-                with Path(f"/run/netns/{self.name}").open() as namespace:
-                    enter(namespace.fileno())
-                made.append(socket.create_connection(("127.0.0.1", port), timeout=scaled(30)))
-            except OSError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=connect)
-        thread.start()
-        thread.join()
-        if failed:
-            raise failed[0]
-        return made[0]
-
-
 @pytest.fixture
 def namespace() -> Iterator[Namespace]:
-    require_ip()
-    made = Namespace()
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(private_network())
-        except OSError as error:
-            pytest.skip(f"this user may make no network namespaces (root may): {error}")
-        made.make()
-        stack.callback(made.remove)
+    with other_machine() as made:
         yield made
 
 
@@ -297,7 +224,8 @@ def test_a_partition_between_edge_and_gateway_loses_nothing_and_delays_no_motion
             HANDOVER_EDGE_NAME=EDGE,
             HANDOVER_EDGE_TOKEN=token[0],
         )
-        process = namespace.spawn(edge, "services.device_gateway")
+        command = namespace.within(sys.executable, "-m", "services.device_gateway")
+        process = processes.spawn(command, edge.environment, edge.data_dir / "edge.log", edge.data_dir)
         stack.callback(processes.kill, process)
         trust = client_context(edge.files.authority)
 

@@ -1,8 +1,12 @@
 """A component of others works with the one file that `handover component add` makes."""
 
+import re
+import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +14,19 @@ import httpx
 import pytest
 
 from handover.security.permissions import Grant, Role
+from handover.tls_trust import client_context
+from handover.transport_security.local_authority import ServerFiles
 from services.accounts import grants, users
 from services.accounts.set_up import opened_store, set_up
 from services.accounts.settings import AccountsSettings
 from tests.integration.handover.test_performer import HERE, LAMP, a_task
+from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
+from tests.kit.certificates import wait_ready_over_tls
 from tests.kit.ports import next_free_port
+from tests.kit.private_network import CENTRE, REMOTE, other_machine
 from tests.kit.processes import clean_environment
-from tests.kit.waiting import wait_for
+from tests.kit.waiting import scaled, wait_for
 
 pytestmark = pytest.mark.slow
 
@@ -46,6 +55,43 @@ def handover(cell: Cell, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def as_orchestrator(cell: Cell, trust: ssl.SSLContext | bool = True) -> httpx.Client:
+    """Return a client of the broker with the rights of the orchestrator."""
+    service = (cell.data_dir / "security" / "service-tokens" / "task-orchestrator").read_text().strip()
+    return httpx.Client(
+        base_url=f"{cell.url('context_broker')}/ngsi-ld/v1",
+        headers={
+            "Authorization": f"Bearer {service}",
+            "Link": f'<{cell.settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"',
+        },
+        timeout=60,
+        verify=trust,
+        trust_env=False,
+    )
+
+
+def lamp_subscription(broker: httpx.Client) -> dict[str, Any] | None:
+    listed = broker.get("/subscriptions").raise_for_status().json()
+    return next((one for one in listed if one["id"].endswith(":lamp-tasks")), None)
+
+
+def notified(broker: httpx.Client) -> bool:
+    """Return whether the broker has delivered a notification to the lamp."""
+    return "lastSuccess" in (lamp_subscription(broker) or {"notification": {}})["notification"]
+
+
+def perform(broker: httpx.Client, name: str) -> None:
+    """Make a Task for the lamp, and wait until it has completed it."""
+    task = a_task(name, steps=1).to_normalized()
+    broker.post("/entities", json=task).raise_for_status()
+
+    def ends() -> bool:
+        found = broker.get(f"/entities/{task['id']}").raise_for_status().json()
+        return bool(found["status"]["value"] == "completed")
+
+    wait_for(ends, 120, f"the lamp does not perform {name}")
+
+
 def test_the_lamp_of_the_tutorial_performs_with_the_file_alone(cell: Cell, tmp_path: Path) -> None:
     cell.ports["lamp"] = port = next_free_port()
     made = handover(
@@ -60,39 +106,16 @@ def test_the_lamp_of_the_tutorial_performs_with_the_file_alone(cell: Cell, tmp_p
         cell.processes["lamp"] = subprocess.Popen(
             [sys.executable, "lamp.py"], env=clean_environment(), cwd=tmp_path, stdout=log, stderr=log
         )
-    service = (cell.data_dir / "security" / "service-tokens" / "task-orchestrator").read_text().strip()
-    with httpx.Client(
-        base_url=f"{cell.url('context_broker')}/ngsi-ld/v1",
-        headers={
-            "Authorization": f"Bearer {service}",
-            "Link": f'<{cell.settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"',
-        },
-        timeout=60,
-        trust_env=False,
-    ) as broker:
-
-        def subscribed() -> dict[str, Any] | None:
-            listed = broker.get("/subscriptions").raise_for_status().json()
-            return next((one for one in listed if one["id"].endswith(":lamp-tasks")), None)
-
+    with as_orchestrator(cell) as broker:
         try:
-            wait_for(subscribed, 90, "the lamp does not subscribe")
-            task = a_task("light-1", steps=1).to_normalized()
-            broker.post("/entities", json=task).raise_for_status()
-
-            def ends() -> bool:
-                found = broker.get(f"/entities/{task['id']}").raise_for_status().json()
-                return bool(found["status"]["value"] == "completed")
-
-            wait_for(ends, 90, "the lamp does not perform its Task")
+            wait_for(lambda: lamp_subscription(broker), 90, "the lamp does not subscribe")
+            perform(broker, "light-1")
+            wait_for(lambda: notified(broker), 60, "nothing is sent to its address")
         except BaseException:
             print((tmp_path / "lamp.log").read_text())
             raise
         device = broker.get(f"/entities/{LAMP}").raise_for_status().json()
         assert device["performer"]["value"] == "lamp"
-        sent = wait_for(lambda: (subscribed() or {})["notification"].get("timesSent"), 60, "nothing is sent")
-        assert sent
-        assert "lastSuccess" in (subscribed() or {})["notification"], "its address is allowed"
 
 
 def test_a_client_that_is_no_service_is_refused_with_the_way_out(cell: Cell, tmp_path: Path) -> None:
@@ -124,3 +147,59 @@ def test_a_component_that_was_removed_has_neither_rights_nor_subscriptions(
         wait_for(
             lambda: client.get("/entities?local=true").status_code == 401, 60, "the token is still valid"
         )
+
+
+class SecuredCell(Cell):
+    """A cell that other machines reach, as `handover secure` makes it."""
+
+    files: ServerFiles
+
+    def url(self, service: str) -> str:
+        return super().url(service).replace("http:", "https:")
+
+    def wait_ready(self, service: str, within_s: float = 90.0) -> None:
+        wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s)
+
+
+def test_a_component_on_another_machine_works_with_the_file_alone(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        machine = stack.enter_context(other_machine())
+        plain = stack.enter_context(new_cell(tmp_path))
+        cell = SecuredCell(tmp_path, plain.ports, processes=plain.processes)
+        secured = handover(cell, "secure", "--name", CENTRE)
+        assert secured.returncode == 0, secured.stderr
+        cell.extra.update(re.findall(r"^ +(HANDOVER_\w+)=(\S+)$", secured.stdout, re.MULTILINE))
+        cell.extra["HANDOVER_HOST"] = "0.0.0.0"
+        folder = tmp_path / "tls" / "server"
+        cell.files = ServerFiles(folder, (CENTRE,), datetime.now(UTC), is_new=True)
+        cell.start("accounts", "context_broker", "task_orchestrator", within_s=120)
+
+        there = tmp_path / "other machine"
+        there.mkdir()
+        words = ("--device", "lamp-1", "--url", f"https://{REMOTE}:9100", "--file", str(there / ".env"))
+        made = handover(cell, "component", "add", "lamp", *words)
+        assert made.returncode == 0, made.stderr
+        assert "127.0.0.1" not in (there / ".env").read_text()
+        (there / "lamp.py").write_text((HERE / "lamp.py").read_text())
+
+        def start() -> processes.Process:
+            lamp = processes.spawn(
+                machine.within(sys.executable, "lamp.py"), clean_environment(), there / "lamp.log", there
+            )
+            stack.callback(processes.kill, lamp)
+            return lamp
+
+        lamp = start()
+        stack.callback(lambda: print((there / "lamp.log").read_text()))
+        with as_orchestrator(cell, client_context(cell.files.authority)) as broker:
+            wait_for(lambda: lamp_subscription(broker), 120, "the lamp does not subscribe")
+            perform(broker, "light-1")
+            wait_for(lambda: notified(broker), 60, "the broker does not reach the lamp")
+        cell.restart("context_broker")
+        with as_orchestrator(cell, client_context(cell.files.authority)) as broker:
+            perform(broker, "light-2")
+            processes.kill(lamp)
+            lamp = start()
+            perform(broker, "light-3")
+        lamp.terminate()
+        lamp.wait(scaled(60))

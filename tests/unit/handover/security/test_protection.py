@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from handover.errors import UsageError
+from handover.errors import Problem, UsageError
 from handover.security.access_tokens import SigningKey, key_set
+from handover.security.authentication import Guard
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.protection import require_protection
 from handover.settings import Settings
@@ -47,6 +48,16 @@ def test_beyond_loopback_a_server_without_accounts_is_refused(host: str, given: 
         require_protection(Settings.load(**given), host, "HANDOVER_HOST")
     with pytest.raises(UsageError, match="no TLS and no accounts"):
         require_protection(Settings.load(), host, "HANDOVER_HOST")
+
+
+@pytest.mark.parametrize("host", BEYOND_LOOPBACK)
+def test_a_component_of_others_needs_no_accounts_beyond_loopback_and_accepts_nobody(host: str) -> None:
+    settings = Settings.load(**CERTIFICATE, host=host)
+    require_protection(settings, host, "HANDOVER_HOST", accepts_no_callers=True)
+    with pytest.raises(UsageError, match="no TLS"):
+        require_protection(Settings.load(), host, "HANDOVER_HOST", accepts_no_callers=True)
+    with pytest.raises(Problem, match=r"no public keys of accounts.*copy public-keys.json"):
+        Guard(settings, "lamp").authenticate_now("127.0.0.1", {b"host": b"127.0.0.1:9100"})
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8"])
