@@ -20,13 +20,22 @@ ISSUED_KINDS: Final = (CallerKind.SCRIPT, CallerKind.DEVICE)
 
 
 def issue(
-    change: Change, kind: CallerKind, name: str, given: tuple[Grant, ...], expires_s: float | None
+    change: Change,
+    kind: CallerKind,
+    name: str,
+    given: tuple[Grant, ...],
+    expires_s: float | None,
+    *,
+    subject: str | None = None,
 ) -> tuple[str, str]:
-    """Issue a token; return its subject and the token, which is not stored. Raises `Problem` 409."""
+    """Issue a token; return its subject and the token, which is not stored. Raises `Problem` 409.
+
+    `subject` is that of a revoked token which it replaces: its subscriptions, for example, remain its own.
+    """
     connection = change.connection
     if connection.execute(select(func.count()).select_from(tokens)).scalar_one() >= MAX_TOKENS:
         raise Problem(409, "Too many tokens", f"{MAX_TOKENS} tokens are the maximum; revoke some")
-    subject, token = f"{kind}-{secrets.token_hex(12)}", new_token(kind)
+    subject, token = subject or f"{kind}-{secrets.token_hex(12)}", new_token(kind)
     connection.execute(
         insert(tokens).values(
             subject=subject,

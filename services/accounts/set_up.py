@@ -113,7 +113,8 @@ def _make_service_token(store: Store, file: Path, service: str) -> bool:
 def issue_component_token(settings: AccountsSettings, name: str, device: str) -> str:
     """Return a new token for the component `name`, with the rights of a performer of `device` and no others.
 
-    Its former tokens are revoked. Raises `UsageError` without accounts.
+    Its former tokens are revoked; the new one has their subject, so that its subscriptions remain its own.
+    Raises `UsageError` without accounts.
     """
     if not SigningKeys(settings.signing_keys_file, settings.security_folder).exist():
         raise UsageError(
@@ -122,9 +123,11 @@ def issue_component_token(settings: AccountsSettings, name: str, device: str) ->
         )
     try:
         with opened_store(settings) as store, store.change(COMMAND) as change:
-            _revoke_component_tokens(change, name)
+            former = next(iter(_revoke_component_tokens(change, name)), None)
             given = (Grant(Role.PERFORMER, require_pattern(device)),)
-            _, token = secret_token_store.issue(change, CallerKind.SCRIPT, _token_name(name), given, None)
+            _, token = secret_token_store.issue(
+                change, CallerKind.SCRIPT, _token_name(name), given, None, subject=former
+            )
             return token
     except Problem as problem:
         raise UsageError(problem.detail) from None
@@ -133,17 +136,18 @@ def issue_component_token(settings: AccountsSettings, name: str, device: str) ->
 def revoke_component_tokens(settings: AccountsSettings, name: str) -> int:
     """Revoke the tokens of the component `name`; return how many there were."""
     with opened_store(settings) as store, store.change(COMMAND) as change:
-        return _revoke_component_tokens(change, name)
+        return len(_revoke_component_tokens(change, name))
 
 
-def _revoke_component_tokens(change: Change, name: str) -> int:
+def _revoke_component_tokens(change: Change, name: str) -> list[str]:
+    """Revoke the tokens of a component; return their subjects."""
     query = select(tables.tokens.c.subject).where(
         tables.tokens.c.kind == CallerKind.SCRIPT, tables.tokens.c.name == _token_name(name)
     )
     subjects = list(change.connection.execute(query).scalars())
     for subject in subjects:
         secret_token_store.revoke_token(change, subject)
-    return len(subjects)
+    return subjects
 
 
 def _token_name(component: str) -> str:

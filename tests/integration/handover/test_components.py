@@ -50,7 +50,7 @@ def handover(cell: Cell, *words: str) -> subprocess.CompletedProcess[str]:
         cwd=cell.data_dir,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=scaled(120),
         check=False,
     )
 
@@ -75,9 +75,12 @@ def lamp_subscription(broker: httpx.Client) -> dict[str, Any] | None:
     return next((one for one in listed if one["id"].endswith(":lamp-tasks")), None)
 
 
-def notified(broker: httpx.Client) -> bool:
-    """Return whether the broker has delivered a notification to the lamp."""
-    return "lastSuccess" in (lamp_subscription(broker) or {"notification": {}})["notification"]
+def notified(broker: httpx.Client) -> str | None:
+    """Return when the broker has delivered a notification to the lamp; None if it has not."""
+    moment: str | None = (lamp_subscription(broker) or {"notification": {}})["notification"].get(
+        "lastSuccess"
+    )
+    return moment
 
 
 def perform(broker: httpx.Client, name: str) -> None:
@@ -199,7 +202,13 @@ def test_a_component_on_another_machine_works_with_the_file_alone(tmp_path: Path
         with as_orchestrator(cell, client_context(cell.files.authority)) as broker:
             perform(broker, "light-2")
             processes.kill(lamp)
+            # Its certificate and token are replaced, as once a year.
+            (there / ".env").unlink()
+            made = handover(cell, "component", "add", "lamp", *words)
+            assert made.returncode == 0, made.stderr
+            before = notified(broker)
             lamp = start()
             perform(broker, "light-3")
+            wait_for(lambda: notified(broker) != before, 60, "the broker no longer notifies the lamp")
         lamp.terminate()
         lamp.wait(scaled(60))
