@@ -56,7 +56,7 @@ RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /
         /secrets-of/gloves /secrets-of/databases /secrets-of/recordings \
     && install -d -o handover -g handover -m 0755 /tls /tls/clients /tls/context-broker /tls/task-orchestrator \
         /tls/gesture-controller /tls/trajectory-tool /tls/study /tls/alert-router /tls/accounts /tls/device-gateway /tls/webui /tls/human-state /tls/assistive-devices \
-        /tls/whole-body-control /tls/ros-bridge /tls/other-broker /tls/operator
+        /tls/whole-body-control /tls/ros-bridge /tls/other-broker /tls/postgres /tls/operator
 COPY --from=install /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \
     PYTHONUNBUFFERED=1 \

@@ -160,12 +160,7 @@ def make(
     authority: LocalAuthority, plan: Plan, settings: AccountsSettings, hosts: Sequence[str] = ()
 ) -> list[ServerFiles]:
     """Make certificates, secrets and accounts; say what was made. `hosts` are names of the page."""
-    made = [authority.secure(folder, names) for folder, names in plan.servers]
-    for folder in (*plan.trusting, *(folder for folder, _ in plan.clients)):
-        authority.trust(folder)
-    _print_authority(authority)
-    for one in made:
-        _print_server(one)
+    made = _certify(authority, plan)
     if settings.secrets_dir is not None:
         secrets.make_in(settings.secrets_dir)
         secrets.give(settings.secrets_dir, plan.secrets)
@@ -175,6 +170,17 @@ def make(
         allowed_hosts=settings.allowed_hosts or tuple(hosts),
     )
     set_up_accounts(settings, page, token_files=plan.token_files() or None)
+    return made
+
+
+def _certify(authority: LocalAuthority, plan: Plan) -> list[ServerFiles]:
+    """Make the certificates of a plan, and say so."""
+    made = [authority.secure(folder, names) for folder, names in plan.servers]
+    for folder in (*plan.trusting, *(folder for folder, _ in plan.clients)):
+        authority.trust(folder)
+    _print_authority(authority)
+    for one in made:
+        _print_server(one)
     return made
 
 
@@ -193,6 +199,15 @@ def _make_for_containers(words: Sequence[str], environment: Mapping[str, str], n
     )
     plan = Plan.of(*options.values())
     make(LocalAuthority(_authority_folder(settings)), plan, settings, hosts=_host_names(names))
+
+
+@app.command()
+def certificates(server: Servers = None, data_dir: DataDir = None) -> None:
+    """Make the authority and certificates alone, such as that of the database which accounts need."""
+    plan = Plan.of(server)
+    if not plan.servers:
+        raise UsageError("name the folder and the server of a certificate: --server FOLDER=NAME,NAME")
+    _certify(LocalAuthority(_authority_folder(_settings(data_dir))), plan)
 
 
 @app.command()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from dotenv import dotenv_values
+from psycopg.conninfo import conninfo_to_dict
 
 from glove_sdk_bridge.command_line import parse
 from handover.broker_credentials import credentials_of
@@ -22,6 +23,7 @@ from handover.cli.services import SERVICES as USUAL
 from handover.security.glove_token import GLOVE_TOKEN_FILE
 from handover.settings import Settings, origins
 from services.context_broker.settings import BrokerSettings
+from tests.kit.waiting import scaled, wait_for
 from webui.settings import WebuiSettings
 
 REPOSITORY = Path(__file__).parents[3]
@@ -37,6 +39,9 @@ INIT = "init"
 THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
 CHOSEN = {name for name in ENV["COMPOSE_PROFILES"].split(",") if name}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
+
+POSTGRES_START = REPOSITORY / "deploy" / "postgres-start"
+DATABASE_URLS = {"HANDOVER_DATABASE_URL", "HANDOVER_BROKER_DATABASE_URL"}
 
 every_container = pytest.mark.parametrize("name", CONTAINERS)
 every_one_of_ours = pytest.mark.parametrize("name", OURS)
@@ -106,7 +111,7 @@ def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_tha
             assert each["command"][:2] in (["handover", "run"], ["handover", "glove"]), "these wait for it"
         elif name == "postgres":
             assert given_to(*mounts) == {"HANDOVER_DATABASE_PASSWORD"}
-            assert "/secrets/HANDOVER_DATABASE_PASSWORD" in each["entrypoint"][2]
+            assert "/secrets/HANDOVER_DATABASE_PASSWORD" in POSTGRES_START.read_text()
         else:
             assert mounts == [], name
 
@@ -156,6 +161,7 @@ def test_each_service_has_a_certificate_of_its_name_and_a_token_of_its_own() -> 
     assert {str(folder): names[0] for folder, names in plan.servers} == {
         **{f"/tls/{service.name}": service.name for service in SERVICES},
         "/tls/other-broker": "other-broker",
+        "/tls/postgres": "postgres",
     }
     assert plan.clients == ((Path("/tls/operator"), "cli"),)
     assert plan.trusting == (Path("/tls/clients"),)
@@ -195,8 +201,8 @@ def test_a_container_mounts_its_own_certificate_and_token_alone() -> None:
             assert mounts == ["tls-operator:/tls:ro", "security:/security:ro"]
         elif name == "prometheus":
             assert mounts == ["tls-clients:/tls:ro"]
-        elif name == "other-broker":
-            assert mounts == ["tls-other-broker:/tls:ro"]
+        elif name in {"other-broker", "postgres"}:
+            assert mounts == [f"tls-{name}:/tls:ro"]
         else:
             assert name == INIT or mounts == []
         if mounts and "HANDOVER_SECURITY_DIR" in said and name != INIT:
@@ -442,6 +448,75 @@ def test_the_proxy_of_a_broker_of_others_has_its_certificate_and_no_token() -> N
     assert placeholders == set(re.findall(r"s\|(\w+)\|", script))
     assert "listen 1026 ssl" in written
     assert "proxy_ssl_verify on" in written
+
+
+def documented_databases() -> set[str]:
+    """Return the URLs of the database of the profile `postgres` in the documents and settings."""
+    files = [REPOSITORY / ".env", REPOSITORY / "deploy" / "README.md"]
+    files += (REPOSITORY / "deploy" / "kubernetes").glob("*.yaml")
+    return {
+        url for file in files for url in re.findall(r"postgresql://handover@postgres/\S*", file.read_text())
+    }
+
+
+def test_every_url_of_the_database_of_the_cell_demands_its_certificate_and_the_right_name() -> None:
+    urls = documented_databases()
+    assert urls
+    for url in urls:
+        options = conninfo_to_dict(url)
+        assert (options["sslmode"], options["sslrootcert"]) == ("verify-full", "/tls/authority.pem"), url
+    servers = dict(plan_of(OURS[INIT]["command"][1:]).servers)
+    assert servers[Path("/tls/postgres")] == (conninfo_to_dict(next(iter(urls)))["host"],)
+    users = [each for each in OURS.values() if set(each["environment"]) & DATABASE_URLS]
+    assert all(any(mount.endswith(":/tls:ro") for mount in each["volumes"]) for each in users)
+
+
+def test_postgresql_starts_with_its_certificate_and_loads_a_renewed_one(tmp_path: Path) -> None:
+    """The script of the container runs with folders of this machine, and a program in place of the image."""
+    each = CONTAINERS["postgres"]
+    assert each["entrypoint"] == ["bash", "/postgres-start"]
+    assert "./deploy/postgres-start:/postgres-start:ro" in each["volumes"]
+    for name in ("tls", "secrets", "bin"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "secrets" / "HANDOVER_DATABASE_PASSWORD").write_text("secret")
+    (tmp_path / "tls" / "key.pem").write_text("key")
+    (tmp_path / "tls" / "certificate.pem").write_text("first")
+    image = tmp_path / "bin" / "docker-entrypoint.sh"
+    image.write_text(
+        '#!/bin/bash\ncd "$(dirname "$0")/.."\ntrap "cat own/certificate.pem >>loaded" HUP\n'
+        'echo "$POSTGRES_PASSWORD $*" >started.new\nmv started.new started\n'
+        "while [[ ! -e end ]]; do sleep 0.1; done\n"
+    )
+    image.chmod(0o755)
+    text = POSTGRES_START.read_text()
+    for known, here in (
+        ("/etc/postgresql-tls", f"{tmp_path}/own"),
+        ("/tls/", f"{tmp_path}/tls/"),
+        ("/secrets/", f"{tmp_path}/secrets/"),
+        (" -o postgres -g postgres", ""),
+        ("sleep 60", "sleep 0.1"),
+    ):
+        assert known in text
+        text = text.replace(known, here)
+    (tmp_path / "start").write_text(text)
+    environment = {**os.environ, "PATH": f"{image.parent}:{os.environ['PATH']}"}
+
+    def loads_the_second() -> bool:
+        loaded = tmp_path / "loaded"
+        return loaded.exists() and "second" in loaded.read_text()
+
+    process = subprocess.Popen(["bash", str(tmp_path / "start"), "postgres"], env=environment)
+    try:
+        wait_for((tmp_path / "started").exists, 30)
+        said = (tmp_path / "started").read_text()
+        assert said.startswith("secret postgres -c ssl=on")
+        for file in re.findall(r"ssl_\w+_file=(\S+)", said):
+            assert Path(file).stat().st_mode & 0o777 == 0o600
+        (tmp_path / "tls" / "certificate.pem").write_text("second")
+        wait_for(loads_the_second, 30)
+    finally:
+        (tmp_path / "end").touch()
+        process.wait(scaled(30))
 
 
 def test_orion_starts_with_a_present_mongodb_keeps_lists_and_does_not_fill_the_disk() -> None:

@@ -1,6 +1,7 @@
 """The manifests for Kubernetes: valid by its schemas, without privileges, and with settings that exist."""
 
 import functools
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -167,6 +168,16 @@ def test_the_script_makes_every_file_of_the_secrets(tmp_path: Path) -> None:
         for file in files:
             assert (tmp_path / file).is_file(), file
     assert {one for name in WORKLOADS for one in secrets_of(name)} == set(secrets)
+
+
+def test_postgresql_has_tls_with_the_files_of_its_secret() -> None:
+    options = " ".join(container_of("postgres")["args"])
+    assert "-c ssl=on" in options
+    files = {Path(file) for file in re.findall(r"ssl_\w+_file=(\S+)", options)}
+    (secret,) = (one["files"] for one in KUSTOMIZATION["secretGenerator"] if one["name"] == "tls-postgres")
+    assert {file.name for file in files} == {Path(file).name for file in secret}
+    (mount,) = (one for one in container_of("postgres")["volumeMounts"] if one["name"] == "tls")
+    assert {str(file.parent) for file in files} == {mount["mountPath"]}
 
 
 def secrets_of(name: str) -> set[str]:
