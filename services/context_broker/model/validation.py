@@ -2,9 +2,10 @@
 
 import re
 import time
-from datetime import UTC, datetime
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 from handover.durations import parse_duration
 from handover.errors import Problem
@@ -14,6 +15,9 @@ MAX_ID_LENGTH = 2048
 MAX_NAME_LENGTH = 512
 MAX_TENANT_LENGTH = 128
 MAX_TIME_LENGTH = 64
+MICROS: Final = 1_000_000
+"""Microseconds in a second: times are whole microseconds since 1970."""
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{MAX_TENANT_LENGTH}}}")
 
@@ -52,8 +56,21 @@ def tenant_headers(name: str) -> list[tuple[str, str]]:
 
 
 def timestamp(moment: datetime) -> str:
-    """Return `moment` as `2024-05-01T12:00:00.123456Z`."""
+    """Return `moment` as `2024-05-01T12:00:00.123456Z`, the form of times of the clock: such texts sort by
+    time."""
     return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def written_time(at: int) -> str:
+    """Return a given or computed time, in microseconds since 1970, with as many decimals (none, three or
+    six) as it needs.
+
+    A time that is already a text in UTC is never written again: every representation shows that text.
+    Raises `OverflowError` for a time that the calendar does not have.
+    """
+    since = (_EPOCH + timedelta(microseconds=at)).replace(tzinfo=None)
+    digits = "microseconds" if at % 1000 else "milliseconds" if at % MICROS else "seconds"
+    return f"{since.isoformat(timespec=digits)}Z"
 
 
 def timestamp_now() -> str:
@@ -123,7 +140,8 @@ def require_time(value: Any, what: str) -> str:
     if isinstance(value, str) and "T" in value and moment(value) is not None:
         given = datetime.fromisoformat(value)
         if given.tzinfo is not None:
-            return given.astimezone(UTC).isoformat().removesuffix("+00:00") + "Z"
+            with suppress(OverflowError):  # the offset leads out of the calendar
+                return written_time((given - _EPOCH) // timedelta(microseconds=1))
     raise bad_request_data(
         f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
     )

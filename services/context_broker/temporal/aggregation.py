@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.temporal.durations import MAX_TIME, Duration, written_time
+from services.context_broker.model.validation import written_time
+from services.context_broker.temporal.durations import MAX_TIME, Duration
 
 COUNTED_ONLY: Final = frozenset(
     {"Relationship", "ListRelationship", "LanguageProperty", "VocabProperty", "JsonProperty", "GeoProperty"}

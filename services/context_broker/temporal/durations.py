@@ -9,10 +9,8 @@ from typing import Final
 
 from handover.durations import MAX_YEARS, add_months, parse_duration
 from services.context_broker.model.problems import bad_request_data
-from services.context_broker.model.validation import shown
+from services.context_broker.model.validation import MICROS, shown
 
-MICROS: Final = 1_000_000
-"""Microseconds in a second: times are whole microseconds since 1970."""
 MAX_TIME: Final = 253_402_300_799 * MICROS
 """The end of the year 9999, the last time in the calendar."""
 
@@ -63,13 +61,6 @@ def read_duration(given: str, what: str) -> Duration:
             f"of at most {MAX_YEARS} years, not {shown(given)}"
         ) from None
     return Duration(duration.months, duration.microseconds)
-
-
-def written_time(at: int) -> str:
-    """Return a time as NGSI-LD writes it, with a fraction only if it has one."""
-    seconds, micros = divmod(at, MICROS)
-    text = (_EPOCH + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S")
-    return f"{text.rjust(19, '0')}.{micros:06}Z" if micros else f"{text.rjust(19, '0')}Z"
 
 
 def _plus_months(origin: int, months: int) -> int:

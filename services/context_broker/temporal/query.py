@@ -6,7 +6,7 @@ Clauses 4.11, 5.2.21 and 6.3.7 of ETSI GS CIM 009.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Instance
@@ -14,13 +14,13 @@ from services.context_broker.model.language import preferences
 from services.context_broker.model.problems import bad_request_data, invalid_request
 from services.context_broker.model.projection import read_projection
 from services.context_broker.model.rendering import Form, View
-from services.context_broker.model.validation import moment, require_time, shown
+from services.context_broker.model.validation import MICROS, moment, require_time, shown
 from services.context_broker.query.pages import Window
 from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.request.query_parameters import datasets_of, names_of, options_of, window_of
 from services.context_broker.request.request_context import RequestContext
 from services.context_broker.temporal.aggregation import METHODS, Aggregation
-from services.context_broker.temporal.durations import MICROS, read_duration
+from services.context_broker.temporal.durations import read_duration
 from services.context_broker.temporal.history import DRIFT_S, micros_of
 
 OBSERVED: Final = "observedAt"
@@ -65,8 +65,8 @@ class TemporalQuery:
     last: int | None = None
     aggregation: Aggregation | None = None
 
-    def time_of(self, instance: Instance, *, is_scope: bool = False) -> int | None:
-        """Return the time of an instance, None if it is outside of the range.
+    def time_text(self, instance: Instance, *, is_scope: bool = False) -> Any:
+        """Return the time of an instance as it is stored, None if it has none.
 
         Scopes are not observed (clause 4.18): in place of observedAt their modifiedAt counts.
         """
@@ -74,11 +74,13 @@ class TemporalQuery:
         if name is None:
             if "deletedAt" in instance and OBSERVED not in instance:
                 return None
-            text = instance.get(OBSERVED) or instance.get("modifiedAt")
-        else:
-            text = instance.get(name)
-            if text is None and is_scope and name == OBSERVED:
-                text = instance.get("modifiedAt")
+            return instance.get(OBSERVED) or instance.get("modifiedAt")
+        text = instance.get(name)
+        return instance.get("modifiedAt") if text is None and is_scope and name == OBSERVED else text
+
+    def time_of(self, instance: Instance, *, is_scope: bool = False) -> int | None:
+        """Return the time of an instance, None if it is outside of the range."""
+        text = self.time_text(instance, is_scope=is_scope)
         if text is None:
             return None
         try:

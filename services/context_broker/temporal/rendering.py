@@ -8,8 +8,8 @@ from typing import Any, Final
 from services.context_broker.model.entity import Terms
 from services.context_broker.model.language import in_language
 from services.context_broker.model.rendering import Form, written
+from services.context_broker.model.validation import is_time, written_time
 from services.context_broker.temporal.aggregation import written_totals
-from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.history import SCOPE
 from services.context_broker.temporal.history_reader import Evolution, EvolutionPage, Point, Series
 from services.context_broker.temporal.query import Representation, TemporalQuery, TemporalView
@@ -57,7 +57,7 @@ def render_evolution(
                     if "observedAt" not in shown and "modifiedAt" in point[-1]:
                         shown["modifiedAt"] = point[-1]["modifiedAt"]
         else:
-            pairs = [_pairs(series, query, view, terms) for series in many]
+            pairs = [_pairs(series, query, view, terms, is_scope=name == SCOPE) for series in many]
             result[key] = pairs[0] if len(pairs) == 1 else pairs
     return result
 
@@ -73,7 +73,9 @@ def _instance(point: Point, query: TemporalQuery, view: TemporalView, terms: Ter
     return result
 
 
-def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
+def _pairs(
+    series: Series, query: TemporalQuery, view: TemporalView, terms: Terms, *, is_scope: bool
+) -> dict[str, Any]:
     kind = series.kind
     if view.representation is Representation.AGGREGATED:
         result: dict[str, Any] = {"type": kind}
@@ -85,7 +87,10 @@ def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Term
     for at, _, instance in series.points:
         shown = instance if view.view.languages is None else in_language(instance, view.view.languages)
         kind = shown["type"]
-        pairs.append([written(shown, terms, Form.KEY_VALUES, sys_attrs=False), written_time(at)])
+        time_text = query.time_text(instance, is_scope=is_scope)
+        value = written(shown, terms, Form.KEY_VALUES, sys_attrs=False)
+        # The text of the other representations; one without a zone was stored before these were refused.
+        pairs.append([value, time_text if is_time(time_text) else written_time(at)])
     result = {"type": kind}
     if series.dataset is not None:
         result["datasetId"] = series.dataset

@@ -89,6 +89,31 @@ def test_every_attribute_type_has_temporal_values(http: httpx.Client, entity_id:
     assert read_evolution(http, entity_id, lang="en")["c"][0]["value"] == "red"
 
 
+@pytest.mark.parametrize("decimals", ["", ".5", ".635", ".6350", ".635001", ".000000"])
+def test_a_time_is_one_text_in_every_representation(
+    http: httpx.Client, entity_id: str, decimals: str
+) -> None:
+    observed = f"2026-01-01T12:00:00{decimals}Z"
+    speed = {"type": "Property", "value": 1, "observedAt": observed}
+    given = {"id": entity_id, "type": "Car", "speed": speed, "scope": "/a"}
+    assert http.post("/entities", json=given).status_code == 201
+    geo = {"Accept": "application/geo+json"}
+    whole = read_evolution(http, entity_id, options="sysAttrs")
+    shown = [
+        http.get(f"/entities/{entity_id}").json()["speed"],
+        http.get(f"/entities/{entity_id}", headers=geo).json()["properties"]["speed"],
+        http.get(f"/entities/{entity_id}?options=concise").json()["speed"],
+        *whole["speed"],
+        *read_evolution(http, entity_id, options="concise")["speed"],
+    ]
+    assert {one["observedAt"] for one in shown} == {observed}
+    for name in ("observedAt", "createdAt", "modifiedAt"):
+        past = {"timeproperty": name, "timerel": "before", "timeAt": "2100-01-01T00:00:00Z"}
+        pairs = read_evolution(http, entity_id, options="temporalValues", **past)
+        assert [at for _, at in pairs["speed"]["values"]] == [one[name] for one in whole["speed"]]
+    assert [at for _, at in pairs["scope"]["values"]] == [one["modifiedAt"] for one in whole["scope"]]
+
+
 def test_values_are_aggregated(http: httpx.Client, car: str) -> None:
     found = read_evolution(
         http, car, options="aggregatedValues", aggrMethods="avg,max", aggrPeriodDuration="PT2M", attrs="speed"

@@ -13,12 +13,12 @@ from handover.errors import Problem
 from services.context_broker.model import changes
 from services.context_broker.model.entity import Instance
 from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.validation import timestamp
+from services.context_broker.model.validation import MICROS, timestamp
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.journal import Journal
 from services.context_broker.temporal import history_reader
 from services.context_broker.temporal.aggregation import Aggregation
-from services.context_broker.temporal.durations import MICROS, read_duration
+from services.context_broker.temporal.durations import read_duration
 from services.context_broker.temporal.history import (
     Change,
     Recorder,

@@ -2,7 +2,9 @@
 
 from typing import Any
 
+import hypothesis
 import pytest
+from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
@@ -14,7 +16,8 @@ from services.context_broker.model.entity_parser import (
     read_change,
     read_entity,
 )
-from services.context_broker.model.validation import require_time
+from services.context_broker.model.validation import MICROS, is_time, require_time, written_time
+from services.context_broker.temporal.history import micros_of
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}
@@ -258,5 +261,19 @@ def test_bytes_without_null_need_no_look_at_their_values() -> None:
 
 def test_a_time_with_an_offset_is_stored_in_utc() -> None:
     assert require_time("2026-01-01T12:00:00+02:00", "it") == "2026-01-01T10:00:00Z"
-    assert require_time("2026-01-01T12:00:00.250+00:00", "it") == "2026-01-01T12:00:00.250000Z"
+    assert require_time("2026-01-01T12:00:00.250+00:00", "it") == "2026-01-01T12:00:00.250Z"
     assert require_time("2026-01-01T12:00:00.25Z", "it") == "2026-01-01T12:00:00.25Z"
+    for outside in ("0001-01-01T00:00:00+01:00", "9999-12-31T23:59:59-01:00"):
+        with pytest.raises(Problem):
+            require_time(outside, "it")
+
+
+@hypothesis.given(st.integers(-(10**16), 10**17))
+def test_a_written_time_is_its_time_with_the_decimals_it_needs(at: int) -> None:
+    text = written_time(at)
+    assert micros_of(text) == at
+    assert is_time(text)
+    decimals = text.removesuffix("Z").partition(".")[2]
+    assert decimals == "" if at % MICROS == 0 else len(decimals) == (6 if at % 1000 else 3)
+    assert require_time(text, "it") == text
+    assert require_time(text.replace("Z", "+00:00"), "it") == text

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.temporal.durations import MICROS
+from services.context_broker.model.validation import MICROS
 from services.context_broker.temporal.evolution_parser import parse_evolution
 from services.context_broker.temporal.history import SCOPE, Change
 from services.context_broker.temporal.query import TemporalQuery, temporal_query

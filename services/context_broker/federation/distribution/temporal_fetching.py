@@ -35,9 +35,9 @@ from services.context_broker.federation.registrations.registration import Match,
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import too_many_results
+from services.context_broker.model.validation import written_time
 from services.context_broker.request.derived_request import derived
 from services.context_broker.request.request_context import RequestContext, Response
-from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,
     TIME_PARAMETERS,

@@ -16,9 +16,8 @@ from services.context_broker.federation.registrations.registration import Regist
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import VALUE_MEMBER
 from services.context_broker.model.problems import too_many_results
-from services.context_broker.model.validation import moment
+from services.context_broker.model.validation import MICROS, moment, written_time
 from services.context_broker.temporal.aggregation import periods, totals, written_totals
-from services.context_broker.temporal.durations import MICROS, written_time
 from services.context_broker.temporal.history_reader import MAX_INSTANCES_PER_ATTRIBUTE
 from services.context_broker.temporal.query import TemporalQuery, TemporalView
 
