@@ -12,8 +12,7 @@ from typing import Final
 from handover.origin_guard import host_and_port
 from handover.outbound_policy import is_loopback
 
-_FORWARDED: Final = (b"forwarded", b"x-real-ip")
-_FORWARDED_PREFIX: Final = b"x-forwarded-"
+_FORWARDED_PREFIX: Final = b"\nx-forwarded-"
 
 
 def is_local(address: str | None, headers: Mapping[bytes, bytes]) -> bool:
@@ -23,9 +22,10 @@ def is_local(address: str | None, headers: Mapping[bytes, bytes]) -> bool:
     host = headers.get(b"host")
     if host is not None and not _is_loopback_host(host):  # browsers always send one, some programs do not
         return False
-    if any(name in headers for name in _FORWARDED):
+    if b"forwarded" in headers or b"x-real-ip" in headers:
         return False
-    return not any(name.startswith(_FORWARDED_PREFIX) for name in headers)
+    # One search through all names, which have no line breaks: a test of each name costs ten times as much.
+    return _FORWARDED_PREFIX not in b"\n" + b"\n".join(headers)
 
 
 @lru_cache(maxsize=1024)

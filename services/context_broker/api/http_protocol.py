@@ -100,15 +100,15 @@ class BrokerProtocol(HttpProtocol):
             return
         self.require_acceptable_head()
         self.phase = BODY
-        target = httptools.parse_url(self.url)
+        path, query = _split(self.url)
         method = self.parser.get_method().decode("ascii")
         before: Any = self.cycle
         cycle: Any = RequestCycle(
             self,
             Request(
                 method,
-                target.path,
-                target.query or b"",
+                path,
+                query,
                 by_name(self.headers),
                 address=None if self.client is None else self.client[0],
             ),
@@ -175,6 +175,15 @@ class BrokerProtocol(HttpProtocol):
             cycle, self._next = self._next, None
             cycle.start()
         self._is_reading = False
+
+
+def _split(url: bytes) -> tuple[bytes, bytes]:
+    """Return path and query of a target that begins with a path."""
+    if b"#" in url or not url.isascii():
+        target = httptools.parse_url(url)
+        return target.path, target.query or b""
+    path, _, query = url.partition(b"?")
+    return path, query
 
 
 class RequestCycle:

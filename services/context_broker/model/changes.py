@@ -36,12 +36,12 @@ class Outcome(NamedTuple):
 
 
 def created(change: Change, at: str, seq: int) -> Entity:
-    """Return a new entity."""
+    """Return a new entity, which takes over the instances of `change`."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
-    attributes = {
-        name: [{**one, "createdAt": at, "modifiedAt": at} for one in instances]
-        for name, instances in change.attributes.items()
-    }
+    attributes = change.attributes
+    for instances in attributes.values():
+        for one in instances:
+            one["createdAt"] = one["modifiedAt"] = at
     end = _end(None, change)
     first = _first_end(end, attributes)
     return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), end, first)

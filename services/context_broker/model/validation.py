@@ -30,6 +30,8 @@ _UNSEEN = (
 )
 """Invisible characters, and those that change the direction of text: an id with one looks like another id."""
 _URI = re.compile(rf'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{{}}|\\^`\x00-\x20\x7f-\xa0{_UNSEEN}]+')
+_ASCII_URI = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:[!#-;=?-\[\]_a-z~]+")
+"""The URIs that `_URI` matches and that are ASCII: most are, and are matched in a third of the time."""
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
 _SHORT_NAME = re.compile(r"[^\W\d_][\w\-]*")
 _SCOPE = re.compile(r"/?[^\W\d_]\w*(?:/[^\W\d_]\w*)*")
@@ -117,7 +119,7 @@ def require_uri(value: Any, what: str) -> str:
         raise bad_request_data(f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1, not {shown(value)}")
     if len(value) > MAX_ID_LENGTH:
         raise bad_request_data(f"{what} has {len(value)} characters; {MAX_ID_LENGTH} are allowed")
-    if not _URI.fullmatch(value):
+    if not (_ASCII_URI.fullmatch(value) or _URI.fullmatch(value)):
         raise bad_request_data(
             f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1 without spaces, quotes or brackets, "
             f"not {shown(value)}"

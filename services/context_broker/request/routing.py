@@ -103,6 +103,11 @@ class Router:
                 place = _Route(template)
                 places.append(place)
             place.methods[operation.method] = operation
+        self._fixed: dict[bytes, _Route] = {}
+        """The routes of paths without variable parts, by the path as most clients send it."""
+        for operation in self.operations:
+            if _NAME not in operation.path and (found := self._place_of(operation.path.split("/"))):
+                self._fixed[f"{PREFIX}{operation.path}".encode()] = found[0]
 
     def find(self, request: Request) -> tuple[Operation, tuple[str, ...]]:
         """Return the operation and the variable parts of its path; raise a problem (404 or 405) if there is
@@ -126,6 +131,9 @@ class Router:
         return self._place(request)[0].allowed()
 
     def _place(self, request: Request) -> tuple[_Route, tuple[str, ...]]:
+        fixed = self._fixed.get(request.raw_path)
+        if fixed is not None:
+            return fixed, ()
         parts = request.path_parts()
         found = self._place_of(parts) or self._place_of(_with_whole_url(parts))
         if found is not None:

@@ -49,8 +49,7 @@ class TypeStatistics:
         if after is not None:
             group = self._groups.get(after.types) or self._groups.setdefault(after.types, _Group())
             group.entities += 1
-            for name, instances in after.attributes.items():
-                _add(group.attributes, name, instances)
+            _add_all(group.attributes, after.attributes)
 
     def without(self, is_hidden: Callable[[str], bool]) -> "TypeStatistics":
         """Return the present counts without the entities that have a hidden type (an IRI); read-only."""
@@ -126,6 +125,16 @@ def _add(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None
     for instance in instances:
         kind = instance["type"]
         kinds[kind] = kinds.get(kind, 0) + 1
+
+
+def _add_all(counts: dict[str, Kinds], attributes: Attributes) -> None:
+    for name, instances in attributes.items():
+        kinds = counts.get(name)
+        if kinds is None or len(instances) != 1:
+            _add(counts, name, instances)
+        else:  # the usual case, without a call
+            kind = instances[0]["type"]
+            kinds[kind] = kinds.get(kind, 0) + 1
 
 
 def _drop(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Any, Final
 
 import orjson
@@ -37,6 +38,8 @@ DRIFT_S: Final = 1.0
 
 _ID: Final = re.compile(r"urn:ngsi-ld:Instance:([0-9a-f]{1,15})-([0-9a-f]{1,15})-([0-9a-f]{1,7})")
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_CLOCK_LENGTH: Final = len("2024-05-01T12:00:00.123456Z")
+"""The length of times of the clock."""
 
 Deletions = dict[str, list[tuple[str, str | None] | None]]
 """By attribute: type and datasetId of each deleted instance."""
@@ -85,7 +88,9 @@ class Change:
         ]
         if self.scopes is not None:
             times.append(at_s)
-        return (min(times), max(times)) if times else (None, None)
+        if len(times) <= 1:
+            return (times[0], times[0]) if times else (None, None)
+        return min(times), max(times)
 
     def instances(self, seq: int) -> Iterator[tuple[str, int, Instance]]:
         """Yield each instance with its attribute (IRI, or `SCOPE`) and its position.
@@ -314,8 +319,18 @@ def micros_of(at: str) -> int:
 
     Raises `ValueError` or `TypeError` for anything else.
     """
+    if len(at) == _CLOCK_LENGTH and at[16] == ":" and at[19] == "." and at[26] == "Z":
+        decimals = at[20:26]
+        if decimals.isascii() and decimals.isdecimal():
+            return _second_of(at[:19]) + int(decimals)
     since = datetime.fromisoformat(at) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
+
+
+@lru_cache(maxsize=16)
+def _second_of(text: str) -> int:
+    """Return the microseconds from 1970 to a time in UTC without decimals: most are of the present second."""
+    return micros_of(f"{text}Z")
 
 
 def time_of(seq: int) -> str:

@@ -1,5 +1,6 @@
 """Parsing of each kind of attribute, by the clauses of the standard, and errors."""
 
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import hypothesis
@@ -16,7 +17,14 @@ from services.context_broker.model.entity_parser import (
     read_change,
     read_entity,
 )
-from services.context_broker.model.validation import MICROS, is_time, require_time, written_time
+from services.context_broker.model.validation import (
+    _ASCII_URI,
+    _URI,
+    MICROS,
+    is_time,
+    require_time,
+    written_time,
+)
 from services.context_broker.temporal.history import micros_of
 
 TERMS = TermMap(HANDOVER_URL)
@@ -266,6 +274,28 @@ def test_a_time_with_an_offset_is_stored_in_utc() -> None:
     for outside in ("0001-01-01T00:00:00+01:00", "9999-12-31T23:59:59-01:00"):
         with pytest.raises(Problem):
             require_time(outside, "it")
+
+
+def test_an_altered_time_of_the_clock_is_read_as_any_other_or_refused() -> None:
+    clock = "2026-01-01T12:00:00.123456Z"
+    for at in range(len(clock)):
+        for sign in "09 +-_:.TZ\u0661":
+            text = clock[:at] + sign + clock[at + 1 :]
+            try:
+                wanted = (datetime.fromisoformat(text) - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(
+                    microseconds=1
+                )
+            except (TypeError, ValueError):
+                with pytest.raises((TypeError, ValueError)):
+                    micros_of(text)
+            else:
+                assert micros_of(text) == wanted
+
+
+def test_the_quick_pattern_of_uris_matches_what_the_whole_one_does() -> None:
+    for code in range(128):
+        for text in (f"a:{chr(code)}", f"{chr(code)}:a", f"a{chr(code)}:a"):
+            assert bool(_ASCII_URI.fullmatch(text)) is bool(_URI.fullmatch(text)), text
 
 
 @hypothesis.given(st.integers(-(10**16), 10**17))

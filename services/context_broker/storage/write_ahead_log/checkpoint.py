@@ -9,7 +9,8 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -291,9 +292,14 @@ class Checkpointer:
                 waiting, number = self._waiting.copy(), self._log.number
             if not waiting and too_large is None:
                 return
-            commits = [decode(record) for record in waiting]
+            # Decoded one at a time: all at once would be so many objects that the garbage collector starts,
+            # which stops the event loop.
+            commits: Iterable[Entries] = map(decode, waiting)
+            if too_large is not None:
+                commits = chain(commits, (too_large,))
+            merged_commits = merge_commits(commits)
             with self._database.transaction() as writer:
-                for merged in merge_commits(commits if too_large is None else [*commits, too_large]):
+                for merged in merged_commits:
                     self._write(writer, merged)
                 self._write_state(writer, number, is_open=True)
             with self._guard:
@@ -327,7 +333,7 @@ class Checkpointer:
                 self._is_requested.set()
 
 
-def merge_commits(commits: list[Entries]) -> list[Entries]:
+def merge_commits(commits: Iterable[Entries]) -> list[Entries]:
     """Merge commits, as far as their order does not matter.
 
     Notifications that were delivered meanwhile are left out.

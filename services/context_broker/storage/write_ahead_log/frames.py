@@ -126,10 +126,9 @@ def encode_frame(kind: bytes, number: int, record: bytes, attempt: int, seed: in
     content += bytes(-len(content) % _PAYLOAD_BYTES)
     parts: list[bytes] = []
     for index, start in enumerate(range(0, len(content), _PAYLOAD_BYTES)):
-        payload = content[start : start + _PAYLOAD_BYTES]
-        trailer = _TRAILER.pack(attempt, index)
-        parts += (payload, trailer, _CHECKSUM.pack(crc32(trailer, crc32(payload, seed))))
-    parts.append(bytes(frame_bytes(len(record)) - len(parts) // 3 * SECTOR_BYTES))
+        sector = content[start : start + _PAYLOAD_BYTES] + _TRAILER.pack(attempt, index)
+        parts += (sector, _CHECKSUM.pack(crc32(sector, seed)))
+    parts.append(bytes(frame_bytes(len(record)) - len(parts) // 2 * SECTOR_BYTES))
     return b"".join(parts)
 
 

@@ -35,3 +35,7 @@ def test_another_name_is_not(host: bytes) -> None:
 @pytest.mark.parametrize("header", [b"forwarded", b"x-forwarded-for", b"x-forwarded-proto", b"x-real-ip"])
 def test_what_a_proxy_passed_on_is_not(header: bytes) -> None:
     assert not is_local("127.0.0.1", {b"host": b"localhost", header: b"for=127.0.0.1"})
+
+
+def test_a_header_that_only_contains_the_name_of_one_is_no_proxy() -> None:
+    assert is_local("127.0.0.1", {b"host": b"localhost", b"not-x-forwarded-for": b"1", b"x-forwarded": b"1"})
