@@ -154,7 +154,7 @@ def metrics_page() -> Iterator[str]:
     yield from METRICS.splitlines()
     yield "| Metric | Type | Labels | Meaning |"
     yield "|---|---|---|---|"
-    for name, kind, labels, meaning in sorted(_metrics()):
+    for name, kind, labels, meaning in sorted(metrics()):
         shown = ", ".join(f"`{label}`" for label in labels)
         yield f"| `{name}` | {kind.lower()} | {shown} | {_cell(meaning)} |"
 
@@ -262,7 +262,8 @@ def _routes(service: Service, app: FastAPI) -> Iterator[str]:
             yield f"| `{name}` | {_cell(asked[name])} | A WebSocket. |"
 
 
-def _metrics() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+def metrics() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+    """Yield name, type, labels and meaning of each metric that the code defines."""
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             source = "" if "node_modules" in path.parts else path.read_text(encoding="utf-8")

@@ -4,20 +4,25 @@ import importlib
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from jsonschema import validate
 from prometheus_client import REGISTRY
 
+from docs.site.reference import metrics
 from handover.cli.services import OPTIONAL_SERVICES, SERVICES
 
 HERE = Path(__file__).parents[3] / "deploy" / "observability"
 DASHBOARD: dict[str, Any] = json.loads((HERE / "dashboards" / "handover.json").read_text())
 COUNTING = (
     "ros_fiware_bridge.metrics",
+    "services.alert_router.metrics",
     "services.context_broker.app",
+    "services.device_gateway.metrics",
     "services.gesture_controller.metrics",
     "services.task_orchestrator.app",
     "services.trajectory_tool.metrics",
@@ -30,6 +35,65 @@ OF_PROMETHEUS = {"up"}
 METRIC = re.compile(r"\b(?:handover|process)_[a-z0-9_]+|\bup\b")
 
 
+TEXT = {"type": "string", "minLength": 1}
+RULES_SCHEMA = {
+    "type": "object",
+    "required": ["groups"],
+    "additionalProperties": False,
+    "properties": {
+        "groups": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["name", "rules"],
+                "additionalProperties": False,
+                "properties": {
+                    "name": TEXT,
+                    "rules": {
+                        "type": "array",
+                        "minItems": 1,
+                        "items": {
+                            "type": "object",
+                            "required": ["alert", "expr", "labels", "annotations"],
+                            "additionalProperties": False,
+                            "properties": {
+                                "alert": {"type": "string", "pattern": "^Handover[A-Za-z]+$"},
+                                "expr": TEXT,
+                                "for": {"type": "string", "pattern": "^[1-9][0-9]*[smh]$"},
+                                "labels": {
+                                    "type": "object",
+                                    "required": ["severity"],
+                                    "additionalProperties": False,
+                                    "properties": {"severity": {"enum": ["warning", "critical"]}},
+                                },
+                                "annotations": {
+                                    "type": "object",
+                                    "required": ["summary", "remedy"],
+                                    "additionalProperties": TEXT,
+                                },
+                            },
+                        },
+                    },
+                },
+            },
+        }
+    },
+}
+"""The part of the format of Prometheus' rule files that ours use."""
+
+RULES: dict[str, Any] = yaml.safe_load((HERE / "alerts.yml").read_text())
+LABELS_OF_A_TARGET = {"job", "instance"}
+LABEL = re.compile(r"[{,]\s*([a-z_]+)\s*[=!]|\$labels\.([a-z_]+)")
+GROUPING = re.compile(r"\bby \(([a-z_, ]+)\)")
+
+
+@cache
+def labels_of() -> dict[str, tuple[str, ...]]:
+    """Return the labels of each metric by its name."""
+    return {name: labels for name, _, labels, _ in metrics()}
+
+
+@cache
 def counted() -> set[str]:
     """Return the names of all series that the services can show."""
     for module in COUNTING:
@@ -102,6 +166,41 @@ def test_the_dashboard_asks_the_source_that_is_provisioned() -> None:
     assert source["url"] == "http://prometheus:9090"
     for panel in DASHBOARD["panels"]:
         assert panel["datasource"]["uid"] == source["uid"]
+
+
+def rules() -> list[dict[str, Any]]:
+    return [rule for group in RULES["groups"] for rule in group["rules"]]
+
+
+def test_alert_rules_have_the_format_of_prometheus() -> None:
+    validate(RULES, RULES_SCHEMA)
+    names = [rule["alert"] for rule in rules()]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("rule", rules(), ids=lambda rule: rule["alert"])
+def test_an_alert_rule_asks_for_metrics_and_labels_that_services_have(rule: dict[str, Any]) -> None:
+    names = set(METRIC.findall(rule["expr"]))
+    assert names, "the rule asks for nothing that is ours"
+    assert names <= counted() | OF_PROMETHEUS
+    has = LABELS_OF_A_TARGET.union(*(labels_of()[name] for name in names - OF_PROMETHEUS))
+    texts = " ".join([rule["expr"], *rule["annotations"].values()])
+    asked = {label for pair in LABEL.findall(texts) for label in pair if label}
+    for group in GROUPING.findall(rule["expr"]):
+        kept = {label.strip() for label in group.split(",")}
+        asked |= kept
+        shown = {label for _, label in LABEL.findall(" ".join(rule["annotations"].values())) if label}
+        assert shown <= kept, "a label that the sum drops is empty in the message"
+    assert asked <= has
+
+
+def test_prometheus_loads_the_alert_rules() -> None:
+    (name,) = yaml.safe_load((HERE / "prometheus.yml").read_text())["rule_files"]
+    compose = yaml.safe_load((HERE.parents[1] / "docker-compose.yml").read_text())
+    assert (
+        f"./deploy/observability/{name}:/etc/prometheus/{name}:ro"
+        in compose["services"]["prometheus"]["volumes"]
+    )
 
 
 def test_panels_do_not_lie_on_each_other() -> None:
