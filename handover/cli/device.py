@@ -162,11 +162,17 @@ def simulate(
 
 def _read(file: Path) -> Any:
     try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
+        description = yaml.safe_load(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{file} is no YAML: {error}") from None
+    if not isinstance(description, dict) or "kind" not in description:
+        raise UsageError(
+            f'{file} describes no device: it needs "kind", such as "kind: sensor", and has the members of a '
+            "description only, without the name (docs/how-to/devices.md)"
+        )
+    return description
 
 
 def _show_token(made: dict[str, str]) -> None:
