@@ -174,7 +174,7 @@ class MixedGraph:
         if self.own.server_vendors(self.own.full(service)) - {VENDOR}:
             from ros_fiware_bridge.graph.ros_installed.graph import missing_type  # noqa: PLC0415 - if needed
 
-            return missing_type(type_name)
+            return missing_type(type_name, self.own.store)
         return self.own.obstacles(service, type_name)
 
     def problems(self) -> Sequence[GraphError]:

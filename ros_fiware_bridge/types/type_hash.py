@@ -34,6 +34,12 @@ _FIXED, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
 
 def rihs01(type_name: str, definition_of: Callable[[str], Definition]) -> str:
     """Return `RIHS01_` and 64 hexadecimal digits; `definition_of` returns definitions by name."""
+    whole = description(type_name, definition_of)
+    return f"RIHS01_{hashlib.sha256(json.dumps(whole).encode()).hexdigest()}"
+
+
+def description(type_name: str, definition_of: Callable[[str], Definition]) -> dict[str, Any]:
+    """Return the description of a type (type_description_interfaces/msg/TypeDescription) without defaults."""
     described: dict[str, dict[str, Any]] = {}
 
     def describe(name: str) -> None:
@@ -50,11 +56,10 @@ def rihs01(type_name: str, definition_of: Callable[[str], Definition]) -> str:
                 describe(one.type.base)
 
     describe(type_name)
-    whole = {
+    return {
         "type_description": described[type_name],
         "referenced_type_descriptions": [described[name] for name in sorted(described) if name != type_name],
     }
-    return f"RIHS01_{hashlib.sha256(json.dumps(whole).encode()).hexdigest()}"
 
 
 def _field(name: str, kind: FieldType) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ros_fiware_bridge.types import definition_files, wrappers
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
 from ros_fiware_bridge.types.excerpt import FieldNames
 from ros_fiware_bridge.types.fitting import Fitting
-from ros_fiware_bridge.types.type_hash import rihs01
+from ros_fiware_bridge.types.type_hash import description, rihs01
 from ros_fiware_bridge.types.wire import Wire, attribute
 
 SHIPPED = (Path(__file__).parent / "definitions", Path(__file__).parent.parent / "messages")
@@ -171,6 +171,11 @@ class TypeStore:
                 self._derive(type_name)
             known = self._hashes[type_name] = rihs01(type_name, self.definition)
         return known
+
+    def description(self, type_name: str) -> dict[str, Any]:
+        """Return what the hash of a type is of: its fields, and those of all types that it contains."""
+        self.hash(type_name)
+        return description(type_name, self.definition)
 
     def encode(self, type_name: str, message: Mapping[str, Any]) -> bytes:
         """Return `message` as CDR (XCDR1, little endian, with its 4 bytes of header).

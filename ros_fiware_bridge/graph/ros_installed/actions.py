@@ -83,7 +83,7 @@ class RosActionClient:
         self._own = own
         self._closed = closed
         self._loop = asyncio.get_running_loop()
-        self._interface = interface(type_name)
+        self._interface = interface(type_name, node.store)
         self._client = ActionClient(node.node, self._interface, action, callback_group=node.group)
         self._goals: dict[bytes, RosGoal] = {}
         self._open = True
@@ -246,7 +246,7 @@ class RosActionServer(BaseActionServer):
         super().__init__(action, type_name, handler, store=node.store, accept=accept, closed=closed)
         self._node = node
         self._loop = asyncio.get_running_loop()
-        self._interface = interface(type_name)
+        self._interface = interface(type_name, node.store)
         self._goal_response, self._cancel_response = GoalResponse, CancelResponse
         self._goals: dict[bytes, RosServedGoal] = {}
         self._working: set[concurrent.futures.Future[tuple[GoalStatus, Message]]] = set()

@@ -167,7 +167,7 @@ class RosInstalledGraph(BaseGraph):
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
         """Return why calls of a service would fail; rclpy does not report the hashes of servers."""
-        return missing_type(type_name)
+        return missing_type(type_name, self.store)
 
     def problems(self) -> Sequence[GraphError]:
         """Return the present incompatibilities with peers."""
@@ -187,10 +187,10 @@ class RosInstalledGraph(BaseGraph):
         await asyncio.to_thread(self._node.close)
 
 
-def missing_type(type_name: str) -> list[GraphError]:
+def missing_type(type_name: str, store: TypeStore) -> list[GraphError]:
     """Return why rclpy cannot call a service `X` or `X_SendGoal`; empty if it can."""
     try:
-        interface(type_name.removesuffix("_SendGoal"))
+        interface(type_name.removesuffix("_SendGoal"), store)
     except UnknownType as error:
         return [error]
     return []

@@ -5,7 +5,6 @@ messages would be misread: so their hashes are compared when a topic is opened.
 """
 
 import asyncio
-import importlib
 import os
 import threading
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from ros_fiware_bridge.errors import AdapterUnavailable, TypeHashDiffers, Unknow
 from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import Message
 from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
+from ros_fiware_bridge.graph.ros_installed.fast_dds_types import defined_class, installed_class, supports
 from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
@@ -117,26 +117,25 @@ class OwnRosNode:
         rclpy.shutdown(context=self._context)
 
 
-def interface(type_name: str) -> Any:
-    """Return the Python class of a message, service or action type.
+def interface(type_name: str, store: TypeStore) -> Any:
+    """Return the Python class of a message, service or action type; made from its definition if need be.
 
     Raises:
-        UnknownType: the installed ROS has no such type.
+        UnknownType: the installed ROS has no such type, and none can be made for it.
     """
-    package, kind, name = type_name.split("/")
-    from rclpy.type_support import check_for_type_support  # noqa: PLC0415 - is only there where ROS is
+    import rclpy  # noqa: PLC0415 - is only there where ROS is
 
     try:
-        found = getattr(importlib.import_module(f"{package}.{kind}"), name)
-        check_for_type_support(found)
+        return installed_class(type_name)
     except Exception as error:
-        built = f"ros-jazzy-{package.replace('_', '-')}"
+        if supports(rclpy.get_rmw_implementation_identifier()):
+            return defined_class(store, type_name)
+        built = f"ros-jazzy-{type_name.split('/', maxsplit=1)[0].replace('_', '-')}"
         raise UnknownType(
             f"rclpy has no {type_name}; install its package ({built}), build it in a workspace and "
             "source that, or start the robot's node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, for which "
             "definition files are enough"
         ) from error
-    return found
 
 
 def _network(settings: JoinSettings) -> dict[str, str]:

@@ -32,7 +32,7 @@ class RosClient:
         self.service = service
         self.type_name = type_name
         self._node = node
-        self._interface = interface(type_name)
+        self._interface = interface(type_name, node.store)
         self._client = node.node.create_client(self._interface, service, callback_group=node.group)
         self._waiting: set[asyncio.Future[Any]] = set()
         self._settled = False
@@ -123,7 +123,7 @@ class RosServer:
         self._loop = asyncio.get_running_loop()
         self._working: set[concurrent.futures.Future[Message]] = set()
         self._open = True
-        self._interface = interface(type_name)
+        self._interface = interface(type_name, node.store)
         self._service = node.node.create_service(
             self._interface, service, self._asked, callback_group=node.group
         )

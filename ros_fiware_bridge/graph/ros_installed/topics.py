@@ -39,7 +39,7 @@ class RosSubscription(Inbox):
         self._checked_s = 0.0
         self._why_not: str | None = None
         self._subscription = node.node.create_subscription(
-            interface(type_name),
+            interface(type_name, node.store),
             topic,
             self._came,
             profile(qos, max(qos.depth, _MIN_READER_DEPTH)),
@@ -100,7 +100,7 @@ class RosPublisher:
         self._max_message_bytes = max_message_bytes
         self._closed = closed
         self._open = True
-        self._publisher = node.node.create_publisher(interface(type_name), topic, profile(qos))
+        self._publisher = node.node.create_publisher(interface(type_name, node.store), topic, profile(qos))
 
     def publish(self, message: Message) -> None:
         """Send `message`."""
