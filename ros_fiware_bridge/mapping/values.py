@@ -53,7 +53,7 @@ class Conversion(Part):
     """The conversion of a value, in this order: convert, map, round."""
 
     convert: str | None = None
-    """Two units of pint: `rad -> deg`."""
+    """Two units of pint: `rad -> deg`; or `yaw -> quaternion`, `quaternion -> yaw`."""
     values: dict[Plain, Any] | None = None
     """The result for each value: `{0: idle, 1: busy}`."""
     otherwise: Any = None

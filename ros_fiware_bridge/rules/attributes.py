@@ -219,6 +219,10 @@ def _require_convertible(attribute: Attribute, schema: MessageSchema) -> None:
     if attribute.values is not None or attribute.field is None:
         return
     found = schema.target(attribute.field).type
+    if attribute.units == conversion.QUATERNION_TO_YAW:
+        if found is not None and found.base != conversion.QUATERNION:
+            raise InvalidRule(f"{attribute.field} is {found}; a yaw is that of a {conversion.QUATERNION}")
+        return
     if found is not None and (found.is_message or found.base in {*TEXTS, "bool"}):
         raise InvalidRule(f"{attribute.field} is {found}, but only numbers are converted and rounded")
 

@@ -1,7 +1,7 @@
 """Compiles conversions of values: units, mapped values and rounding.
 
 A conversion of units is a factor and an offset. That holds for all units of pint except logarithmic ones,
-which are refused.
+which are refused. `yaw -> quaternion` and `quaternion -> yaw` are between forms of a rotation.
 """
 
 import math
@@ -14,6 +14,11 @@ from ros_fiware_bridge.mapping.values import Conversion
 from ros_fiware_bridge.rules.message_schema import InvalidRule
 
 Convert = Callable[[Any], Any]
+
+QUATERNION = "geometry_msgs/msg/Quaternion"
+YAW_TO_QUATERNION = ("yaw", "quaternion")
+QUATERNION_TO_YAW = ("quaternion", "yaw")
+_NORM_TOLERANCE = 0.01
 
 
 class UnmappedValue(HandoverError):
@@ -28,17 +33,21 @@ def compiled(conversion: Conversion) -> Convert | None:
     """Return the function for `conversion`; None if it changes nothing. Raises `InvalidRule`."""
     if conversion.values is not None:
         return _lookup(conversion)
+    if conversion.units == YAW_TO_QUATERNION:
+        return _quaternion
     steps: list[Convert] = []
-    if conversion.units is not None:
+    if conversion.units is not None and conversion.units != QUATERNION_TO_YAW:
         factor, offset = affine(*conversion.units)
         steps.append(lambda number: number * factor + offset)
     if (digits := conversion.round) is not None:
         steps.append(lambda number: round(number, digits) if math.isfinite(number) else number)
     if not steps:
-        return None
+        return _yaw if conversion.units == QUATERNION_TO_YAW else None
 
     def convert(value: Any) -> Any:
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if conversion.units == QUATERNION_TO_YAW:
+            value = _yaw(value)
+        elif isinstance(value, bool) or not isinstance(value, int | float):
             if isinstance(value, list):
                 return [convert(one) for one in value]
             raise NotNumeric(f"{value!r:.80} is not a number; only numbers are converted and rounded")
@@ -47,6 +56,24 @@ def compiled(conversion: Conversion) -> Convert | None:
         return value
 
     return convert
+
+
+def _quaternion(yaw: Any) -> dict[str, float]:
+    """Return the rotation by `yaw` rad about the vertical axis, counter-clockwise."""
+    if isinstance(yaw, bool) or not isinstance(yaw, int | float) or not math.isfinite(yaw):
+        raise NotNumeric(f"{yaw!r:.80} is no angle; a yaw is a finite number of rad, counter-clockwise")
+    return {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+
+
+def _yaw(quaternion: Any) -> float:
+    """Return the angle about the vertical axis, in rad from -pi to pi."""
+    try:
+        x, y, z, w = (float(quaternion[name]) for name in "xyzw")
+    except (KeyError, TypeError, ValueError):
+        raise NotNumeric(f"{quaternion!r:.80} is no quaternion with x, y, z and w") from None
+    if not abs(math.hypot(x, y, z, w) - 1.0) <= _NORM_TOLERANCE:
+        raise NotNumeric(f"{quaternion!r:.80} is no rotation: x² + y² + z² + w² must be 1")
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 @cache

@@ -157,7 +157,10 @@ def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[st
     found = _found(path, source, target, settings)
     convert = conversion.compiled(source)
     default = source.default if "default" in source.model_fields_set else _NOTHING
-    if source.convert is not None and not target.is_number and not target.is_text:
+    if source.units == conversion.YAW_TO_QUATERNION:
+        if not target.is_message(conversion.QUATERNION):
+            raise InvalidRule(f"{path} is {target}; a yaw becomes a {conversion.QUATERNION}")
+    elif source.convert is not None and not target.is_number and not target.is_text:
         raise InvalidRule(f"{path} is {target}, and only numbers are converted")
 
     def fill(scope: Scope) -> Any:

@@ -1,11 +1,14 @@
 """The shipped mappings compile, and convert the messages that they are for."""
 
+import math
 import textwrap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis.strategies import floats
 
 from datamodels import HumanState
 from handover.errors import HandoverError
@@ -141,6 +144,48 @@ def test_a_task_becomes_a_nav2_goal() -> None:
     assert pose["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     with pytest.raises(HandoverError):
         goal("nav2", "go-to", {"x": 2})
+
+
+@given(floats(-20.0, 20.0))
+def test_the_yaw_of_a_nav2_goal_is_that_of_the_pose_that_comes_back(yaw: float) -> None:
+    orientation = goal("nav2", "go-to", {"x": 2, "y": 1.5, "yaw": yaw})["pose"]["pose"]["orientation"]
+    assert (orientation["x"], orientation["y"]) == (0.0, 0.0)
+    assert math.hypot(orientation["z"], orientation["w"]) == pytest.approx(1.0)
+    reached = {
+        "header": {"stamp": {"sec": 1_770_000_000, "nanosec": 0}, "frame_id": "map"},
+        "pose": {
+            "pose": {"position": {"x": 2.0, "y": 1.5, "z": 0.0}, "orientation": orientation},
+            "covariance": np.zeros(36),
+        },
+    }
+    way = extracted("nav2", "map-pose", reached)
+    assert way.errors == []
+    (device,) = way.entities
+    assert device.entity_id == "urn:ngsi-ld:Device:demo:amr-1"
+    assert device.values["relativePosition"] == [2.0, 1.5, 0.0]
+    assert device.attributes["relativePosition"]["frame"]["value"] == "map"
+    turn = device.values["yaw"] - yaw
+    assert math.remainder(turn, math.tau) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_nav2_goal_takes_a_quaternion_instead_of_a_yaw() -> None:
+    pose = goal("nav2", "go-to", {"x": 2, "y": 1.5, "qz": 0.6, "qw": 0.8, "frame": "hall"})["pose"]
+    assert pose["header"]["frame_id"] == "hall"
+    assert pose["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}
+
+
+@pytest.mark.parametrize("yaw", ["north", True, math.nan, [1.0]])
+def test_a_yaw_that_is_no_angle_is_refused(yaw: object) -> None:
+    with pytest.raises(HandoverError, match="is no angle"):
+        goal("nav2", "go-to", {"x": 2, "y": 1.5, "yaw": yaw})
+
+
+def test_a_pose_without_a_rotation_has_no_yaw() -> None:
+    pose = TYPES.default("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose["pose"]["pose"]["orientation"] = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    way = extracted("nav2", "map-pose", pose)
+    assert any("no rotation" in str(error) for error in way.errors)
+    assert all("yaw" not in device.values for device in way.entities)
 
 
 def test_a_task_becomes_a_moveit_goal() -> None:
