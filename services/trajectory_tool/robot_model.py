@@ -254,7 +254,17 @@ class RobotModel:
 
     def payload_fault(self, payload_kg: float) -> Message | None:
         """Return why the robot may not carry a part of this mass in its tool; None if it may."""
-        if self.max_payload_kg is None or payload_kg + self.tool_kg <= self.max_payload_kg:
+        if self.max_payload_kg is None:
+            if payload_kg <= 0.0:
+                return None
+            return message(
+                "robot.payload_unknown",
+                "it is unknown how much {robot} may carry, so no motion with a part of {part} kg is planned; "
+                "give the robot max_payload_kg in its robot.yaml, or remove part_mass_kg from the scene",
+                part=f"{payload_kg:g}",
+                robot=self.name,
+            )
+        if payload_kg + self.tool_kg <= self.max_payload_kg:
             return None
         return message(
             "robot.payload_exceeded",

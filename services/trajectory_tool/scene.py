@@ -375,7 +375,7 @@ def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: R
     for model in models:
         if scene.gripper.part_mass_kg is not None and model.max_payload_kg is None:
             log.warning(
-                "payload not checked: give the robot max_payload_kg in its robot.yaml",
+                "payload unknown, no part is carried: give the robot max_payload_kg in its robot.yaml",
                 robot=model.name,
                 part_mass_kg=scene.gripper.part_mass_kg,
                 tool_kg=round(model.tool_kg, 3),
@@ -386,6 +386,8 @@ def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: R
 def _faults(scene: Scene, models: Sequence[RobotModel]) -> Iterator[str]:
     yield from _repeated_names(scene)
     for model in models:
+        if model.max_payload_kg is None:
+            continue  # the cell starts, and no motion with the part is planned
         if (too_heavy := model.payload_fault(scene.gripper.part_mass_kg or 0.0)) is not None:
             yield f"gripper: {too_heavy}"
     if scene.home is not None:

@@ -245,7 +245,7 @@ def _of_the_model(model: RobotModel) -> list[Finding]:
         Finding(
             "warning",
             "payload",
-            f"a URDF has no limit of the payload, so none is checked; give max_payload_kg in {FILE}",
+            f"a URDF has no limit of the payload, so no part is carried; give max_payload_kg in {FILE}",
         ),
         Finding("info", "SRDF", f"{checked} pairs of links are checked for collision"),
     ]

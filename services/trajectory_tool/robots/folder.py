@@ -6,7 +6,7 @@
     tip: tool0
     max_acceleration: {shoulder_pan_joint: 8.0, …}
     max_jerk: {shoulder_pan_joint: 80.0, …}
-    max_payload_kg: 5.0             # at the flange, the tool included; not checked without it
+    max_payload_kg: 5.0             # at the flange, the tool included; without it no part is carried
 
 `handover robot add` makes one. Robots are looked for by name: those of packages, then in the folder
 `robots` of the data directory; a path names a folder directly.

@@ -77,3 +77,14 @@ def test_messages_have_the_bytes_and_defaults_of_the_installed_ros(genuine: Type
         assert serialization.deserialize_message(genuine.encode(name, {}), made) == made(), name
         compared += 1
     assert compared
+
+
+@pytest.mark.parametrize("text", ["", "world", "wörld €", "ハローワールド", "over 16 bits: 😀"])
+def test_wide_texts_are_those_of_the_installed_ros(genuine: TypeStore, text: str) -> None:
+    serialization = pytest.importorskip("rclpy.serialization")
+    made = interface("test_msgs/msg/WStrings")
+    theirs = made(wstring_value=text, unbounded_sequence_of_wstrings=[text, "b"])
+    read = genuine.decode("test_msgs/msg/WStrings", serialization.serialize_message(theirs))
+    assert (read["wstring_value"], list(read["unbounded_sequence_of_wstrings"])) == (text, [text, "b"])
+    written = genuine.encode("test_msgs/msg/WStrings", read)
+    assert serialization.deserialize_message(written, made) == theirs

@@ -19,6 +19,7 @@ from services.trajectory_tool.scene import read_scene
 
 OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
 PLANNERS = {name: Planner(model) for name, model in OWN.items()}
+UNKNOWN = Planner(replace(OWN["ur5e"], name="mine", max_payload_kg=None))
 TOOLS_KG = {"ur10": 1.0, "ur5e": 1.0, "panda": 0.76}
 """The gripper with its fingers; the link that the gripper is fixed to is one of the robot."""
 
@@ -67,6 +68,15 @@ def test_a_part_for_a_robot_without_a_limit_is_no_silent_payload() -> None:
     (warning,) = logged
     assert "give the robot max_payload_kg in its robot.yaml" in warning["event"]
     assert (warning["log_level"], warning["robot"]) == ("warning", "mine")
+
+
+@given(mass_kg=st.floats(0.001, 30))
+def test_no_planner_takes_a_part_for_a_robot_whose_payload_is_unknown(mass_kg: float) -> None:
+    planner = UNKNOWN
+    planner.world = World()
+    with pytest.raises(NoPath, match=r"unknown how much mine may carry.*give the robot max_payload_kg"):
+        planner.world = World(payload_kg=mass_kg)
+    assert planner.world == World()
 
 
 def test_a_robot_of_a_stranger_says_what_it_carries(tmp_path: Path) -> None:
