@@ -78,7 +78,7 @@ def start(
     """Start a process."""
     given = dict(parse_parameter(parameter) for parameter in parameters or [])
     answer = ask("POST", "/processes", json={"definition": definition, "parameters": given})
-    print(f"{answer['id']} started")
+    print(f"{answer['id']} started: {answer['name']}")
 
 
 @app.command("list")
@@ -88,7 +88,7 @@ def list_processes(
     ] = 100,
     as_json: AsJson = False,
 ) -> None:
-    """List the process definitions and the processes: status, version and the elements that wait."""
+    """List the process definitions and the processes: status, name, version and the elements that wait."""
     definitions = ask("GET", "/definitions")
     page = _ask_page("GET", "/processes", params={"limit": limit})
     processes = page.json()
@@ -101,7 +101,7 @@ def list_processes(
     for process in processes:
         waits = f", waits at {', '.join(process['waiting'])}" if process["waiting"] else ""
         of = f"{process['definition']} version {process['version']}"
-        print(f"process     {process['id']:<40} {_status(process):<11} {of}{waits}")
+        print(f"process     {process['id']:<40} {_status(process):<11} {process['name']} ({of}){waits}")
         for incident in process["incidents"]:
             where = f"token {incident['token']} at {incident['name']}"
             print(f"  incident  {where}: {incident['reason']}")

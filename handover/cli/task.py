@@ -31,7 +31,8 @@ def list_tasks(
         print_json(found)
         return
     for task in found:
-        print(f"{task['id']:<60} {task['status']:<11} {task['name']}  ({_holder(task)})")
+        of = f"{task['name']} of {task['processName']}"
+        print(f"{task['id']:<60} {task['status']:<11} {of}  ({_holder(task)})")
     if not found:
         print("no Task of a person is open")
 

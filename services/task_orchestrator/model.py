@@ -533,6 +533,8 @@ class Definition:
     """The ProcessDefinition of another system that it was deployed from."""
     start_form: StartForm = StartForm()
     """That of the none start event."""
+    naming: Expression | None = None
+    """Yields the title of a process."""
 
     def scopes(self) -> Iterator[Scope]:
         """Yield all scopes, the process first."""

@@ -269,6 +269,10 @@ class ProcessRecord:
     """The agents that have declined an open activity, by token and element."""
     reservations: tuple[ReservationRecord, ...] = ()
     """Those that are waited for or held, and the last ones that have ended."""
+    number: int = 0
+    """Its number among the processes of its definition, from 1; no other one ever has it."""
+    title: str | None = None
+    """The title that its definition gives it (`handover:process title`), once that can be evaluated."""
 
 
 SPECIFICATION = "specification"
@@ -490,6 +494,8 @@ class Step:
     mappings: list[MappingTable] = field(default_factory=list)
     """New versions of the mapping."""
     processes: dict[str, ProcessRecord] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
+    """The highest number of a process of each definition that has started one."""
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     new: set[str] = field(default_factory=set)
     """Ids of processes and Tasks that are not in the database yet."""

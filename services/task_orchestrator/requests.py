@@ -50,7 +50,9 @@ class ProcessQuery(BaseModel):
     definition: Plain | None = None
     version: DefinitionVersion = None
     key: Plain | None = Field(None, description="the business key")
-    search: Plain | None = Field(None, description="a part of the business key or of the id")
+    search: Plain | None = Field(
+        None, description="a part of the business key, of the id or of the title, or the number"
+    )
     involves: Plain | None = Field(None, description="the URN of a person or resource that a Task involves")
     variable: list[str] = Field(
         default_factory=list,
@@ -107,7 +109,8 @@ class TaskListQuery(BaseModel):
     process: Plain | None = Field(None, description="of this process")
     definition: Plain | None = Field(None, description="of processes of this definition")
     search: Plain | None = Field(
-        None, description="a part of the name, of its id or element, or of the business key of its process"
+        None,
+        description="a part of the name, of its id or element, or of the name or business key of its process",
     )
     before: Plain | None = Field(None, description="the id of a Task: return those listed after it")
     limit: int = Field(1000, ge=1, le=5000)

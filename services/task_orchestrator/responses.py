@@ -319,13 +319,19 @@ class RetryView(KnownReason):
 
 
 class ProcessSummary(Reason):
-    """A process as an element of a list; `retry` is the first failed Task among the incidents."""
+    """A process as an element of a list; `retry` is the first failed Task among the incidents.
+
+    `name` is its name for people: the title that its definition gives it, else `title` (of the definition)
+    with the business key `key` or with `number`, which no other process of the definition ever has.
+    """
 
     id: str
     entity: str
+    name: str
     definition: str
     version: int
     title: str
+    number: int
     key: str | None
     status: TaskStatus
     startedAt: str

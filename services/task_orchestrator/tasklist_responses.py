@@ -96,10 +96,12 @@ class TasklistEntry(TypedDict):
     """A Task of people as an element of a list.
 
     `person` is the one that it was given to; `persons` and `groups` those that it is offered to.
+    `processName` is the name of its process for people.
     """
 
     id: str
     process: str
+    processName: str
     element: str
     name: str
     status: TaskStatus

@@ -38,14 +38,15 @@ _NO_INPUTS = frozenset(
 MAX_HISTORY = 1000
 
 
-def tasklist_entry(task: TaskRecord) -> TasklistEntry:
-    """Return a Task of people as an element of a list."""
+def tasklist_entry(task: TaskRecord, process_name: str) -> TasklistEntry:
+    """Return a Task of people as an element of a list; `process_name` is the name of its process."""
     offer, candidates = offer_of(task), _inputs(task).get("candidates")
     lane = candidates.get("lane") if isinstance(candidates, Mapping) else None
     given = candidates.get("groups", []) if isinstance(candidates, Mapping) else []
     return {
         "id": task.id,
         "process": task.process,
+        "processName": process_name,
         "element": task.element,
         "name": task.name or task.element,
         "status": task.status,
@@ -79,7 +80,7 @@ def is_listed(entry: TasklistEntry, query: TaskListQuery, key: str | None) -> bo
         assignee, [*entry["persons"], *([claimed_by] if claimed_by else [])]
     ):
         return False
-    texts = (entry["name"], entry["id"], entry["element"], key or "")
+    texts = (entry["name"], entry["id"], entry["element"], entry["processName"], key or "")
     return query.search is None or any(query.search.casefold() in text.casefold() for text in texts)
 
 
@@ -89,6 +90,7 @@ def task_details(
     title: str,
     activity: Activity | None,
     *,
+    process_name: str,
     resolved: TaskForm | None,
     acts: Sequence[TaskAct],
     history: Sequence[TaskHistoryEntry],
@@ -98,7 +100,7 @@ def task_details(
     described = inputs.get("description")
     drawn = None if activity is None else activity.description
     return {
-        **tasklist_entry(task),
+        **tasklist_entry(task, process_name),
         "processTitle": title,
         "processKey": process.key,
         "definition": process.definition,

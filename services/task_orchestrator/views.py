@@ -1,5 +1,6 @@
 """Views: definitions and processes as the REST interface returns them."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, cast
@@ -70,6 +71,9 @@ from services.task_orchestrator.responses import (
 )
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.counts import ElementCount, PeriodCount, VersionCount, count_elements
+
+_MADE_BY_PAGE = re.compile(r"[lm][0-9a-z]{7}-[0-9a-z]{7,8}|\S+ by \S+ after \S+", re.ASCII)
+"""Business keys that the page makes, so that a double press starts one process; they name nothing."""
 
 
 def mapping_view(table: MappingTable) -> MappingView:
@@ -226,6 +230,16 @@ def period_view(counts: PeriodCount) -> PeriodStatistics:
     }
 
 
+def process_name(registry: DefinitionRegistry, record: ProcessRecord) -> str:
+    """Return the name of a process for people."""
+    if record.title is not None:
+        return record.title
+    title = registry.record(record.definition, record.version).title
+    if record.key is None or _MADE_BY_PAGE.fullmatch(record.key):
+        return f"{title} {record.number}"
+    return f"{title} · {record.key}"
+
+
 def process_summary(
     settings: OrchestratorSettings, registry: DefinitionRegistry, record: ProcessRecord
 ) -> ProcessSummary:
@@ -233,9 +247,11 @@ def process_summary(
     return {
         "id": record.id,
         "entity": settings.entity_id("Process", record.id),
+        "name": process_name(registry, record),
         "definition": record.definition,
         "version": record.version,
         "title": registry.record(record.definition, record.version).title,
+        "number": record.number,
         "key": record.key,
         "status": record.status,
         **_reason(record.reason),

@@ -80,6 +80,8 @@ class WorkingState:
         )
         self.active_processes.on_loaded = self.events.add_process
         self.start_timers: dict[str, tuple[StartTimer, ...]] = {}
+        self._numbers: dict[str, int] = {}
+        """The last number that was given to a process of each definition."""
         self.due_changed = asyncio.Event()
         self.on_entity_waits: Callable[[], None] = lambda: None
         """Called when there may be new filters of entities, or new waits for a condition about them."""
@@ -102,6 +104,7 @@ class WorkingState:
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
                 self._add_events(self.registry.plan_of(record).definition)
+        self._numbers = await self.on_disk(self.store.process_numbers)
         await self.active_processes.load_unfinished()
         self.start_timers = await self.on_disk(self.store.start_timers)
         self.events.stored = StoredMessages(await self.on_disk(self.store.stored_messages))
@@ -127,6 +130,7 @@ class WorkingState:
         """Start a process in a step and return its id; raise `Problem` if that is impossible."""
         self.registry.require_startable(deployed.name)
         now = self.clock()
+        number = 1 + step.numbers.get(deployed.name, self._numbers.get(deployed.name, 0))
         record = ProcessRecord(
             id=process_id or f"{deployed.name}-{secrets.token_hex(6)}",
             definition=deployed.name,
@@ -142,6 +146,7 @@ class WorkingState:
             revision=1,
             state=None,
             partner=partner,
+            number=number,
         )
         plan = self.registry.plan_of(deployed)
         process = Process.start(
@@ -155,6 +160,7 @@ class WorkingState:
             at=at,
             results=results,
         )
+        step.numbers[deployed.name] = number
         self.active_processes.add(process)
         return record.id
 
@@ -208,6 +214,7 @@ class WorkingState:
     def apply(self, step: Step) -> None:
         """Take over what a step has written to the database."""
         self._apply_holds(step)
+        self._numbers |= step.numbers
         self._add_definitions(step.definitions)
         for table in step.mappings:
             self.allocator.rules.mapping = table

@@ -68,7 +68,7 @@ def test_five_hundred_processes_are_distinguished_filtered_and_scrolled(
     page.get_by_text("Running (500)", exact=True).wait_for(timeout=PATIENCE_MS)
     first.click()
     expect(page).to_have_url(re.compile("sort=key.*involves=|involves=.*sort=key"))
-    expect(page.locator(".process__mark")).to_have_text("order 0")
+    expect(page.locator(".process__mark")).to_have_text("Bin picking · order 0")
     keep(page, "processes-500-filtered")
 
     page.goto("/")

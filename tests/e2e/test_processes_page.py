@@ -198,12 +198,13 @@ def test_an_engineer_resolves_incidents_with_a_name_and_a_reason(
 def test_a_process_shows_who_holds_the_robot_and_an_engineer_releases_it(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    holder, waiting = (
-        ask(cell, "POST", "processes", json={"definition": "bin-picking"})["id"] for _ in range(2)
-    )
+    started = [ask(cell, "POST", "processes", json={"definition": "bin-picking"}) for _ in range(2)]
+    holder, waiting = (each["id"] for each in started)
     page = open_page(f"/processes/{waiting}", who="")
     reservations = page.get_by_role("list", name="Reservations")
-    name = f"Bin picking · {holder.rpartition('-')[2]}"
+    name = started[0]["name"]
+    assert re.fullmatch("Bin picking [0-9]+", name)
+    expect(page.get_by_role("heading", level=1)).to_have_text(started[1]["name"])
     expect(reservations).to_contain_text(re.compile(f"waits: ur10-1 is held by {name} since .*[0-9]:[0-9]"))
     has_look(page, "confirm_clear", "token")
     accessible(page)

@@ -195,7 +195,7 @@ class Processes(Source):
 
     def _log(self, view: ProcessView) -> None:
         status, ended = str(view["status"]), view.get("endedAt")
-        title = _full_name(view)
+        title = str(view["name"])
         self._log_incidents(view, title)
         if self._logged.get(view["id"]) == (status, str(ended)):
             return
@@ -243,7 +243,7 @@ class Processes(Source):
                 values={
                     "process": view["id"],
                     "definition": view["definition"],
-                    "title": _full_name(view),
+                    "title": str(view["name"]),
                     **(more or {}),
                     **with_code("reason", reason),
                 },
@@ -287,8 +287,3 @@ class ProcessEntities(EntityHandler):
 
 def _title(view: ProcessView) -> str:
     return str(view.get("title") or view["definition"])
-
-
-def _full_name(view: ProcessView) -> str:
-    """Return the title with the business key, as "Bin picking · order 7"."""
-    return " · ".join(filter(None, (_title(view), view.get("key"))))

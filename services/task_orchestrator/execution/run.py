@@ -158,6 +158,10 @@ class Run:
         """Return the variables of the process itself."""
         return dict(self._state.root.variables)
 
+    def visible_variables(self) -> Mapping[str, Any]:
+        """Return what expressions at the process itself read; the mapping must not be changed."""
+        return self._machine(self._now).frame_variables(self._state.root)
+
     def open(self) -> tuple[OpenActivity, ...]:
         """Return the activities that performers work on, in the order in which they were reached."""
         machine = self._machine(self._now)

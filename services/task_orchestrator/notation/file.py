@@ -103,6 +103,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         scope=replace(scope, id=process_name(id_)),
         xml=xml,
         start_form=_start_form(process, context),
+        naming=ours.naming,
     )
 
 

@@ -59,6 +59,7 @@ from services.task_orchestrator.records import (
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
+MAX_TITLE = 200
 REPORTED_TASKS = 10
 """Beyond `MAX_LISTED_TASKS` the Process entity is written with every so many new Tasks."""
 REFUSALS = frozenset({"task.definition_refused", "task.specification_refused"})
@@ -551,6 +552,7 @@ class Process:
         run = self.run
         state = None
         if run is not None:
+            self._set_title(run)
             self._post_open(run, step, now)
             state = run.snapshot()
             step.effects += [(self.record.id, effect) for effect in run.effects]
@@ -580,6 +582,16 @@ class Process:
         step.to_index[self.record.id] = None
         if self._is_report_due():
             self._report_process(step, now)
+
+    def _set_title(self, run: Run) -> None:
+        """Set the title that the definition gives, once its variables are there; then it stays."""
+        naming = self.plan.definition.naming
+        if naming is None or self.record.title is not None:
+            return
+        with suppress(ExpressionError):
+            value = naming.value(run.visible_variables())
+            title = "" if value is None else " ".join(str(value).replace("\0", "").split())
+            self.revise(title=title[:MAX_TITLE] or None)
 
     def _update_incidents(self, step: Step) -> None:
         """Record the incidents; raise the Alerts of new ones and clear those of others."""

@@ -46,6 +46,7 @@ from services.task_orchestrator.tasklist_views import (
     task_history,
     tasklist_entry,
 )
+from services.task_orchestrator.views import process_name
 
 DETAILS: dict[int | str, dict[str, Any]] = {200: {"model": TaskDetails}}
 COMMENTED: dict[int | str, dict[str, Any]] = {201: {"model": TaskComment}}
@@ -67,17 +68,20 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
 
         `before` with the id of the last one returns the next page: the header `Link` has its address.
         """
-        mark = None if query.before is None else tasklist_entry(await tasklist.task(_urn(at, query.before)))
+        mark = None if query.before is None else await tasklist.task(_urn(at, query.before))
+        last = None if mark is None else tasklist_entry(mark, "")
         process = None if query.process is None else at.plain_id(query.process)
+        active = state.active_processes.processes
+        names = {each.record.id: process_name(state.registry, each.record) for each in active.values()}
         found = [
             entry
-            for each in state.active_processes.processes.values()
+            for each in active.values()
             if (process is None or each.record.id == process)
             and (query.definition is None or each.record.definition == query.definition)
             for task in each.tasks.values()
             if is_for_people(link["object"] for link in task.entity["involves"]["value"])
-            and is_listed(entry := tasklist_entry(task), query, each.record.key)
-            and (mark is None or list_order(entry) > list_order(mark))
+            and is_listed(entry := tasklist_entry(task, names[each.record.id]), query, each.record.key)
+            and (last is None or list_order(entry) > list_order(last))
         ]
         found.sort(key=list_order)
         response = json_response(found[: query.limit])
@@ -271,6 +275,7 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
         record,
         deployed.title,
         activity,
+        process_name=process_name(registry, record),
         resolved=None if task.status in {TaskStatus.COMPLETED, TaskStatus.FAILED} else _form(at, task),
         acts=own,
         history=task_history(task, earlier, [move for move in moves if move.task == task.id], acts),

@@ -35,6 +35,7 @@ MAX_CONDITION_LENGTH: Final = 500
 _CONDITION = re.compile(
     r"\s*([A-Za-z_][\w-]*(?:\.[A-Za-z_][\w-]*)*)\s*(?:(==?|!=|<=?|>=?|~)(.*))?", re.DOTALL | re.ASCII
 )
+_NUMBER = re.compile(r"[1-9][0-9]{0,8}", re.ASCII)
 _NUL_ESCAPE: Final = "\\u0000"
 
 
@@ -60,7 +61,7 @@ class ProcessFilter:
     version: int | None = None
     key: str | None = None
     search: str | None = None
-    """A part of the business key or of the id, case-insensitive."""
+    """A part of the business key, the id or the title, case-insensitive; or the number."""
     resource: str | None = None
     """The URN of a person or a resource that a Task of the process involves."""
     variables: Sequence[VariableCondition] = ()
@@ -163,6 +164,8 @@ def _conditions(wanted: ProcessFilter, dialect: str) -> Iterator[ColumnElement[b
         yield or_(
             table.key.icontains(wanted.search, autoescape=True),
             table.id.icontains(wanted.search, autoescape=True),
+            table.title.icontains(wanted.search, autoescape=True),
+            *([table.number == int(wanted.search)] if _NUMBER.fullmatch(wanted.search) else ()),
         )
     for moment, column, is_begin in (
         (wanted.started_since, table.started_at, True),

@@ -53,7 +53,7 @@ _DOCUMENTS = frozenset(
 )
 
 
-CONSTANT_COLUMNS = frozenset({"id", "definition", "key", "parameters", "started_at", "partner"})
+CONSTANT_COLUMNS = frozenset({"id", "definition", "key", "parameters", "started_at", "partner", "number"})
 """Columns of a process that never change."""
 
 

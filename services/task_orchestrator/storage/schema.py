@@ -18,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 _meta = MetaData()
 definitions = Table(
@@ -65,6 +65,8 @@ processes = Table(
     Column("retries", Text, nullable=False, server_default="[]"),
     Column("declined", Text, nullable=False, server_default="{}"),
     Column("reservations", Text, nullable=False, server_default="[]"),
+    Column("number", Integer, nullable=False, server_default="0"),
+    Column("title", Text),
     # Large columns are last: SQLite reads a row from its beginning to the last column that it needs.
     Column("parameters", Text, nullable=False),
     Column("variables", Text, nullable=False),
@@ -77,6 +79,14 @@ processes = Table(
     Index("orchestrator_processes_definition_started", "definition", "started_at", "id"),
     Index("orchestrator_processes_ended", "ended_at"),
     Index("orchestrator_processes_to_archive", "archived_at", "ended_at"),
+    Index(
+        "orchestrator_processes_number",
+        "definition",
+        "number",
+        unique=True,
+        sqlite_where=text("number > 0"),
+        postgresql_where=text("number > 0"),
+    ),
     *(
         Index(
             f"orchestrator_processes_{name}",
@@ -88,6 +98,13 @@ processes = Table(
         for name in ("incidents", "unallocated")
     ),
 )
+process_numbers = Table(
+    "orchestrator_process_numbers",
+    _meta,
+    Column("definition", String(64), primary_key=True),
+    Column("number", Integer, nullable=False),
+)
+"""The last number that was given to a process of a definition; it stays when processes are deleted."""
 tasks = Table(
     "orchestrator_tasks",
     _meta,
@@ -276,7 +293,7 @@ def migrate(engine: Engine) -> None:
         _meta,
         component="orchestrator",
         version=SCHEMA_VERSION,
-        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds, 4: _add_unreadable},
+        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds, 4: _add_unreadable, 5: _add_numbers},
     )
 
 
@@ -298,3 +315,20 @@ def _add_holds(connection: Connection) -> None:
 
 def _add_unreadable(connection: Connection) -> None:
     connection.exec_driver_sql(f"ALTER TABLE {tasks.name} ADD COLUMN unreadable TEXT")
+
+
+def _add_numbers(connection: Connection) -> None:
+    """Number the processes of each definition in the order of their start."""
+    for column in ("number INTEGER NOT NULL DEFAULT 0", "title TEXT"):
+        connection.exec_driver_sql(f"ALTER TABLE {processes.name} ADD COLUMN {column}")
+    connection.exec_driver_sql(
+        "UPDATE orchestrator_processes SET number = numbered.number FROM (SELECT id, "
+        "row_number() OVER (PARTITION BY definition ORDER BY started_at, id) AS number "
+        "FROM orchestrator_processes) AS numbered WHERE numbered.id = orchestrator_processes.id"
+    )
+    next(index for index in processes.indexes if index.name == f"{processes.name}_number").create(connection)
+    process_numbers.create(connection)
+    connection.exec_driver_sql(
+        "INSERT INTO orchestrator_process_numbers (definition, number) "
+        "SELECT definition, max(number) FROM orchestrator_processes GROUP BY definition"
+    )

@@ -350,6 +350,10 @@ class Store:
             found[timer.definition] = (*found.get(timer.definition, ()), timer)
         return found
 
+    def process_numbers(self) -> dict[str, int]:
+        """Return the last number that was given to a process of each definition."""
+        return {row["definition"]: row["number"] for row in self._rows(select(schema.process_numbers))}
+
     def definition_holds(self) -> list[DefinitionHold]:
         """Return what is withheld from definitions."""
         return [

@@ -80,6 +80,7 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_definitions(connection, step.definitions)
     _insert(connection, schema.mappings, [mapping_row(table) for table in step.mappings])
     _write_processes(connection, step)
+    _write_numbers(connection, step)
     _write_tasks(connection, step)
     _write_resources(connection, step)
     write_tally(connection, step.tally)
@@ -135,6 +136,14 @@ def _write_processes(connection: Connection, step: Step) -> None:
     }
     names = ", ".join(each for each, revision in written.items() if found.get(each) != revision)
     raise Conflict(f"another orchestrator has changed {names} in this database; stop one of them")
+
+
+def _write_numbers(connection: Connection, step: Step) -> None:
+    table = schema.process_numbers
+    for some in in_parts(list(step.numbers)):
+        connection.execute(delete(table).where(table.c.definition.in_(some)))
+    rows = [{"definition": definition, "number": number} for definition, number in step.numbers.items()]
+    _insert(connection, table, rows)
 
 
 def _write_stored_messages(connection: Connection, step: Step) -> None:

@@ -204,6 +204,8 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
             ended, _ = await before.processes.start("p", {})
             await before.broker_changes.receive([completed(task_of(ended))])
             running, _ = await before.processes.start("p", {})
+            newest, _ = await before.processes.start("p", {})
+            await before.broker_changes.receive([completed(task_of(newest))])
 
         async def kept(days: float, retention_h: float = 0) -> set[str]:
             lifespan = settings.model_copy(update={"keep_days": days, "retention_h": retention_h})
@@ -213,10 +215,15 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
                 await asyncio.sleep(0)
                 return {record.id for record in await orchestrator.on_disk(orchestrator.store.page)}
 
-        assert await kept(0) == {ended, running}
-        assert await kept(101) == {ended, running}
-        assert await kept(99, retention_h=24) == {ended, running}, "its entities have not left the broker"
+        everything = {ended, running, newest}
+        assert await kept(0) == everything
+        assert await kept(101) == everything
+        assert await kept(99, retention_h=24) == everything, "its entities have not left the broker"
         assert await kept(99) == {running}
+        async with Orchestrator(settings, broker) as after:
+            following, _ = await after.processes.start("p", {})
+            numbers = {record.id: record.number for record in await after.on_disk(after.store.page)}
+        assert numbers == {running: 2, following: 4}, "the number of a deleted process is used again"
 
 
 async def test_a_hundred_changes_at_once_are_all_applied_and_written(orchestrator: Orchestrator) -> None:

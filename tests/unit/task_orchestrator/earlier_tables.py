@@ -10,6 +10,12 @@ MADE = {
     2: ("ALTER TABLE orchestrator_messages DROP COLUMN process",),
     3: ("DROP TABLE orchestrator_definition_holds",),
     4: ("ALTER TABLE orchestrator_tasks DROP COLUMN unreadable",),
+    5: (
+        "DROP INDEX orchestrator_processes_number",
+        "ALTER TABLE orchestrator_processes DROP COLUMN number",
+        "ALTER TABLE orchestrator_processes DROP COLUMN title",
+        "DROP TABLE orchestrator_process_numbers",
+    ),
 }
 """What undoes the migration from each version."""
 

@@ -28,6 +28,7 @@ from services.task_orchestrator.storage.process_filter import ProcessFilter
 from services.task_orchestrator.storage.store import Store
 from services.task_orchestrator.storage.transaction import Conflict
 from tests.unit.task_orchestrator.drawing import NOW
+from tests.unit.task_orchestrator.earlier_tables import take_back
 
 ODD: dict[str, Any] = {"text": "größer \u0000 'quoted'", "list": [1, None, {"deep": True}]}
 
@@ -90,6 +91,30 @@ def test_what_was_written_is_read_as_it_was(store: Store) -> None:
     assert store.tasks("p-1") == [TASK]
     assert store.definitions() == step.definitions
     assert store.outbox() == step.messages
+
+
+def test_processes_of_earlier_releases_are_numbered_in_the_order_of_their_start(store: Store) -> None:
+    started = [("a", "p", 2), ("b", "q", 0), ("c", "p", 0), ("d", "p", 1)]
+    step = Step(1)
+    for id_, definition, minutes in started:
+        at = NOW + timedelta(minutes=minutes)
+        step.processes[id_] = replace(PROCESS, id=id_, definition=definition, key=None, started_at=at)
+    step.new = set(step.processes)
+    store.write(step)
+    store.lock.release()
+    with store.engine.begin() as connection:
+        take_back(connection, 5)
+    store.migrate()
+    assert {each.id: (each.number, each.title) for each in store.unfinished()} == {
+        "a": (3, None),
+        "b": (1, None),
+        "c": (1, None),
+        "d": (2, None),
+    }
+    assert store.process_numbers() == {"p": 3, "q": 1}
+    twice = replace(PROCESS, id="e", key=None, number=3)
+    with pytest.raises(Conflict, match="exists already"):
+        store.write(Step(1, processes={"e": twice}, new={"e"}))
 
 
 def test_a_later_step_replaces_and_strikes_off(store: Store) -> None:

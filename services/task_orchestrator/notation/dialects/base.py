@@ -102,6 +102,8 @@ class ProcessExtension:
 
     label: str | None = None
     parameters: Mapping[str, ProcessParameter] = field(default_factory=dict)
+    naming: Expression | None = None
+    """Yields the title of a process."""
 
 
 class Dialect(Protocol):

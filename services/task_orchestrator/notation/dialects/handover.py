@@ -29,6 +29,10 @@ condition of a conditional event is then evaluated for each entity.
 
 beside `handover:task` is written to the specification database before the Task is posted.
 
+<handover:process title="Order ${order.number}"/>
+
+is the title of each process: a text with `${…}`, or FEEL behind `=`.
+
 <bpmn:subProcess handover:reserve="Device:ur10-1, role:picker skill:grip">
 
 or, as extension elements, `<handover:reserve resource="Device:ur10-1"/>`, with `role` and `skills`, or with
@@ -120,7 +124,7 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "happensAt": frozenset({"location", "expression", "function"}),
     "parameter": frozenset({"name", "value", "expression"}),
     "output": frozenset({"name", "from"}),
-    "process": frozenset({"version"}),
+    "process": frozenset({"version", "title"}),
     "retry": frozenset({"attempts", "delay", "factor", "maxDelay", "codes"}),
     "escalation": frozenset({"after", "code", "group"}),
     "specification": frozenset(FIELDS),
@@ -131,6 +135,7 @@ _EVALUATED: Mapping[str, frozenset[str]] = {
     "task": frozenset(_HINTS),
     "specification": frozenset(FIELDS),
     "on": frozenset({"idPattern", "correlation"}),
+    "process": frozenset({"title"}),
 }
 """Attributes that may have `${…}`, beside `expression`; in a regular expression it has another meaning."""
 _RESERVING = frozenset({"process", "subProcess"})
@@ -321,7 +326,7 @@ class Handover:
         return None
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
-        """Return the version label and the parameters of `handover:process`."""
+        """Return the version label, the parameters and the title of `handover:process`."""
         extension = extension_of(element, "process", found)
         if extension is None:
             return ProcessExtension()
@@ -336,7 +341,9 @@ class Handover:
             parameters[name] = ProcessParameter(
                 name, default is None, None if default is None else _json(default)
             )
-        return ProcessExtension(extension.get("version"), parameters)
+        title = extension.get("title")
+        naming = None if title is None else attempt(extension, lambda: _naming(title.strip()), None, found)
+        return ProcessExtension(extension.get("version"), parameters, naming)
 
     def listeners(
         self,
@@ -377,6 +384,22 @@ def _can_be_event(element: etree._Element) -> bool:
 def _no_called_element() -> str:
     return message(
         "bpmn.no_called_element", "the call activity names no process; set calledElement to the id of one"
+    )
+
+
+def _naming(title: str) -> Expression:
+    """Return the expression of a title, a text with `${…}` or, behind `=`, FEEL."""
+    if title.startswith("="):
+        return read_feel(title[1:])
+    if "${" in title or "#{" in title:
+        return read_juel(title)
+    raise ExpressionError(
+        message(
+            "bpmn.title_is_constant",
+            'title="{title}" would name every process the same; write an expression, such as '
+            '"{title} ${{order}}", or leave it out: then processes are numbered',
+            title=title[:100],
+        )
     )
 
 

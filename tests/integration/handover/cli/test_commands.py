@@ -71,7 +71,7 @@ def test_a_process_is_deployed_started_listed_shown_and_cancelled(
 
     listed = handover("process", "list").stdout
     assert "bin-picking" in listed
-    assert re.search(rf"{process} +inProgress +ask-somebody version 1, waits at ask", listed), listed
+    assert re.search(rf"{process} +inProgress +.+ 1 \(ask-somebody version 1\), waits at ask", listed), listed
     shown = json.loads(handover("process", "show", process).stdout)
     assert shown["status"] == "inProgress"
     assert shown["variables"]["colour"] == "green"

@@ -5,7 +5,7 @@ import { localizedText } from "~/i18n/server";
 import { useFamily } from "~/live/hooks";
 import type { AlertView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { fullName, nameOf } from "~/processes/names";
+import { nameOf } from "~/processes/names";
 import { kindOf } from "./attention";
 
 export function useAlertTitle(): (alert: AlertView) => string {
@@ -25,8 +25,8 @@ export function useSourceName(): (source: string) => string {
   const names = useMemo(() => {
     const found = new Map<string, string>();
     for (const process of processes) {
-      found.set(process.id, fullName(process));
-      for (const task of process.tasks) found.set(shortName(task.id), `${nameOf(task)} · ${fullName(process)}`);
+      found.set(process.id, process.name);
+      for (const task of process.tasks) found.set(shortName(task.id), `${nameOf(task)} · ${process.name}`);
     }
     return found;
   }, [processes]);

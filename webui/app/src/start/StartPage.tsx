@@ -19,7 +19,6 @@ import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import { processState } from "~/live/processState";
 import { pathOf } from "~/processes/address";
-import { businessKey } from "~/processes/names";
 import { FirstSteps } from "./FirstSteps";
 import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
 import "./StartPage.css";
@@ -219,12 +218,12 @@ function Wrong() {
   );
 }
 
-/** A process by its business key, else by its name and when it was started; never by its id alone. */
+/** A process by its name, never by its id alone. */
 function ProcessName({ process }: { process: ProcessView }) {
   const { i18n } = useTranslation();
   return (
     <Link href={pathOf({ kind: "process", id: process.id })} title={exactTime(process.startedAt, i18n.language)}>
-      {businessKey(process) === null ? process.title : `${process.title} · ${businessKey(process) ?? ""}`}
+      {process.name}
     </Link>
   );
 }

@@ -72,7 +72,6 @@ export function TaskPanel({ id, live, onBack, onNews }: TaskPanelProps) {
 
 function Head({ task }: { task: TaskDetails }) {
   const { t } = useTranslation(["tasks", "common"]);
-  const processName = task.processKey === null ? task.processTitle : `${task.processTitle} · ${task.processKey}`;
   return (
     <>
       <header>
@@ -84,7 +83,7 @@ function Head({ task }: { task: TaskDetails }) {
       {task.description !== null && task.description !== task.name && <p>{task.description}</p>}
       <p className="tasklist__where">
         <Workflow aria-hidden size={18} />
-        <Link href={`${pathOf({ kind: "process", id: task.process })}?task=${encodeURIComponent(markOf(task))}`}>{t("inProcess", { process: processName })}</Link>
+        <Link href={`${pathOf({ kind: "process", id: task.process })}?task=${encodeURIComponent(markOf(task))}`}>{t("inProcess", { process: task.processName })}</Link>
         {task.endedAt === null && task.claimedBy === null && task.status === "pending" && (
           <span className="quiet">
             {t("created")} <RelativeTime at={task.createdAt} isStop />

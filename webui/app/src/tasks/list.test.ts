@@ -55,10 +55,10 @@ it("marks what is overdue and what is due soon", () => {
   expect(urgencyOf(at(86_400), atMs(0))).toBe("later");
 });
 
-it("finds by name, process and group, and knows the key of a process", () => {
-  const [one] = listedTasks([task({ groups: ["Packing"] })], [process({ id: "p-1", key: "order-7" })]);
+it("finds by name, process and group, and knows the name of a process", () => {
+  const [one] = listedTasks([task({ groups: ["Packing"] })], [process({ id: "p-1", name: "Weighing · order-7" })]);
   if (one === undefined) throw new Error("no Task");
-  expect(one.processName).toBe("order-7");
+  expect(one.processName).toBe("Weighing · order-7");
   expect(["WEI", "order-7", "pack", " ", "other"].map((find) => matches(one, find))).toEqual([true, true, true, true, false]);
   expect(markOf(one.task)).toBe("weigh-2");
 });

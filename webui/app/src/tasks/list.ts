@@ -2,7 +2,6 @@
 import type { ProcessView } from "~/api/generated/task-orchestrator";
 import type { TasklistView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { businessKey } from "~/processes/names";
 
 export const VIEWS = ["all", "mine", "groups", "free"] as const;
 export type View = (typeof VIEWS)[number];
@@ -19,12 +18,12 @@ export interface Identity {
 
 export interface ListedTask {
   task: TasklistView;
-  /** The business key of its process, else the title; null while the process is unknown. */
+  /** The name of its process; null while the process is unknown. */
   processName: string | null;
 }
 
 export function listedTasks(tasks: readonly TasklistView[], processes: readonly ProcessView[]): ListedTask[] {
-  const names = new Map(processes.map((process) => [process.id, businessKey(process) ?? process.title]));
+  const names = new Map(processes.map((process) => [process.id, process.name]));
   return tasks.map((task) => ({ task, processName: names.get(task.process) ?? null }));
 }
 

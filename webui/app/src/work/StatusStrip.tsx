@@ -39,7 +39,7 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
         ) : (
           <StatusBadge tone={processTone[processState(process)]} icon={<Workflow aria-hidden size="1.2em" />}>
             {process.status === "completed" ? (
-              process.title
+              process.name
             ) : (
               <>
                 <span aria-hidden>{t("strip.process", { ...process })}</span>

@@ -595,16 +595,23 @@ export interface ProcessStart {
   request?: string | null;
 }
 
-/** A process as an element of a list; `retry` is the first failed Task among the incidents. */
+/**
+ * A process as an element of a list; `retry` is the first failed Task among the incidents.
+ *
+ * `name` is its name for people: the title that its definition gives it, else `title` (of the definition)
+ * with the business key `key` or with `number`, which no other process of the definition ever has.
+ */
 export interface ProcessSummary {
   reason: string | null;
   reasonCode?: string;
   reasonParameters?: Record<string, unknown>;
   id: string;
   entity: string;
+  name: string;
   definition: string;
   version: number;
   title: string;
+  number: number;
   key: string | null;
   status: TaskStatus;
   startedAt: string;
@@ -628,9 +635,11 @@ export interface ProcessView {
   reasonParameters?: Record<string, unknown>;
   id: string;
   entity: string;
+  name: string;
   definition: string;
   version: number;
   title: string;
+  number: number;
   key: string | null;
   status: TaskStatus;
   startedAt: string;
@@ -784,6 +793,7 @@ export interface TaskComment {
 export interface TaskDetails {
   id: string;
   process: string;
+  processName: string;
   element: string;
   name: string;
   status: TaskStatus;
@@ -881,10 +891,12 @@ export interface TaskView {
  * A Task of people as an element of a list.
  *
  * `person` is the one that it was given to; `persons` and `groups` those that it is offered to.
+ * `processName` is the name of its process for people.
  */
 export interface TasklistEntry {
   id: string;
   process: string;
+  processName: string;
   element: string;
   name: string;
   status: TaskStatus;

@@ -21,7 +21,6 @@ import { localizedText } from "~/i18n/server";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
-import { markOf } from "~/processes/names";
 import { useQueryParameter } from "~/route/queryParameter";
 import { Export } from "../Export";
 import type { Scope } from "../query";
@@ -134,10 +133,10 @@ function useColumns(): readonly Column<ProcessSummary>[] {
     const took = (row: ProcessSummary) => (row.endedAt === null ? null : Date.parse(row.endedAt) - Date.parse(row.startedAt));
     return [
       {
-        id: "key", name: t("processes.key"), width: "minmax(140px, 1.6fr)", sortBy: (row) => row.key ?? row.id,
+        id: "key", name: t("processes.key"), width: "minmax(140px, 1.6fr)", sortBy: (row) => row.name,
         cell: (row) => (
           <>
-            <span className="cell__name">{markOf(row, i18n.language)}</span>
+            <span className="cell__name">{row.name}</span>
             <p className="cell__detail">{t("processes.of", { title: row.title, version: row.version })}</p>
           </>
         ),

@@ -19,7 +19,6 @@ import { shortName } from "~/live/urn";
 import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
-import { businessKey, markOf } from "../names";
 import { PaceButton } from "../pause/PaceButton";
 import { useHistory } from "./history";
 import { activityOf, found, foundDefinitions, held, sameSections, SORT_ORDERS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
@@ -43,7 +42,7 @@ export interface ProcessListProps {
 }
 
 export function ProcessList({ place, onStart, onUpload, offers, onOffers }: ProcessListProps) {
-  const { t, i18n } = useTranslation(["processes", "common"]);
+  const { t } = useTranslation(["processes", "common"]);
   const [, go] = useLocation();
   const { filter, find, sorting, bar } = useView();
   const allDefinitions = useFamily("definition");
@@ -124,7 +123,7 @@ export function ProcessList({ place, onStart, onUpload, offers, onOffers }: Proc
         nameOf={(item) =>
           item.kind === "definition"
             ? item.definition.title
-            : `${item.row.title}, ${markOf(item.row, i18n.language)}, ${said(processState(item.row))}`
+            : `${item.row.name}, ${said(processState(item.row))}`
         }
         onOpen={(item) => go(address(placeOf(item)))}
         onEnd={history.more ? history.loadOlder : undefined}
@@ -154,14 +153,14 @@ function Definition({ definition }: { definition: DefinitionView }) {
   );
 }
 
-/** The business key first, which identifies it; without one, the time of its start. */
+/** Its name; that of its definition too, unless it is a part of it. */
 function Process({ row }: { row: ProcessRow }) {
-  const { t, i18n } = useTranslation(["processes", "common"]);
+  const { t } = useTranslation(["processes", "common"]);
   const activity = activityOf(row);
   const state = processState(row);
   return (
     <>
-      <span className="process-list__title">{businessKey(row) ?? row.title}</span>
+      <span className="process-list__title">{row.name}</span>
       <span className="process-list__more">
         <StatusBadge tone={processTone[state]}>{t(`common:processStatus.${state}`)}</StatusBadge>
         <span className="process-list__time quiet">
@@ -169,7 +168,7 @@ function Process({ row }: { row: ProcessRow }) {
         </span>
       </span>
       <span className="process-list__where quiet">
-        {[businessKey(row) === null ? markOf(row, i18n.language) : row.title, activity || null].filter(Boolean).join(" · ")}
+        {[row.name.startsWith(row.title) ? null : row.title, activity || null].filter(Boolean).join(" · ")}
       </span>
     </>
   );

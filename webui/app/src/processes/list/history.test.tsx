@@ -3,7 +3,7 @@ import { afterEach, beforeEach, expect, test, vi } from "vitest";
 import { useHistory } from "./history";
 
 const ended = {
-  id: "bin-picking-1", definition: "bin-picking", version: 1, title: "Bin picking", key: null, status: "completed",
+  id: "bin-picking-1", definition: "bin-picking", version: 1, name: "Bin picking 1", title: "Bin picking", key: null, status: "completed",
   reason: null, startedAt: "2026-01-31T08:00:00Z", endedAt: "2026-01-31T08:01:00Z",
 };
 const anything = { status: "", definition: "", involves: "" };

@@ -15,9 +15,9 @@ it("has the newest first, of those that run and of those that have ended", () =>
 
 it("is sorted by age, name and key when asked; processes without a key come last", () => {
   const rows = [
-    process({ id: "a", title: "Sort", key: "order 10", startedAt: at(1) }),
-    process({ id: "b", title: "Clean", key: null, startedAt: at(2) }),
-    process({ id: "c", title: "Pick", key: "order 9", startedAt: at(3) }),
+    process({ id: "a", name: "Sort", key: "order 10", startedAt: at(1) }),
+    process({ id: "b", name: "Clean", key: null, startedAt: at(2) }),
+    process({ id: "c", name: "Pick", key: "order 9", startedAt: at(3) }),
   ];
   const sorted = (by: ProcessSorting) => ids(together(rows, [], by).running).join("");
   expect([sorted("newest"), sorted("oldest"), sorted("name"), sorted("key")]).toEqual(["cba", "abc", "bca", "cab"]);

@@ -8,7 +8,7 @@ import { processState, type ProcessState } from "~/live/processState";
 /** A process in a line, as the live view and the orchestrator's list both have it. */
 export type ProcessRow = Pick<
   ProcessView,
-  "id" | "definition" | "version" | "title" | "key" | "status" | "reason" | "startedAt" | "endedAt"
+  "id" | "name" | "definition" | "version" | "title" | "key" | "status" | "reason" | "startedAt" | "endedAt"
 > &
   Partial<Pick<ProcessView, "tasks" | "incidents">>;
 
@@ -49,7 +49,7 @@ function sortRows(rows: ProcessRow[], sorting: ProcessSorting): ProcessRow[] {
   return rows.sort((a, b) => {
     const newest = compare(when(b), when(a), a.id, b.id);
     if (sorting === "oldest") return compare(when(a), when(b), a.id, b.id);
-    if (sorting === "name") return a.title.localeCompare(b.title) || newest;
+    if (sorting === "name") return a.name.localeCompare(b.name, undefined, { numeric: true }) || newest;
     // Processes without a key come last.
     if (sorting === "key") return Number(a.key === null) - Number(b.key === null) || (a.key ?? "").localeCompare(b.key ?? "", undefined, { numeric: true }) || newest;
     return newest;
@@ -98,13 +98,13 @@ export function sameSections(one: Sections, other: Sections): boolean {
 /** Minimum length of a search for ids: shorter texts would match the invisible ids of many processes. */
 const MIN_ID_PART = 8;
 
-/** The processes whose title, definition, key or status has every word of the text, or whose id has it as it is. */
+/** The processes whose name, title, definition, key or status has every word of the text, or whose id has it as it is. */
 export function found<T extends ProcessRow>(rows: readonly T[], text: string, said: (state: ProcessState) => string): T[] {
   const words = wordsOf(text);
   const id = text.trim();
   return rows.filter(
     (row) =>
-      has(words, [row.title, row.definition, row.key ?? "", said(processState(row))]) || (id.length >= MIN_ID_PART && row.id.includes(id)),
+      has(words, [row.name, row.title, row.definition, row.key ?? "", said(processState(row))]) || (id.length >= MIN_ID_PART && row.id.includes(id)),
   );
 }
 
@@ -131,7 +131,7 @@ function sameRows(one: readonly ProcessRow[], other: readonly ProcessRow[]): boo
       const twin = other[nth];
       return (
         row.id === twin?.id && row.status === twin.status && row.endedAt === twin.endedAt &&
-        row.reason === twin.reason && row.title === twin.title && processState(row) === processState(twin)
+        row.reason === twin.reason && row.name === twin.name && row.title === twin.title && processState(row) === processState(twin)
       );
     })
   );

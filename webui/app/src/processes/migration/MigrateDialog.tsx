@@ -41,7 +41,7 @@ export function MigrateDialog({ process, newest, onClose }: MigrateDialogProps) 
   const versions = Array.from({ length: newest }, (_none, nth) => newest - nth).filter((one) => one !== process.version);
   return (
     <MendDialog
-      title={t("migration.title", { title: process.title })}
+      title={t("migration.title", { title: process.name })}
       act={t("migration.act", { version })}
       means={t("migration.means")}
       variables={{ label: t("mend.variables"), hint: t("mend.variablesHint"), before: process.variables }}

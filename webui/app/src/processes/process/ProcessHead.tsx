@@ -20,24 +20,21 @@ import { shortName } from "~/live/urn";
 import { useUserName } from "~/shell/userName";
 import { pathOf } from "../address";
 import { MigrateDialog } from "../migration/MigrateDialog";
-import { markOf, nameOf, shortTitle } from "../names";
+import { nameOf, shortTitle } from "../names";
 import { PaceButton } from "../pause/PaceButton";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
-  const { t, i18n } = useTranslation(["processes", "common"]);
+  const { t } = useTranslation(["processes", "common"]);
   const last = process.acts.at(-1);
   const state = processState(process);
   return (
     <header className="process__head">
       <div className="process__name">
-        <h1>
-          <Link href={pathOf({ kind: "definition", name: process.definition })}>{process.title}</Link>
-        </h1>
+        <h1 className="process__mark" title={process.id}>{process.name}</h1>
         <StatusBadge tone={processTone[state]}>{t(`common:processStatus.${state}`)}</StatusBadge>
-        <strong className="process__mark" title={process.id}>
-          {markOf(process, i18n.language)}
-        </strong>
-        <span className="quiet">{t("version", { version: process.version })}</span>
+        <Link href={pathOf({ kind: "definition", name: process.definition })}>
+          {process.title}, {t("version", { version: process.version })}
+        </Link>
         <span className="quiet">
           {t("process.progress", { done: process.done, all: process.activities })} · <Took process={process} />
         </span>
@@ -77,17 +74,17 @@ function Acts({ process }: { process: ProcessView }) {
         </Button>
       )}
       {migrates && <MigrateDialog process={process} newest={newest} onClose={() => setMigrates(false)} />}
-      {process.endedAt === null && <PaceButton pace={process.status === "paused" ? "resume" : "pause"} of={{ process: process.id, title: process.title }} />}
+      {process.endedAt === null && <PaceButton pace={process.status === "paused" ? "resume" : "pause"} of={{ process: process.id, title: process.name }} />}
       {process.endedAt === null && (
         <Button permission="runProcesses" icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
-          {t("cancel.act", { title: shortTitle(process.title) })}
+          {t("cancel.act", { title: shortTitle(process.name) })}
         </Button>
       )}
       <ConfirmDialog
         isOpen={asks}
         onClose={() => setAsks(false)}
-        title={t("cancel.ask", { title: process.title })}
-        act={t("cancel.act", { title: shortTitle(process.title) })}
+        title={t("cancel.ask", { title: process.name })}
+        act={t("cancel.act", { title: shortTitle(process.name) })}
         dismiss={t("cancel.keep")}
         kind="stop"
         onAct={() => cancelProcess(process.id, name)}

@@ -36,7 +36,7 @@ export function Values({ process }: { process: ProcessView }) {
       ))}
       {edited !== null && (
         <MendDialog
-          title={t("mend.set.title", { title: process.title })}
+          title={t("mend.set.title", { title: process.name })}
           act={t("mend.set.act")}
           means={t("mend.set.means")}
           variables={{ label: t("mend.variables"), hint: t("mend.variablesHint"), before: edited.before, isRequired: true }}
