@@ -18,7 +18,8 @@ from services.accounts.grants import add_grant, checked_grant
 from services.accounts.tables import audit, links, row_of_token
 from services.accounts.users import add_user, find, set_password
 
-LINK_USED: Final = "link.used"
+LINK_ID: Final = "link-"
+"""What the ids of links begin with."""
 OWNER, INVITATION, PASSWORD = "owner", "invitation", "password"
 MAX_LINKS: Final = 1000
 OWNER_LINK_VALID_S: Final = 24 * 3600.0
@@ -44,7 +45,7 @@ def make_link(
         connection.execute(delete(links).where(links.c.subject == subject))
     if connection.execute(select(func.count()).select_from(links)).scalar_one() >= MAX_LINKS:
         raise Problem(409, "Too many links", f"{MAX_LINKS} open links are the maximum; withdraw some")
-    link_id, secret = f"link-{secrets.token_hex(8)}", new_token("link")
+    link_id, secret = f"{LINK_ID}{secrets.token_hex(8)}", new_token("link")
     expires_s = now_s + valid_s
     connection.execute(
         insert(links).values(
@@ -92,7 +93,7 @@ def use_link(change: Change, secret: str, name: str | None, password_hash: str) 
         add_grant(change, subject, checked_grant(Role(role), resource))
     # The invitation may name the person: that text belongs to the user now, and is deleted with the user.
     connection.execute(delete(audit.texts).where(or_(audit.texts.c.about == link["id"])))
-    change.record(LINK_USED, subject)
+    change.record("link.used", subject)
     return subject
 
 

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, select
 from handover.security.caller import Caller
 from services.accounts import tables
 from services.accounts.directory import Directory
-from services.accounts.links import LINK_USED
+from services.accounts.links import LINK_ID
 
 
 class AccountsAudit:
@@ -30,12 +30,15 @@ class AccountsAudit:
 
 
 def _used_links(connection: Connection) -> dict[str, str]:
-    """Return the names of the users that links have made: the subject of what a link did is its id."""
+    """Return the names of the users whom links have added or given a password, by the ids of the links.
+
+    The subject of what a link did is its id. The name of a user who was deleted since is forgotten.
+    """
     records = tables.audit.records.c
     made = (
         select(records.subject, tables.users.c.name)
         .join(tables.users, tables.users.c.subject == records.resource)
-        .where(records.action == LINK_USED)
+        .where(records.subject.startswith(LINK_ID))
     )
     return {row[0]: row[1] for row in connection.execute(made)}
 

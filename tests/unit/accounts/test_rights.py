@@ -70,6 +70,12 @@ async def test_a_waiting_follower_learns_of_a_revocation_at_once(accounts: Accou
     assert subject in {name for _, name in document["revoked"]}
 
 
+async def names_of_links(accounts: Accounts, owner: str, subject: str) -> dict[int, str | None]:
+    """Return the names by record of what links have done for a user."""
+    records = (await accounts.call("GET", f"/audit?resource={subject}", token=owner)).json()
+    return {one["seq"]: one["subjectName"] for one in records if one["subject"].startswith("link-")}
+
+
 async def test_a_deleted_user_leaves_a_verifiable_chain_without_their_name(accounts: Accounts) -> None:
     owner = await accounts.owner()
     session = await accounts.member("Anna Zimmer", ("operator", "*"))
@@ -77,11 +83,17 @@ async def test_a_deleted_user_leaves_a_verifiable_chain_without_their_name(accou
     person = "urn:ngsi-ld:Person:demo:anna"
     body = {"person": person}
     assert (await accounts.call("PATCH", f"/users/{subject}", body, token=owner)).status_code == 204
+    link = (await accounts.call("POST", f"/users/{subject}/password-link", token=owner)).json()["link"]
+    session = await accounts.use_link(link)
+    before = await names_of_links(accounts, owner, subject)
+    assert before
+    assert set(before.values()) == {"Anna Zimmer"}, "a link that sets a password acts for its user"
     await accounts.sign_in("Anna Zimmer", "wrong password", "198.51.100.4")
     answer = await accounts.call("DELETE", f"/users/{subject}", token=owner)
     remains = {one["what"]: one for one in answer.json()["remains"]}
     assert remains["auditRecords"]["count"] > 3
     assert person in remains
+    assert await names_of_links(accounts, owner, subject) == dict.fromkeys(before)
     assert (await accounts.sign_in("Anna Zimmer")).status_code == 401
     assert (await accounts.as_page("POST", "/session-tokens", {"session": session})).status_code == 401
     verified = (await accounts.call("GET", "/audit/verification", token=owner)).json()

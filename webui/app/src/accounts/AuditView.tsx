@@ -20,7 +20,7 @@ import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { resourceName, SERVICE, useUsers, type TokenView } from "./accounts";
-import { actionText, AUDITED, exported, outcomeOf, OUTCOMES, servicesOf, useAudit, verified, type AuditFilter, type AuditView as Entry, type Failure, type Verified } from "./audit";
+import { actionText, AUDITED, exported, outcomeOf, OUTCOMES, servicesOf, unnamedKind, useAudit, verified, type AuditFilter, type AuditView as Entry, type Failure, type Verified } from "./audit";
 
 const TONES: Record<string, Tone> = { done: "ok", refused: "attention", failed: "stop", unknown: "attention" };
 const FORMATS = ["csv", "json"] as const;
@@ -89,7 +89,7 @@ export function AuditLogView() {
         rows={records ?? []}
         columns={columns}
         keyOf={({ service, seq }) => `${service} ${seq}`}
-        nameOf={({ action, subject, subjectName }) => `${actionText(t, action)}, ${subjectName ?? names.get(subject) ?? subject}`}
+        nameOf={({ action, subject, subjectName }) => `${actionText(t, action)}, ${subjectName ?? names.get(subject) ?? t(`audit.unnamed.${unnamedKind(subject)}`)}`}
         rowHeight={52}
         isLabelled
         sorting={sorting}
@@ -205,7 +205,7 @@ function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[
         id: "who", name: t("audit.who"), width: "minmax(120px, 1.2fr)", sortBy: ({ subject }) => names.get(subject) ?? subject,
         cell: ({ subject, subjectName }) => (
           <>
-            <span className="cell__name">{subjectName ?? names.get(subject) ?? t("audit.deleted")}</span>
+            <span className="cell__name">{subjectName ?? names.get(subject) ?? t(`audit.unnamed.${unnamedKind(subject)}`)}</span>
             <p className="cell__detail accounts__subject" title={subject}>{subject}</p>
           </>
         ),

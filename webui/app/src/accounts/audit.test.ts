@@ -1,6 +1,6 @@
 /** The audit logs of several services as one list, and the query of its filters. */
 import { expect, it, vi } from "vitest";
-import { csvOf, exported, merged, outcomeOf, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
+import { csvOf, exported, merged, outcomeOf, queryOf, routeOf, servicesOf, unnamedKind, type AuditFilter, type AuditView, type Loaded } from "./audit";
 
 const NO_FILTER: AuditFilter = { service: "", subject: "", action: "", resource: "", outcome: "", from: "", to: "" };
 
@@ -67,4 +67,13 @@ it("exports what it can read, and names the services that are away", async () =>
   } finally {
     vi.unstubAllGlobals();
   }
+});
+
+it.each([
+  ["link-0a1b2c3d4e5f6071", "link"],
+  ["user-0a1b2c3d4e5f", "user"],
+  ["script-0a1b2c3d4e5f", "token"],
+  ["somebody", "other"],
+])("says of %s what it was when its name is forgotten", (subject, kind) => {
+  expect(unnamedKind(subject)).toBe(kind);
 });

@@ -58,6 +58,13 @@ export function actionText(t: TFunction<["accounts", "common"]>, action: string)
   return t(`audit.routes.known.${[method, ...words].join("_")}`, { defaultValue: t(`audit.routes.method.${method}`, { what, defaultValue: action }) });
 }
 
+/** What a subject without a name was: its name was forgotten with the account, its id says what it is. */
+export function unnamedKind(subject: string): "link" | "user" | "token" | "other" {
+  if (subject.startsWith("link-")) return "link";
+  if (subject.startsWith("user-")) return "user";
+  return /^(device|script|service)-/.test(subject) ? "token" : "other";
+}
+
 /** The words for an outcome: an intent without one differs from an intent whose outcome has a record of its own. */
 export function outcomeOf({ outcome, endedBy }: Pick<AuditView, "outcome" | "endedBy">): string {
   return outcome === "intended" && endedBy === null ? "unknown" : outcome;
