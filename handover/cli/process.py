@@ -326,11 +326,21 @@ def activate(
 
 @app.command()
 def delete(
-    by: By, definition: Annotated[str, typer.Argument(help="The definition.")], why: Why = None
+    by: By,
+    definition: Annotated[str, typer.Argument(help="The definition.")],
+    version: Annotated[
+        int | None, typer.Option("--version", min=1, help="Only this version, an earlier one.")
+    ] = None,
+    why: Why = None,
 ) -> None:
-    """Delete a definition with all versions, if no process of it runs."""
-    ask("DELETE", f"/definitions/{definition}", params={"by": by, **({"why": why} if why else {})})
-    print(f"{definition} is deleted")
+    """Delete a definition with all versions, or one of them, if no process of it runs."""
+    params = {"by": by, **({"why": why} if why else {})}
+    if version is None:
+        ask("DELETE", f"/definitions/{definition}", params=params)
+        print(f"{definition} is deleted")
+        return
+    ask("DELETE", f"/definitions/{definition}/versions/{version}", params=params)
+    print(f"version {version} of {definition} is deleted")
 
 
 @app.command()

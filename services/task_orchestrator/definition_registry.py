@@ -2,7 +2,7 @@
 
 import asyncio
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -15,12 +15,13 @@ from services.task_orchestrator.entities import definition_entities
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import quote_names
-from services.task_orchestrator.model import Definition, Fault
+from services.task_orchestrator.model import Call, Definition, Fault
 from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.records import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
+    DeletedVersion,
     HoldKind,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -57,11 +58,21 @@ class DefinitionRegistry(Library):
         self._plans: dict[tuple[str, int], Plan] = {}
         self.holds: dict[tuple[str, HoldKind], DefinitionHold] = {}
         """What is withheld from definitions."""
+        self._deleted: dict[str, dict[int, DeletedVersion]] = {}
 
     def add(self, records: Iterable[DefinitionRecord]) -> None:
         """Add `records`, in the order of their versions."""
         for record in records:
             self._records.setdefault(record.name, []).append(record)
+
+    def add_deleted(self, deleted: Iterable[DeletedVersion]) -> None:
+        """Add versions that nothing starts any more."""
+        for each in deleted:
+            self._deleted.setdefault(each.definition, {})[each.version] = each
+
+    def deleted_versions(self, name: str) -> Mapping[int, DeletedVersion]:
+        """Return the deleted versions of a definition."""
+        return self._deleted.get(name, {})
 
     def first_deployed_at(self) -> datetime | None:
         """Return when the first definition was deployed; None without any."""
@@ -81,8 +92,8 @@ class DefinitionRegistry(Library):
         """Return whether processes of a definition may start: it is neither suspended nor deleted."""
         return all(hold.kind is HoldKind.PAUSED for hold in self.holds_of(name))
 
-    def require_startable(self, name: str) -> None:
-        """Raise `Problem` 409 if no process of a definition may start."""
+    def require_startable(self, name: str, version: int | None = None) -> None:
+        """Raise `Problem` 409 if no process of a definition, or of this version of it, may start."""
         hold = next((each for each in self.holds_of(name) if each.kind is not HoldKind.PAUSED), None)
         if hold is not None:
             raise Problem(
@@ -93,6 +104,20 @@ class DefinitionRegistry(Library):
                     'no process of "{name}" starts: {by} has suspended or deleted it; activate or deploy it',
                     name=name,
                     by=hold.by,
+                ),
+            )
+        deleted = None if version is None else self.deleted_versions(name).get(version)
+        if deleted is not None:
+            raise Problem(
+                409,
+                "Version is deleted",
+                message(
+                    "process.version_is_deleted",
+                    'no process of version {version} of "{name}" starts: {by} has deleted it; '
+                    "name another version",
+                    version=version,
+                    name=name,
+                    by=deleted.by,
                 ),
             )
 
@@ -130,6 +155,23 @@ class DefinitionRegistry(Library):
             )
         return versions[version - 1]
 
+    def calls_of(self, record: DefinitionRecord) -> list[tuple[str, Call]]:
+        """Return the calls of a version, each with its element; none if this release cannot read it."""
+        try:
+            nodes = self.plan_of(record).definition.nodes()
+        except HandoverError:
+            return []
+        return [(node.id, node.call) for node in nodes if node.call is not None]
+
+    def is_called(self, call: Call, record: DefinitionRecord) -> bool:
+        """Return whether a call always runs this version, by its number or its tag."""
+        if call.process.literal != record.name:
+            return False
+        if call.version is not None and str(call.version.literal) == str(record.version):
+            return True
+        tag = None if call.tag is None else call.tag.literal
+        return isinstance(tag, str) and self.tagged(record.name, tag) is record
+
     def plan_of(self, record: DefinitionRecord) -> Plan:
         """Return the executable plan of `record`; on the event loop, call `prepare` first.
 
@@ -150,7 +192,7 @@ class DefinitionRegistry(Library):
     def find(self, name: str, version: int | None, tag: str | None) -> Plan:
         """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
         try:
-            self.require_startable(name)
+            self.require_startable(name, version)
         except Problem as problem:
             raise RunFailed(text_of(problem)) from problem
         if tag is None:
@@ -158,12 +200,18 @@ class DefinitionRegistry(Library):
                 return self.plan_of(self.record(name, version))
             except Problem as problem:
                 raise RunFailed(text_of(problem)) from problem
-        for record in reversed(self._records.get(name, [])):
-            if record.label == tag:
-                return self.plan(name, record.version)
+        tagged = self.tagged(name, tag)
+        if tagged is not None:
+            return self.plan(name, tagged.version)
         raise RunFailed(
             message("bpmn.no_such_tag", '"{name}" has no version with the tag "{tag}"', name=name, tag=tag)
         )
+
+    def tagged(self, name: str, tag: str) -> DefinitionRecord | None:
+        """Return the latest version with a tag that is not deleted."""
+        deleted = self.deleted_versions(name)
+        records = (each for each in reversed(self._records.get(name, [])) if each.version not in deleted)
+        return next((each for each in records if each.label == tag), None)
 
     def deployed_at(self, name: str, version: int) -> datetime | None:
         """Return when a version was deployed."""

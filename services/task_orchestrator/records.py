@@ -64,6 +64,18 @@ class DefinitionHold:
     verified: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class DeletedVersion:
+    """That a version of a definition is deleted: nothing starts it; processes of it can be read."""
+
+    definition: str
+    version: int
+    by: str
+    why: str | None
+    at: datetime
+    verified: bool = False
+
+
 class OfferStatus(StrEnum):
     """What has become of an offer."""
 
@@ -527,6 +539,7 @@ class Step:
     offers_deleted: set[str] = field(default_factory=set)
     holds: dict[tuple[str, HoldKind], DefinitionHold | None] = field(default_factory=dict)
     """Holds of definitions that begin; None: that end."""
+    deleted_versions: list[DeletedVersion] = field(default_factory=list)
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
     tally: Tally = field(default_factory=Tally)
@@ -561,6 +574,7 @@ class Step:
             or self.start_timers
             or self.entities_seen
             or self.holds
+            or self.deleted_versions
             or self.offers
             or self.offers_deleted
             or self.requests

@@ -57,6 +57,7 @@ class DefinitionView(TypedDict):
     deployedAt: str
     parameters: list[DefinitionParameter]
     holds: list[DefinitionHoldView]
+    deletedVersions: list[int]
     unusable: NotRequired[str]
 
 

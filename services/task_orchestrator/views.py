@@ -180,6 +180,7 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> D
             {"kind": hold.kind, "by": hold.by, "why": hold.why, "at": iso(hold.at), "verified": hold.verified}
             for hold in registry.holds_of(record.name)
         ],
+        "deletedVersions": sorted(registry.deleted_versions(record.name)),
     }
     try:
         definition = registry.plan_of(record).definition

@@ -92,6 +92,7 @@ class WorkingState:
         self.registry.add(await self.on_disk(self.store.definitions))
         holds: list[DefinitionHold] = await self.on_disk(self.store.definition_holds)
         self.registry.holds = {(each.definition, each.kind): each for each in holds}
+        self.registry.add_deleted(await self.on_disk(self.store.deleted_versions))
         self.allocator.forms.add(await self.on_disk(self.store.forms))
         table: MappingTable | None = await self.on_disk(self.store.mapping)
         if table is not None:
@@ -128,7 +129,7 @@ class WorkingState:
         results: Mapping[str, Any] | None = None,
     ) -> str:
         """Start a process in a step and return its id; raise `Problem` if that is impossible."""
-        self.registry.require_startable(deployed.name)
+        self.registry.require_startable(deployed.name, deployed.version)
         now = self.clock()
         number = 1 + step.numbers.get(deployed.name, self._numbers.get(deployed.name, 0))
         record = ProcessRecord(
@@ -214,6 +215,7 @@ class WorkingState:
     def apply(self, step: Step) -> None:
         """Take over what a step has written to the database."""
         self._apply_holds(step)
+        self.registry.add_deleted(step.deleted_versions)
         self._numbers |= step.numbers
         self._add_definitions(step.definitions)
         for table in step.mappings:

@@ -158,6 +158,10 @@ class Run:
         """Return the variables of the process itself."""
         return dict(self._state.root.variables)
 
+    def versions(self) -> frozenset[tuple[str, int]]:
+        """Return name and version of the process and of those that it calls now."""
+        return frozenset(frame.process for frame in self._state.frames.values() if frame.process is not None)
+
     def visible_variables(self) -> Mapping[str, Any]:
         """Return what expressions at the process itself read; the mapping must not be changed."""
         return self._machine(self._now).frame_variables(self._state.root)

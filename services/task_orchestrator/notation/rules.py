@@ -285,7 +285,12 @@ class _Rules:
         if node.kind in GATEWAYS and not outgoing and not is_join:
             yield _fault(
                 node,
-                message("bpmn.no_outgoing_flow", "no sequence flow leaves this {kind}", kind=kind),
+                message(
+                    "bpmn.no_outgoing_flow",
+                    "no sequence flow leaves this {kind}, and only a join of several flows may be an end; "
+                    "connect it with what follows, or draw an end event in its place",
+                    kind=kind,
+                ),
             )
         if node.default is not None and node.default not in {flow.id for flow in outgoing}:
             yield _fault(

@@ -2,9 +2,12 @@
 
 from handover.errors import Problem
 from handover.messages import message
+from services.task_orchestrator.languages.base import quote_names
 from services.task_orchestrator.records import (
     EVERY_DEFINITION,
     DefinitionHold,
+    DefinitionRecord,
+    DeletedVersion,
     HoldKind,
     MessageKind,
     Step,
@@ -94,6 +97,75 @@ class DefinitionHolds:
 
         await self._writer.apply(act)
 
+    async def delete_version(self, definition: str, version: int, by: str, why: str | None) -> None:
+        """Delete an earlier version of a definition; processes of it that have ended can still be read.
+
+        Raises `Problem` 404 for an unknown one, 409 while processes of it run or others need it.
+        """
+        registry = self._state.registry
+        registry.record(definition, version)
+        for record in self._callers():
+            await registry.prepare(record)
+
+        def act(step: Step) -> None:
+            record = registry.record(definition, version)
+            if version in registry.deleted_versions(definition):
+                return
+            if record is registry.record(definition):
+                raise _needed(
+                    message(
+                        "process.version_is_latest",
+                        'version {version} is the latest of "{name}", which calls, timers, messages and '
+                        "people start; deploy the file that follows it before, or delete the definition",
+                        version=version,
+                        name=definition,
+                    )
+                )
+            names = [
+                process.record.id
+                for process in self._state.active_processes.processes.values()
+                if process.run is not None and (definition, version) in process.run.versions()
+            ]
+            if names:
+                raise _needed(
+                    message(
+                        "process.version_runs",
+                        '{processes} run version {version} of "{name}"; cancel or migrate them, or wait '
+                        "until they have ended",
+                        processes=quote_names(names),
+                        version=version,
+                        name=definition,
+                    )
+                )
+            for caller in self._callers():
+                for element, call in registry.calls_of(caller):
+                    if registry.is_called(call, record):
+                        raise _needed(
+                            message(
+                                "process.version_is_called",
+                                '"{caller}" (version {its_version}) calls version {version} of "{name}" at '
+                                '"{element}"; deploy a version of it that calls another',
+                                caller=caller.name,
+                                its_version=caller.version,
+                                version=version,
+                                name=definition,
+                                element=element,
+                            )
+                        )
+            deleted = DeletedVersion(definition, version, by, why, self._state.clock(), step.is_verified(by))
+            step.deleted_versions.append(deleted)
+
+        await self._writer.apply(act)
+
+    def _callers(self) -> list[DefinitionRecord]:
+        """Return the versions whose processes may call others: the latest ones, and those that run."""
+        registry = self._state.registry
+        found = {(record.name, record.version): record for record in registry.latest()}
+        for process in self._state.active_processes.processes.values():
+            for key in process.run.versions() if process.run is not None else ():
+                found.setdefault(key, registry.record(*key))
+        return list(found.values())
+
     def _hold(self, definition: str, kind: HoldKind, by: str, why: str | None) -> DefinitionHold:
         return DefinitionHold(definition, kind, by, why, self._state.clock())
 
@@ -103,3 +175,7 @@ class DefinitionHolds:
         if key not in self._state.registry.holds:
             verified = step.is_verified(hold.by)
             step.holds[key] = DefinitionHold(*key, hold.by, hold.why, hold.at, verified)
+
+
+def _needed(why: str) -> Problem:
+    return Problem(409, "Version is needed", why)

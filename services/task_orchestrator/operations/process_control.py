@@ -191,6 +191,8 @@ class ProcessControl:
 
     async def _plan(self, definition: str, version: int | None) -> Plan:
         record = self._state.registry.record(definition, version)
+        if version is not None:
+            self._state.registry.require_startable(definition, version)
         await self._state.registry.prepare(record)
         return self._state.registry.plan_of(record)
 

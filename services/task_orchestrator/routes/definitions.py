@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import FastAPI, Query, Request, Response
+from fastapi import FastAPI, Path, Query, Request, Response
 from starlette.responses import JSONResponse
 
 from handover.api_description import sends
@@ -19,7 +19,7 @@ from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
 from services.task_orchestrator.operations.start_forms import FormOfStart
 from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.requests import DefinitionVersion, FormData, Name, PauseRequest
+from services.task_orchestrator.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
 from services.task_orchestrator.responses import (
     DefinitionView,
     DefinitionWithActivities,
@@ -36,6 +36,8 @@ from services.task_orchestrator.views import (
     definition_view,
     statistics_view,
 )
+
+VersionNumber = Annotated[int, Path(ge=1, le=MAX_VERSION)]
 
 
 def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
@@ -144,6 +146,23 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         Processes of it that have ended can be read as before. A deployment of its file makes a new version.
         """
         await orchestrator.holds.delete(name, acting_name(by), why)
+        return Response(status_code=204)
+
+    @app.delete(
+        "/definitions/{name}/versions/{version}",
+        status_code=204,
+        tags=["definitions"],
+        dependencies=[require(Permission.DEPLOY_PROCESSES, of_definition(registry))],
+    )
+    async def delete_version(
+        name: str, version: VersionNumber, by: Name, why: Annotated[str | None, Query(max_length=1000)] = None
+    ) -> Response:
+        """Delete an earlier version: 409 while processes of it run, or a call names it.
+
+        The latest version is not deleted: deploy the one that follows it before. Processes of a deleted
+        version that have ended can be read as before, and so can its file.
+        """
+        await orchestrator.holds.delete_version(name, version, acting_name(by), why)
         return Response(status_code=204)
 
     @app.get(

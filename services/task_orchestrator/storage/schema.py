@@ -18,7 +18,7 @@ from sqlalchemy import (
 
 from handover import migrations
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 _meta = MetaData()
 definitions = Table(
@@ -39,6 +39,16 @@ definition_holds = Table(
     _meta,
     Column("definition", String(64), primary_key=True),
     Column("kind", String(10), primary_key=True),
+    Column("by", String(200), nullable=False),
+    Column("why", Text),
+    Column("at", String(40), nullable=False),
+    Column("verified", Boolean, nullable=False),
+)
+deleted_versions = Table(
+    "orchestrator_deleted_versions",
+    _meta,
+    Column("definition", String(64), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
     Column("by", String(200), nullable=False),
     Column("why", Text),
     Column("at", String(40), nullable=False),
@@ -293,7 +303,14 @@ def migrate(engine: Engine) -> None:
         _meta,
         component="orchestrator",
         version=SCHEMA_VERSION,
-        steps={1: _add_verified, 2: _add_addressee, 3: _add_holds, 4: _add_unreadable, 5: _add_numbers},
+        steps={
+            1: _add_verified,
+            2: _add_addressee,
+            3: _add_holds,
+            4: _add_unreadable,
+            5: _add_numbers,
+            6: _add_deleted_versions,
+        },
     )
 
 
@@ -332,3 +349,8 @@ def _add_numbers(connection: Connection) -> None:
         "INSERT INTO orchestrator_process_numbers (definition, number) "
         "SELECT definition, max(number) FROM orchestrator_processes GROUP BY definition"
     )
+
+
+def _add_deleted_versions(connection: Connection) -> None:
+    """Add the table of deleted versions; none is."""
+    deleted_versions.create(connection)

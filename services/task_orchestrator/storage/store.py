@@ -25,6 +25,7 @@ from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.records import (
     DefinitionHold,
     DefinitionRecord,
+    DeletedVersion,
     HoldKind,
     Message,
     MessageKind,
@@ -360,6 +361,11 @@ class Store:
             DefinitionHold(**{**row, "kind": HoldKind(row["kind"]), "at": to_time(row["at"])})
             for row in self._rows(select(schema.definition_holds))
         ]
+
+    def deleted_versions(self) -> list[DeletedVersion]:
+        """Return the deleted versions of definitions."""
+        rows = self._rows(select(schema.deleted_versions))
+        return [DeletedVersion(**{**row, "at": to_time(row["at"])}) for row in rows]
 
     def stored_messages(self) -> list[MessageRecord]:
         """Return the messages to processes that nobody waited for yet, in the order of their sending."""

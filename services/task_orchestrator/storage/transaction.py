@@ -162,6 +162,7 @@ def _write_holds(connection: Connection, step: Step) -> None:
     for definition, kind in step.holds:
         connection.execute(delete(table).where(table.c.definition == definition, table.c.kind == kind.value))
     _insert(connection, table, [plain_row(each) for each in step.holds.values() if each is not None])
+    _insert(connection, schema.deleted_versions, [plain_row(each) for each in step.deleted_versions])
 
 
 def _write_offers(connection: Connection, step: Step) -> None:

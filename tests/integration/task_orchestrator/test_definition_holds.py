@@ -131,6 +131,56 @@ async def test_a_definition_is_suspended_and_deleted_over_rest(tmp_path: Path) -
         assert (await api.post("/processes", json={"definition": "p"})).status_code == 201
 
 
+def called_by_number(version: int) -> bytes:
+    binding = f'camunda:calledElementBinding="version" camunda:calledElementVersion="{version}"'
+    call = CALL.replace("/>", f' xmlns:camunda="http://camunda.org/schema/1.0/bpmn" {binding}/>')
+    frame = '<bpmn:startEvent id="start"/>' + call + end() + path("start", "call", "end")
+    return drawing(frame, name="caller").replace(b'xmlns:handover="urn:handover:bpmn" ', b"")
+
+
+async def test_an_earlier_version_is_deleted_unless_something_needs_it(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    first, second = drawing(ONE_STEP), drawing(ONE_STEP.replace('id="work"', 'id="work" name="Work"'))
+
+    async def refused(version: int) -> tuple[int, str]:
+        answer = await api.delete(f"/definitions/p/versions/{version}", params=BY)
+        return answer.status_code, answer.json()["detail"]
+
+    async with service(settings) as api:
+        await _deploy(api, first)
+        status, why = await refused(1)
+        assert (status, "is the latest" in why) == (409, True), why
+        process = (await api.post("/processes", json={"definition": "p"})).json()["id"]
+        await _deploy(api, second)
+        assert await refused(1) == (
+            409,
+            f'{process} run version 1 of "p"; cancel or migrate them, or wait until they have ended',
+        )
+        await api.post(f"/processes/{process}/cancel")
+        await _deploy(api, called_by_number(1))
+        caller = (await api.post("/processes", json={"definition": "caller"})).json()["id"]
+        status, why = await refused(1)
+        assert (status, why.startswith(caller)) == (409, True), why  # it runs within its caller
+        await api.post(f"/processes/{caller}/cancel")
+        status, why = await refused(1)
+        assert (status, 'calls version 1 of "p" at "call"' in why) == (409, True), why
+        await _deploy(api, called_by_number(2))
+        assert (await refused(9))[0] == (await refused(2))[0] - 5 == 404
+        assert (await api.delete("/definitions/p/versions/1", params=BY)).status_code == 204
+        assert (await api.delete("/definitions/p/versions/1", params=BY)).status_code == 204
+    async with service(settings) as api:
+        kept = (await api.get("/definitions/p", params={"version": 1})).json()
+        assert (kept["deletedVersions"], kept["activities"][0]["id"]) == ([1], "work")
+        assert (await api.get(f"/processes/{process}")).json()["status"] == "failed"
+        again = await api.post("/processes", json={"definition": "p", "version": 1})
+        assert (again.status_code, "Olga has deleted it" in again.json()["detail"]) == (409, True)
+        running = (await api.post("/processes", json={"definition": "p"})).json()
+        assert running["version"] == 2
+        back = await api.post(f"/processes/{running['id']}/migration", json={"by": "Olga", "version": 1})
+        assert (back.status_code, "Olga has deleted it" in back.json()["detail"]) == (409, True)
+        assert (await _deploy(api, first))["version"] == 3
+
+
 async def _deploy(api: httpx.AsyncClient, xml: bytes) -> dict[str, object]:
     answer = await api.post("/definitions", content=xml, headers=XML)
     assert answer.status_code == 201, answer.text

@@ -16,6 +16,7 @@ MADE = {
         "ALTER TABLE orchestrator_processes DROP COLUMN title",
         "DROP TABLE orchestrator_process_numbers",
     ),
+    6: ("DROP TABLE orchestrator_deleted_versions",),
 }
 """What undoes the migration from each version."""
 

@@ -190,6 +190,7 @@ export interface DefinitionView {
   deployedAt: string;
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
+  deletedVersions: number[];
   unusable?: string;
 }
 
@@ -202,6 +203,7 @@ export interface DefinitionWithActivities {
   deployedAt: string;
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
+  deletedVersions: number[];
   unusable?: string;
   activities: DefinitionActivity[];
   allocation: ActivityAllocation[];
@@ -222,6 +224,7 @@ export interface Deployment {
   deployedAt: string;
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
+  deletedVersions: number[];
   unusable?: string;
   definitions: DefinitionView[];
   warnings: BpmnWarning[];

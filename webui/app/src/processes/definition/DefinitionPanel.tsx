@@ -57,7 +57,8 @@ export function DefinitionPanel({ name, onStart, onDeleted }: DefinitionPanelPro
     );
   }
   const newest = Math.max(latest?.version ?? 0, definition.version);
-  const versions = Array.from({ length: newest }, (_none, nth) => newest - nth);
+  const isDeleted = definition.deletedVersions.includes(definition.version);
+  const versions = Array.from({ length: newest }, (_none, nth) => newest - nth).filter((one) => one === definition.version || !definition.deletedVersions.includes(one));
   return (
     <div className="definition">
       <header className="definition__head">
@@ -82,14 +83,14 @@ export function DefinitionPanel({ name, onStart, onDeleted }: DefinitionPanelPro
           <Button permission="runProcesses"
             kind="main"
             icon={<Play aria-hidden size={18} />}
-            isDisabled={definition.unusable !== undefined || definition.holds.some(({ kind }) => kind === "suspended")}
+            isDisabled={isDeleted || definition.unusable !== undefined || definition.holds.some(({ kind }) => kind === "suspended")}
             onPress={() => onStart(definition, definition.version)}
           >
             {t("start.act", { title: shortTitle(definition.title) })}
           </Button>
         </div>
         <MayNot permission="runProcesses" />
-        <Holds definition={definition} onChanged={record.reload} onDeleted={onDeleted} />
+        <Holds definition={definition} newest={newest} onChanged={record.reload} onDeleted={onDeleted} />
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
       <Body definition={definition} newest={newest} />

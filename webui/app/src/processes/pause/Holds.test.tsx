@@ -13,7 +13,7 @@ beforeAll(async () => {
 
 afterEach(() => vi.unstubAllGlobals());
 
-const definition: DefinitionView = { name: "bin-picking", version: 1, label: null, title: "Bin picking", deployedAt: "2026-03-02T08:00:00Z", parameters: [], holds: [] };
+const definition: DefinitionView = { name: "bin-picking", version: 1, label: null, title: "Bin picking", deployedAt: "2026-03-02T08:00:00Z", parameters: [], holds: [], deletedVersions: [] };
 
 it.each([
   [204, null, 1, "closed"],
@@ -22,7 +22,7 @@ it.each([
   const fetched = vi.fn<(path: string, options: RequestInit) => Promise<Response>>(() => Promise.resolve(new Response(body, { status, headers: { "Content-Type": "application/problem+json" } })));
   vi.stubGlobal("fetch", fetched);
   const onDeleted = vi.fn();
-  render(<Holds definition={definition} onChanged={vi.fn()} onDeleted={onDeleted} />);
+  render(<Holds definition={definition} newest={1} onChanged={vi.fn()} onDeleted={onDeleted} />);
   fireEvent.click(screen.getByRole("button", { name: "Delete Bin picking" }));
   expect(fetched).not.toHaveBeenCalled();
   fireEvent.change(screen.getByLabelText("Reason", { exact: false }), { target: { value: "old & slow" } });
@@ -34,4 +34,22 @@ it.each([
   if (after === "open") await screen.findByText("2 processes run", { exact: false });
   else await vi.waitFor(() => expect(screen.queryByRole("dialog")).toBeNull());
   expect(onDeleted).toHaveBeenCalledTimes(deleted);
+});
+
+it("deletes an earlier version by itself, and offers it for no other one", async () => {
+  const fetched = vi.fn<(path: string) => Promise<Response>>(() => Promise.resolve(new Response(null, { status: 204 })));
+  vi.stubGlobal("fetch", fetched);
+  const onChanged = vi.fn();
+  const { rerender } = render(<Holds definition={definition} newest={2} onChanged={onChanged} onDeleted={vi.fn()} />);
+  fireEvent.click(screen.getByRole("button", { name: "Delete version 1" }));
+  fireEvent.change(screen.getByLabelText("Reason", { exact: false }), { target: { value: "old" } });
+  fireEvent.change(screen.getByLabelText("Your name", { exact: false }), { target: { value: "Ann" } });
+  fireEvent.click(screen.getByRole("button", { name: "Delete version 1" }));
+  await vi.waitFor(() => expect(onChanged).toHaveBeenCalledOnce());
+  expect(fetched.mock.calls[0]?.[0]).toBe("/api/task-orchestrator/definitions/bin-picking/versions/1?by=Ann&why=old");
+  rerender(<Holds definition={{ ...definition, deletedVersions: [1] }} newest={2} onChanged={onChanged} onDeleted={vi.fn()} />);
+  expect(screen.queryByRole("button", { name: "Delete version 1" })).toBeNull();
+  screen.getByText("Version 1 is deleted");
+  rerender(<Holds definition={definition} newest={1} onChanged={onChanged} onDeleted={vi.fn()} />);
+  expect(screen.queryByRole("button", { name: "Delete version 1" })).toBeNull();
 });

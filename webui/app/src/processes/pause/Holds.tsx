@@ -13,15 +13,20 @@ import { PaceButton } from "./PaceButton";
 
 export interface HoldsProps {
   definition: DefinitionView;
+  /** The number of the latest version; an earlier one can be deleted by itself. */
+  newest: number;
   onChanged: () => void;
   onDeleted: () => void;
 }
 
-export function Holds({ definition, onChanged, onDeleted }: HoldsProps) {
+export function Holds({ definition, newest, onChanged, onDeleted }: HoldsProps) {
   const { t } = useTranslation("processes");
   const [asks, setAsks] = useState(false);
   const [deletes, setDeletes] = useState(false);
-  const { name, holds } = definition;
+  const [deletesVersion, setDeletesVersion] = useState(false);
+  const { name, version, holds } = definition;
+  const isDeleted = definition.deletedVersions.includes(version);
+  const deleteVersion = t("hold.deleteVersion.act", { version });
   const title = shortTitle(definition.title);
   const does = holds.some(({ kind }) => kind === "suspended") ? "activate" : "suspend";
   const act = t(`hold.${does}.act`, { title });
@@ -41,6 +46,12 @@ export function Holds({ definition, onChanged, onDeleted }: HoldsProps) {
       <Button permission="deployProcesses" icon={<Trash2 aria-hidden size={18} />} onPress={() => setDeletes(true)}>
         {t("hold.delete.act", { title })}
       </Button>
+      {version !== newest && !isDeleted && (
+        <Button permission="deployProcesses" icon={<Trash2 aria-hidden size={18} />} onPress={() => setDeletesVersion(true)}>
+          {deleteVersion}
+        </Button>
+      )}
+      {isDeleted && <StatusBadge tone="attention">{t("hold.deleteVersion.done", { version })}</StatusBadge>}
       {asks && (
         <MendDialog
           title={`${act}?`}
@@ -49,6 +60,16 @@ export function Holds({ definition, onChanged, onDeleted }: HoldsProps) {
           kind={does === "suspend" ? "stop" : "main"}
           onClose={() => setAsks(false)}
           onAct={(json) => requestService(SERVICE, `${path}/${does}`, { method: "POST", json }).then(onChanged)}
+        />
+      )}
+      {deletesVersion && (
+        <MendDialog
+          title={`${deleteVersion}?`}
+          act={deleteVersion}
+          means={t("hold.deleteVersion.means")}
+          kind="stop"
+          onClose={() => setDeletesVersion(false)}
+          onAct={({ by, why }) => requestService(SERVICE, `${path}/versions/${version}?${new URLSearchParams({ by, why: why ?? "" }).toString()}`, { method: "DELETE" }).then(onChanged)}
         />
       )}
       {deletes && (
