@@ -54,6 +54,7 @@ def types_of(app: FastAPI) -> dict[tuple[str, str, int], TypeAdapter[Any]]:
         if isinstance(route, APIRoute)
         for method in route.methods
         for status, response in route.responses.items()
+        if "model" in response
     }
 
 
