@@ -156,6 +156,7 @@ class StrictBroker:
 
     def save(self) -> None:
         new = self._file.with_suffix(".new")
+        new.touch(mode=0o600)
         new.write_text(json.dumps(self.state))
         new.replace(self._file)
 
