@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Any, Final
 
 from datamodels.entities import Cell
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
 
 _PREFIX: Final = "urn:ngsi-ld:"
@@ -39,7 +39,10 @@ class OtherCells:
 
     async def read(self) -> None:
         """Read which cells there are. Raises `BrokerError`."""
-        cells = await self._broker.query(type=Cell.ngsi_type(), attrs=["cellState"])
+        try:
+            cells = await self._broker.query(type=Cell.ngsi_type(), attrs=["cellState"])
+        except NotFound:  # no tenant yet: the first subscription makes it
+            cells = []
         names = {cell_of(str(entity.get("id"))) for entity in cells}
         self._others = frozenset(name for name in names if name is not None) - {self._own}
 

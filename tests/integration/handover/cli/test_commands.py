@@ -114,7 +114,7 @@ def test_a_task_of_people_is_claimed_and_completed_and_a_migration_that_is_impos
     listed = handover("task", "list", "--process", process)
     task, status = listed.stdout.split()[:2]
     assert status == "pending"
-    assert "Ask  (offered to everybody)" in listed.stdout
+    assert "Ask of at-a-desk 1  (offered to everybody)" in listed.stdout
 
     (tmp_path / "desk.bpmn").write_text(DESK.replace('"ask"', '"other"'))
     handover("process", "deploy", str(tmp_path / "desk.bpmn"))
