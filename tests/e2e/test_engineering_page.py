@@ -154,11 +154,11 @@ def test_a_process_is_paused_and_resumed_with_a_reason(
     page = open_page(f"/processes/{process}", forgives=AWAY)
     page.get_by_role("button", name="Pause Pausing").click()
     expect(page.get_by_role("dialog")).to_contain_text("This is no emergency stop.")
-    decide(page, "Pause Pausing 1", "tool change")
+    decide(page, "Pause Pausing · order q1", "tool change")
     expect(page.locator(".process__head")).to_contain_text("Paused")
     expect(page.locator(".process__act")).to_contain_text("Anna")
     page.get_by_role("button", name="Resume Pausing").click()
-    decide(page, "Resume Pausing 1", "tool changed")
+    decide(page, "Resume Pausing · order q1", "tool changed")
     wait_for(lambda: ask("GET", f"{url}/processes/{process}")["status"] == "inProgress")
     acts = [(act["act"], act["why"]) for act in ask("GET", f"{url}/processes/{process}")["acts"]]
     assert acts == [("pause", "tool change"), ("resume", "tool changed")]

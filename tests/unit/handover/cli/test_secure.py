@@ -104,7 +104,7 @@ def test_the_override_mounts_what_was_made_where_the_containers_look(run: Run, t
         targets = {mount.split(":")[1]: mount.split(":")[0] for mount in service["volumes"]}
         before = {mount.split(":")[1] for mount in shipped["services"][name]["volumes"]}
         assert set(targets) <= before
-        if "/tls" in targets and name == "other-broker":
+        if "/tls" in targets and name in {"other-broker", "postgres"}:
             folder = Path(targets["/tls"]).relative_to(tmp_path / "data")
             assert {file.rpartition("/")[2] for file in made if file.startswith(f"{folder}/")} >= {
                 "certificate.pem",
