@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from handover.background_tasks import BackgroundTasks
 from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
-from handover.outbound_policy import is_loopback
 from handover.retry import Backoff
 from handover.security.accounts_mark import AccountsMark
 from handover.security.audit_trail import current_request
@@ -26,6 +25,7 @@ from handover.security.caller import LOCAL_OWNER, Caller, CallerKind, InvalidTok
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE, RELOAD_INTERVAL_S, KeysInForce
 from handover.security.local_mode import is_local
 from handover.security.permissions import READING, ROLE_PERMISSIONS, Grant, Permission, Role
+from handover.security.protection import is_reachable_by_others
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.security.revocations import LONG_POLL_S, FollowedRevocations, RevocationState
 from handover.security.secret_tokens import is_secret_token, token_hash
@@ -120,7 +120,8 @@ class Guard:
         return caller
 
     def _without_accounts(self, address: str | None, headers: Mapping[bytes, bytes]) -> Caller:
-        if not is_loopback(self.settings.host):  # a component, which `require_protection` admits
+        if is_reachable_by_others(self.settings, self.settings.host):
+            # A component, which `require_protection` admits.
             raise _unauthenticated(
                 "this component has no public keys of accounts, so it accepts no callers; copy "
                 f"{PUBLIC_KEYS_FILE} of the cell to {self.settings.security_folder}, and start it again"

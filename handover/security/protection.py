@@ -6,6 +6,11 @@ from handover.security.keys_in_force import KeysInForce
 from handover.settings import Settings
 
 
+def is_reachable_by_others(settings: Settings, host: str) -> bool:
+    """Return whether other machines can reach a server on `host`, by itself or through a proxy."""
+    return not is_loopback(host) or settings.tls_proxy_url is not None
+
+
 def require_protection(
     settings: Settings,
     host: str,
@@ -18,10 +23,10 @@ def require_protection(
 
     A server on loopback needs neither, unless a proxy passes on requests to it. `host_setting` is the setting
     of `host`; `has_tls` says it for a port with settings of TLS of its own. A server that
-    `accepts_no_callers` needs no accounts: without their keys it refuses every token, and beyond loopback
-    there is no local mode.
+    `accepts_no_callers` needs no accounts: without their keys it refuses every token, and where
+    other machines reach it there is no local mode.
     """
-    if is_loopback(host) and settings.tls_proxy_url is None:
+    if not is_reachable_by_others(settings, host):
         return
     if has_tls is None:
         has_tls = settings.tls_certificate is not None or settings.tls_proxy_url is not None

@@ -60,6 +60,14 @@ def test_a_component_of_others_needs_no_accounts_beyond_loopback_and_accepts_nob
         Guard(settings, "lamp").authenticate_now("127.0.0.1", {b"host": b"127.0.0.1:9100"})
 
 
+def test_a_component_of_others_behind_a_proxy_accepts_nobody_either() -> None:
+    """The proxy is on this machine, and may send neither the name that was asked for nor its client."""
+    settings = Settings.load(**PROXY)
+    require_protection(settings, "127.0.0.1", "HANDOVER_HOST", accepts_no_callers=True)
+    with pytest.raises(Problem, match="no public keys of accounts"):
+        Guard(settings, "lamp").authenticate_now("127.0.0.1", {b"host": b"127.0.0.1:9100"})
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8"])
 def test_on_loopback_a_server_needs_neither_unless_a_proxy_passes_on_requests(host: str) -> None:
     require_protection(Settings.load(), host, "HANDOVER_HOST")
