@@ -50,15 +50,16 @@ class OtherCells:
         """Return whether an entity is of another cell."""
         return bool(self._others) and cell_of(str(entity_id)) in self._others
 
-    def selectors(self, type_: str, acts_for: Iterable[str] = ()) -> list[dict[str, Any]]:
-        """Return the entities of a type that are not of another cell, as a subscription names them.
+    def selectors(self, *types: str, acts_for: Iterable[str] = ()) -> list[dict[str, Any]]:
+        """Return the entities of some types that are not of another cell, as a subscription names them.
 
         The cells of the resources in `acts_for` count as one's own. Without it, a broker of N cells would
         send each notification to all N.
         """
         others = {name for name in self._others.difference(map(cell_of, acts_for)) if _NAME.fullmatch(name)}
         patterns = ids_without(others)
-        return [{"type": type_, "idPattern": pattern} for pattern in patterns] or [{"type": type_}]
+        selected = [{"idPattern": pattern} for pattern in patterns] or [{}]
+        return [{"type": type_, **by_id} for type_ in types for by_id in selected]
 
 
 def ids_without(cells: Collection[str]) -> list[str]:

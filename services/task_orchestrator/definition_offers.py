@@ -249,7 +249,7 @@ class DefinitionOffers:
             "id": self._settings.entity_id("Subscription", "task-orchestrator-definitions"),
             "type": "Subscription",
             "description": "Definitions of other systems for the orchestrator",
-            "entities": [selector for type_ in OFFERED_TYPES for selector in self._cells.selectors(type_)],
+            "entities": self._cells.selectors(*OFFERED_TYPES),
             "notification": {
                 "format": "normalized",
                 "endpoint": self._receiver.endpoint(f"{self._settings.own_url}/notifications/definitions"),

@@ -309,14 +309,13 @@ class EntityEvents:
 
     def _subscription(self, key: str, watched: Watched) -> dict[str, Any]:
         on = watched.on
-        by_id = on.id_pattern is not None
-        selected = {"type": on.type, "idPattern": on.id_pattern}
+        by_id = None if on.id_pattern is None else [{"type": on.type, "idPattern": on.id_pattern}]
         address = f"{self._settings.own_url}/notifications/entities/{key}"
         return {
             "id": self._subscription_id(key),
             "type": "Subscription",
             "description": "Entities that are events of processes",
-            "entities": [selected] if by_id else self._cells.selectors(on.type),
+            "entities": by_id or self._cells.selectors(on.type),
             **({} if on.q is None else {"q": on.q}),
             "notification": {"format": "normalized", "endpoint": self._receiver.endpoint(address)},
         }

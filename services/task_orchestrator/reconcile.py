@@ -236,7 +236,7 @@ class Reconciler:
             **self._subscription(),
             "id": self._settings.entity_id("Subscription", "task-orchestrator-agents"),
             "description": "agents for the orchestrator",
-            "entities": [selector for type_ in TYPES for selector in self._cells.selectors(type_)],
+            "entities": self._cells.selectors(*TYPES),
             "watchedAttributes": list(WATCHED),
         }
 

@@ -71,16 +71,18 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         mark = None if query.before is None else await tasklist.task(_urn(at, query.before))
         last = None if mark is None else tasklist_entry(mark, "")
         process = None if query.process is None else at.plain_id(query.process)
-        active = state.active_processes.processes
-        names = {each.record.id: process_name(state.registry, each.record) for each in active.values()}
         found = [
             entry
-            for each in active.values()
+            for each in state.active_processes.processes.values()
             if (process is None or each.record.id == process)
             and (query.definition is None or each.record.definition == query.definition)
             for task in each.tasks.values()
             if is_for_people(link["object"] for link in task.entity["involves"]["value"])
-            and is_listed(entry := tasklist_entry(task, names[each.record.id]), query, each.record.key)
+            and is_listed(
+                entry := tasklist_entry(task, process_name(state.registry, each.record)),
+                query,
+                each.record.key,
+            )
             and (last is None or list_order(entry) > list_order(last))
         ]
         found.sort(key=list_order)
