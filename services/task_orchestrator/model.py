@@ -535,6 +535,8 @@ class Definition:
     """That of the none start event."""
     naming: Expression | None = None
     """Yields the title of a process."""
+    translations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """The texts of the file in other languages: by language (BCP 47), then by the text of the file."""
 
     def scopes(self) -> Iterator[Scope]:
         """Yield all scopes, the process first."""

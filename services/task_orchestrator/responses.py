@@ -48,7 +48,10 @@ class DefinitionHoldView(TypedDict):
 
 
 class DefinitionView(TypedDict):
-    """A version of a definition; `unusable` is the reason why this release cannot run it."""
+    """A version of a definition; `unusable` is the reason why this release cannot run it.
+
+    `translations` are the texts of its file in other languages: by language, then by the text of the file.
+    """
 
     name: str
     version: int
@@ -58,6 +61,7 @@ class DefinitionView(TypedDict):
     parameters: list[DefinitionParameter]
     holds: list[DefinitionHoldView]
     deletedVersions: list[int]
+    translations: dict[str, dict[str, str]]
     unusable: NotRequired[str]
 
 

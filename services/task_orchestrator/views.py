@@ -181,12 +181,14 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> D
             for hold in registry.holds_of(record.name)
         ],
         "deletedVersions": sorted(registry.deleted_versions(record.name)),
+        "translations": {},
     }
     try:
         definition = registry.plan_of(record).definition
     except HandoverError as error:
         return {**view, "unusable": str(error)}
-    return {**view, "parameters": parameter_views(definition)}
+    translations = {language: dict(texts) for language, texts in definition.translations.items()}
+    return {**view, "parameters": parameter_views(definition), "translations": translations}
 
 
 def parameter_views(definition: Definition) -> list[DefinitionParameter]:

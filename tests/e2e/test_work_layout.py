@@ -40,6 +40,17 @@ ASKED_ONCE = (
     "</handover:task></bpmn:extensionElements></bpmn:userTask>"
 )
 
+QUESTION = {
+    "en": "Look at the part and say whether it is good",
+    "de": "Sehen Sie das Teil an und sagen Sie, ob es gut ist",
+    "fi": "Katso osaa ja kerro, onko se hyvä",
+}
+TRANSLATED = "".join(
+    f'<handover:translations language="{language}"><handover:translation source="{QUESTION["en"]}">'
+    f"{QUESTION[language]}</handover:translation></handover:translations>"
+    for language in ("de", "fi")
+)
+
 SEEN = """() => {
   const clips = (one, box) => {
     const clip = one.getBoundingClientRect();
@@ -140,7 +151,9 @@ def cell(shared_cell: Cell) -> Cell:
 def asked(quiet_screen: Cell) -> Callable[[], str]:
     """Start a process that asks glove-1 once and handles no other outcome than ok; return its id."""
     orchestrator = quiet_screen.url("task_orchestrator")
-    xml = drawing(start() + ASKED_ONCE + end() + path("start", "look", "end"), name="looking")
+    translated = f"<bpmn:extensionElements>{TRANSLATED}</bpmn:extensionElements>"
+    body = translated + start() + ASKED_ONCE + end() + path("start", "look", "end")
+    xml = drawing(body, name="looking")
     httpx.post(
         f"{orchestrator}/definitions", content=xml, headers={"Content-Type": "application/xml"}, timeout=120
     ).raise_for_status()
@@ -217,6 +230,7 @@ def test_the_prompt_is_readable_from_the_station_and_answered_without_scrolling(
         corrective = {one["capPx"] for one in seen if one["corrective"]}
         assert corrective == {one["capPx"] for one in seen if one["instruction"]}
         assert any(one["gesture"] for one in seen)
+        assert [one["text"] for one in seen if one["instruction"]] == [QUESTION[language]]
         assert_visible(page, MAIN[language])
         assert_visible(page, NOT_GOOD[language])
         keep(page, f"work-asked-{size}-{language}-{theme}")
@@ -229,6 +243,22 @@ def test_the_prompt_is_readable_from_the_station_and_answered_without_scrolling(
             assert words is not None
             assert figure is not None
             assert words["width"] + figure["width"] >= 0.85 * SIZES[size]["width"]
+
+
+@pytest.mark.parametrize(("width", "height"), [(683, 314), (640, 300), (320, 500)])
+def test_the_question_stands_as_a_whole_on_a_magnified_page(
+    asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path], width: int, height: int
+) -> None:
+    """At 200 % the window of a browser has no room for all: the buttons are reached by scrolling."""
+    asked()
+    page = open_page(WORK, viewport={"width": width, "height": height}, device_scale_factor=2)
+    for language in ("en", "de"):
+        look(page, language, "light")
+        keep(page, f"work-magnified-{width}-{language}")
+        seen = {one["text"]: one["cut"] for one in page.evaluate(SEEN)}
+        assert seen[QUESTION[language]] is False
+        page.get_by_role("button", name=MAIN[language]).last.scroll_into_view_if_needed()
+        assert_visible(page, MAIN[language])
 
 
 def test_the_question_is_reached_on_a_magnified_page_and_its_place_is_marked_in_forced_colours(

@@ -149,7 +149,7 @@ class Processes(Source):
         response = (await self._get("/definitions")).raise_for_status()
         definitions = {f"definition/{one['name']}": one for one in response.json()}
         for topic, definition in definitions.items():
-            view = {"parameters": [], "holds": [], **definition}
+            view = {"parameters": [], "holds": [], "translations": {}, **definition}
             self._state.publish(topic, view, self._definition(definition["name"]))
         for topic in self._state.topics_of("definition"):
             if topic not in definitions:

@@ -104,6 +104,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         xml=xml,
         start_form=_start_form(process, context),
         naming=ours.naming,
+        translations=ours.translations,
     )
 
 

@@ -104,6 +104,8 @@ class ProcessExtension:
     parameters: Mapping[str, ProcessParameter] = field(default_factory=dict)
     naming: Expression | None = None
     """Yields the title of a process."""
+    translations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """The texts of the file in other languages: by language (BCP 47), then by the text of the file."""
 
 
 class Dialect(Protocol):

@@ -33,6 +33,13 @@ beside `handover:task` is written to the specification database before the Task 
 
 is the title of each process: a text with `${…}`, or FEEL behind `=`.
 
+<handover:translations language="de">
+  <handover:translation source="Confirm that the cell is clear">Bestätigen …</handover:translation>
+</handover:translations>
+
+beside `handover:process` are the texts for people of another language: names and descriptions of elements,
+texts of forms. A `${…}` in a source stands for any text, and is put where the translation has it.
+
 <bpmn:subProcess handover:reserve="Device:ur10-1, role:picker skill:grip">
 
 or, as extension elements, `<handover:reserve resource="Device:ur10-1"/>`, with `role` and `skills`, or with
@@ -81,6 +88,7 @@ from services.task_orchestrator.notation.dialects.base import (
     native_script,
     script_or_work,
 )
+from services.task_orchestrator.notation.dialects.translations import read_translations
 from services.task_orchestrator.notation.document import (
     child_text,
     extensions,
@@ -130,12 +138,15 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "specification": frozenset(FIELDS),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
     "reserve": frozenset({"resource", "expression", "role", "skills"}),
+    "translations": frozenset({"language"}),
+    "translation": frozenset({"source"}),
 }
 _EVALUATED: Mapping[str, frozenset[str]] = {
     "task": frozenset(_HINTS),
     "specification": frozenset(FIELDS),
     "on": frozenset({"idPattern", "correlation"}),
     "process": frozenset({"title"}),
+    "translation": frozenset({"source"}),
 }
 """Attributes that may have `${…}`, beside `expression`; in a regular expression it has another meaning."""
 _RESERVING = frozenset({"process", "subProcess"})
@@ -326,10 +337,11 @@ class Handover:
         return None
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
-        """Return the version label, the parameters and the title of `handover:process`."""
+        """Return what `handover:process` says, and the translations."""
+        translations = _translations(element, found)
         extension = extension_of(element, "process", found)
         if extension is None:
-            return ProcessExtension()
+            return ProcessExtension(translations=translations)
         parameters: dict[str, ProcessParameter] = {}
         for part in _parts(extension, {"parameter"}, found)["parameter"]:
             name = part.get("name") or ""
@@ -343,7 +355,7 @@ class Handover:
             )
         title = extension.get("title")
         naming = None if title is None else attempt(extension, lambda: _naming(title.strip()), None, found)
-        return ProcessExtension(extension.get("version"), parameters, naming)
+        return ProcessExtension(extension.get("version"), parameters, naming, translations)
 
     def listeners(
         self,
@@ -360,7 +372,9 @@ class Handover:
             if attribute.startswith(f"{{{NAMESPACE}}}"):
                 warn_without_effect(element, found, f"handover:{etree.QName(attribute).localname}")
         name = local(element)
-        allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
+        allowed = (
+            {"process", "translations"} if name == "process" else {"on"} if _can_be_event(element) else set()
+        )
         if name.endswith(("ask", "Event")):
             allowed = allowed | {"escalation", "retry", "specification", "task"}
         if is_none_start(element):
@@ -374,6 +388,14 @@ class Handover:
                     extension,
                     f"handover:{local(extension)} is unknown here; {known} is what may stand here",
                 )
+
+
+def _translations(process: etree._Element, found: Findings) -> dict[str, dict[str, str]]:
+    groups = {
+        extension: _parts(extension, {"translation"}, found)["translation"]
+        for extension in extensions_of(process, "translations", found)
+    }
+    return read_translations(groups, process, found)
 
 
 def _can_be_event(element: etree._Element) -> bool:

@@ -1,6 +1,7 @@
 /** Loads resources of the services with TanStack Query: equal requests are shared, transient errors retried. */
 import { keepPreviousData, QueryClient, useQuery } from "@tanstack/react-query";
 import { useCallback, useEffect, useRef } from "react";
+import { useProcessTexts } from "~/live/hooks";
 import { ApiError, errorText, requestService, type Service } from "./http";
 
 const RETRY_MS = 3000;
@@ -31,7 +32,7 @@ export interface ServiceQueryOptions {
   keepsPrevious?: boolean;
 }
 
-/** Load `path` of `service`; null loads nothing. */
+/** Load `path` of `service`; null loads nothing. Texts of processes are in the language of the page. */
 export function useServiceQuery<T>(service: Service, path: string | null, { revision = "", intervalMs, keepsPrevious = false }: ServiceQueryOptions = {}): ServiceQuery<T> {
   const { data, error, failureReason, refetch } = useQuery(
     {
@@ -43,6 +44,7 @@ export function useServiceQuery<T>(service: Service, path: string | null, { revi
     },
     queryClient,
   );
+  const texts = useProcessTexts();
   const reload = useCallback(() => void refetch(), [refetch]);
   const loadedRevision = useRef(revision);
   useEffect(() => {
@@ -51,7 +53,7 @@ export function useServiceQuery<T>(service: Service, path: string | null, { revi
     if (path !== null) reload();
   }, [revision, path, reload]);
   const fault = error ?? failureReason;
-  return { value: data ?? null, failure: fault === null ? null : errorText(fault), missing: isMissing(fault), reload };
+  return { value: (service === "task-orchestrator" ? texts.localized(data) : data) ?? null, failure: fault === null ? null : errorText(fault), missing: isMissing(fault), reload };
 }
 
 function isMissing(error: Error | null): boolean {

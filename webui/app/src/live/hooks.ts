@@ -1,7 +1,9 @@
 /** Hooks for live values. */
+import i18next from "i18next";
 import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { AlertView, DeviceView, GloveView, LiveEvent, RegisteredDeviceView, RegisteredDevicesView, RobotView, TasklistView, TopicValues } from "./messages";
+import { processTextsOf, type ProcessTexts } from "./processTexts";
 import { LiveStore, type ConnectionState } from "./store";
 
 export const Live = createContext(new LiveStore());
@@ -10,13 +12,15 @@ export function useLive(): LiveStore {
   return useContext(Live);
 }
 
-/** The newest value of a topic; undefined while there is none. */
+/** The newest value of a topic; undefined while there is none. Texts of processes are in the language of the page. */
 export function useTopic<T extends keyof TopicValues>(topic: T): TopicValues[T] | undefined {
   const live = useLive();
-  return useSyncExternalStore(
+  const texts = useProcessTexts();
+  const value = useSyncExternalStore(
     (listener) => live.watch(topic, listener),
     () => live.value(topic) as TopicValues[T] | undefined,
   );
+  return OF_PROCESSES.has(topic.split("/")[0] ?? "") ? texts.localized(value) : value;
 }
 
 interface Families {
@@ -30,13 +34,44 @@ interface Families {
   registeredDevice: RegisteredDeviceView;
 }
 
-/** All values of a family, in the order of their names. */
+/** Families whose values have texts of BPMN files. */
+const OF_PROCESSES: ReadonlySet<string> = new Set<keyof Families>(["definition", "glove", "process", "tasklist"]);
+
+/** All values of a family, in the order of their names. Texts of processes are in the language of the page. */
 export function useFamily<F extends keyof Families>(family: F): readonly Families[F][] {
+  const texts = useProcessTexts();
+  const values = useSentFamily(family);
+  return OF_PROCESSES.has(family) ? texts.localized(values) : values;
+}
+
+function useSentFamily<F extends keyof Families>(family: F): readonly Families[F][] {
   const live = useLive();
   return useSyncExternalStore(
     (listener) => live.watchFamily(family, listener),
     () => live.list(family) as readonly Families[F][],
   );
+}
+
+/** The texts of all definitions in the language of the page. */
+export function useProcessTexts(): ProcessTexts {
+  const definitions = useSentFamily("definition");
+  const language = useSyncExternalStore(onLanguageChanged, () => i18next.language);
+  return processTexts(definitions, language);
+}
+
+/** Shared by all components: what was translated is translated once. */
+let shared: { definitions: readonly DefinitionView[]; language: string; texts: ProcessTexts } | null = null;
+
+function processTexts(definitions: readonly DefinitionView[], language: string): ProcessTexts {
+  if (shared?.definitions !== definitions || shared.language !== language) {
+    shared = { definitions, language, texts: processTextsOf(definitions, language) };
+  }
+  return shared.texts;
+}
+
+function onLanguageChanged(listener: () => void): () => void {
+  i18next.on("languageChanged", listener);
+  return () => i18next.off("languageChanged", listener);
 }
 
 /** A value derived from a topic; renders only when it changes (compared by `Object.is`). */

@@ -2,7 +2,9 @@
 import type { ProcessSummary, ProcessView, ProcessView as LiveProcess } from "~/api/generated/task-orchestrator";
 import { requestService } from "~/api/http";
 import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
-import { useTopic } from "~/live/hooks";
+import { useMemo } from "react";
+import { useProcessTexts, useTopic } from "~/live/hooks";
+import { localizedBpmn } from "./diagram/elements";
 import type { ProcessFilter } from "./list/rows";
 
 export const SERVICE = "task-orchestrator";
@@ -14,9 +16,12 @@ export function useProcess(id: string): ServiceQuery<LiveProcess> {
   return live === undefined ? asked : { ...asked, value: live, failure: null, missing: false };
 }
 
-/** The file of a version, as it was deployed. */
+/** The file of a version, with its names in the language of the page. */
 export function useBpmn(definition: string, version: number | null): ServiceQuery<string> {
-  return useServiceQuery<string>(SERVICE, version === null ? null : bpmnPath(definition, version));
+  const sent = useServiceQuery<string>(SERVICE, version === null ? null : bpmnPath(definition, version));
+  const texts = useProcessTexts();
+  const value = useMemo(() => (sent.value === null ? null : localizedBpmn(sent.value, texts)), [sent.value, texts]);
+  return { ...sent, value };
 }
 
 export function bpmnPath(definition: string, version: number): string {

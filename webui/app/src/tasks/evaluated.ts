@@ -1,6 +1,7 @@
 /** The fields of a form; those of a dynamic one for what is typed, as the server has evaluated it last. */
 import { useEffect, useState } from "react";
 import type { FormField, TaskForm } from "~/api/generated/task-orchestrator";
+import { useProcessTexts } from "~/live/hooks";
 import { entered, type Draft } from "./form";
 
 const EVALUATE_AFTER_MS = 300;
@@ -31,5 +32,5 @@ export function useEvaluatedFields(
       clearTimeout(timer);
     };
   }, [isDynamic, typed, evaluate]);
-  return fields;
+  return useProcessTexts().localized(fields);
 }

@@ -5,7 +5,7 @@ import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { PinDialog } from "~/design/PinDialog";
-import { useTopic } from "~/live/hooks";
+import { useProcessTexts, useTopic } from "~/live/hooks";
 import type { NextActivity, ProcessView } from "~/api/generated/task-orchestrator";
 import type { RobotView } from "~/live/messages";
 import { isSame } from "~/live/urn";
@@ -145,12 +145,13 @@ function Safety() {
 
 function Next({ situation }: { situation: Situation }) {
   const { t } = useTranslation("work");
+  const texts = useProcessTexts();
   if (!("next" in situation) || !("process" in situation) || situation.process === null) return <span />;
   return <p className="work__next">{wordsOfNext(situation.next)}</p>;
 
   function wordsOfNext(next: NextActivity | null): string {
     if (next === null) return t("nextUnknown");
-    return next.lane === null ? t("next", { name: next.name }) : t("nextBy", { name: next.name, lane: next.lane });
+    return next.lane === null ? t("next", { name: next.name }) : t("nextBy", { name: next.name, lane: texts.say(next.lane) });
   }
 }
 

@@ -106,7 +106,7 @@ export const stopped = process({
 });
 
 export function definition(part: Partial<DefinitionView> = {}): DefinitionView {
-  return { name: "bin-picking", version: 1, title: "Bin picking", label: null, deployedAt: at, parameters: [], holds: [], deletedVersions: [], ...part };
+  return { name: "bin-picking", version: 1, title: "Bin picking", label: null, deployedAt: at, parameters: [], holds: [], deletedVersions: [], translations: {}, ...part };
 }
 
 export function service(name: string, state: ServiceHealth["state"]): ServiceHealth {

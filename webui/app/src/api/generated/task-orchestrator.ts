@@ -181,7 +181,11 @@ export interface DefinitionTimes {
   failed: number;
 }
 
-/** A version of a definition; `unusable` is the reason why this release cannot run it. */
+/**
+ * A version of a definition; `unusable` is the reason why this release cannot run it.
+ *
+ * `translations` are the texts of its file in other languages: by language, then by the text of the file.
+ */
 export interface DefinitionView {
   name: string;
   version: number;
@@ -191,6 +195,7 @@ export interface DefinitionView {
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
   deletedVersions: number[];
+  translations: Record<string, Record<string, string>>;
   unusable?: string;
 }
 
@@ -204,6 +209,7 @@ export interface DefinitionWithActivities {
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
   deletedVersions: number[];
+  translations: Record<string, Record<string, string>>;
   unusable?: string;
   activities: DefinitionActivity[];
   allocation: ActivityAllocation[];
@@ -225,6 +231,7 @@ export interface Deployment {
   parameters: DefinitionParameter[];
   holds: DefinitionHoldView[];
   deletedVersions: number[];
+  translations: Record<string, Record<string, string>>;
   unusable?: string;
   definitions: DefinitionView[];
   warnings: BpmnWarning[];

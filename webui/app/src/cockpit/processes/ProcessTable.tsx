@@ -6,6 +6,7 @@ import { useLocation } from "wouter";
 import type { ProcessSummary } from "~/api/generated/task-orchestrator";
 import { errorText } from "~/api/http";
 import { queryClient } from "~/api/useServiceQuery";
+import { useProcessTexts } from "~/live/hooks";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { ErrorMessage } from "~/design/ErrorMessage";
@@ -55,7 +56,8 @@ export function ProcessTable({ scope, element, onElement, resources }: ProcessTa
     },
     queryClient,
   );
-  const rows = useMemo(() => pages.data?.pages.flat() ?? [], [pages.data]);
+  const texts = useProcessTexts();
+  const rows = useMemo(() => texts.localized(pages.data?.pages.flat() ?? []), [texts, pages.data]);
   const fault = pages.error ?? pages.failureReason;
   const exports = (
     <span className="cockpit__exports">

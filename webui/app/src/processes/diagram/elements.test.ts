@@ -1,6 +1,7 @@
 // @vitest-environment jsdom
 import { describe, expect, it } from "vitest";
-import { elementName, elementsOf, pathOf, targetsFor } from "./elements";
+import { processTextsOf } from "~/live/processTexts";
+import { elementName, elementsOf, localizedBpmn, pathOf, targetsFor } from "./elements";
 
 const xml = `<?xml version="1.0"?>
 <b:definitions xmlns:b="http://www.omg.org/spec/BPMN/20100524/MODEL" id="file">
@@ -43,4 +44,15 @@ describe("the elements of a file", () => {
   it("are none in a file that is no XML", () => {
     expect(elementsOf("<b:process").size).toBe(0);
   });
+});
+
+it("draws a file with the texts of a language", () => {
+  const texts = processTextsOf([{ title: "Parts", translations: { de: { "Take the part": "Das Teil nehmen", "by hand": "von Hand" } } }], "de");
+  const xml = `<d:definitions xmlns:d="http://www.omg.org/spec/BPMN/20100524/MODEL" name="Take the part"><d:task id="a" name="Take
+    the part"/><d:textAnnotation id="b"><d:text>by hand</d:text></d:textAnnotation><x name="Take the part" xmlns="urn:x"/></d:definitions>`;
+  const localized = localizedBpmn(xml, texts);
+  expect(elementName(elementsOf(localized), "a")).toBe("Das Teil nehmen");
+  expect(localized).toContain("<d:text>von Hand</d:text>");
+  expect(localized).toContain('<x name="Take the part"');
+  expect(localizedBpmn("<no xml", texts)).toBe("<no xml");
 });

@@ -1,5 +1,7 @@
 /** The elements of a BPMN file by id: their names, scopes, and where a token can be moved to. */
 
+import type { ProcessTexts } from "~/live/processTexts";
+
 export interface BpmnElement {
   id: string;
   name: string;
@@ -37,6 +39,19 @@ export function elementsOf(xml: string): BpmnElements {
     });
   }
   return elements;
+}
+
+/** Return a BPMN file with its drawn texts in the language of the page; one that is no XML stays as it is. */
+export function localizedBpmn(xml: string, texts: ProcessTexts): string {
+  if (texts.isEmpty) return xml;
+  const document = new DOMParser().parseFromString(xml, "text/xml");
+  if (document.querySelector("parsererror") !== null) return xml;
+  for (const node of document.getElementsByTagNameNS(BPMN, "*")) {
+    const name = node.getAttribute("name");
+    if (name !== null) node.setAttribute("name", texts.say(name.replace(/\s+/g, " ").trim()));
+    else if (node.localName === "text" && node.childElementCount === 0) node.textContent = texts.say(node.textContent.trim());
+  }
+  return new XMLSerializer().serializeToString(document);
 }
 
 /** A place in a process: the element of the drawing, and the path inside of the process that it calls. */

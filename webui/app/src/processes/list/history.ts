@@ -3,7 +3,7 @@ import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useState } from "react";
 import { errorText } from "~/api/http";
 import { queryClient } from "~/api/useServiceQuery";
-import { useFamily } from "~/live/hooks";
+import { useFamily, useProcessTexts } from "~/live/hooks";
 import { processesBefore } from "../records";
 import { MAX_ENDED, passes, remembered, together, type ProcessFilter, type ProcessRow, type ProcessSorting, type Sections } from "./rows";
 
@@ -26,6 +26,7 @@ interface Seen {
 /** The orchestrator searches all processes that it stores for `words`. */
 export function useHistory(filter: ProcessFilter, words: string, sorting: ProcessSorting): History {
   const live = useFamily("process");
+  const texts = useProcessTexts();
   const key = JSON.stringify(filter);
   const search = useDelayed(words.trim(), SEARCH_DELAY_MS);
   const pages = useInfiniteQuery(
@@ -50,8 +51,8 @@ export function useHistory(filter: ProcessFilter, words: string, sorting: Proces
   const ended = remembered(seen.key === key ? seen.rows : [], passing);
   if (seen.key !== key || seen.rows !== ended) setSeen({ key, rows: ended });
   const rows = useMemo(
-    () => [...(pages.data?.pages ?? []), found.data ?? []].reduce(remembered, ended),
-    [pages.data, found.data, ended],
+    () => texts.localized([...(pages.data?.pages ?? []), found.data ?? []]).reduce(remembered, ended),
+    [texts, pages.data, found.data, ended],
   );
 
   const sections = useMemo(() => together(passing, rows.filter((row) => passes(row, filter)), sorting), [passing, rows, filter, sorting]);

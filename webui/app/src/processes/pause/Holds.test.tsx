@@ -13,7 +13,7 @@ beforeAll(async () => {
 
 afterEach(() => vi.unstubAllGlobals());
 
-const definition: DefinitionView = { name: "bin-picking", version: 1, label: null, title: "Bin picking", deployedAt: "2026-03-02T08:00:00Z", parameters: [], holds: [], deletedVersions: [] };
+const definition: DefinitionView = { name: "bin-picking", version: 1, label: null, title: "Bin picking", deployedAt: "2026-03-02T08:00:00Z", parameters: [], holds: [], deletedVersions: [], translations: {} };
 
 it.each([
   [204, null, 1, "closed"],
