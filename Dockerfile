@@ -21,10 +21,10 @@ FROM build AS page
 COPY requirements/node.lock requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
     pip install --quiet --require-hashes -r requirements/node.lock
-COPY webui/__init__.py webui/build.py webui/
+COPY webui/handover_web/__init__.py webui/handover_web/build.py webui/handover_web/
 COPY webui/app webui/app
 RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
-    python -m webui.build
+    PYTHONPATH=webui python -m handover_web.build
 
 
 # The wheel with the page, and the packages of the lock.
@@ -36,7 +36,7 @@ RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
     /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/${LOCK}.lock \
     && pip install --quiet --require-hashes --only-binary :all: -r requirements/build.lock
 COPY . .
-COPY --from=page /source/webui/page webui/page
+COPY --from=page /source/webui/handover_web/page webui/handover_web/page
 RUN hatchling build -t wheel -d /wheel \
     && /opt/handover/bin/pip install --quiet --no-deps --no-index /wheel/*.whl \
     && /opt/handover/bin/python -m compileall -q /opt/handover/lib \

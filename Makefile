@@ -17,7 +17,7 @@ WORKERS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); ec
 PYTEST := $(BIN)/pytest -n $(WORKERS)
 
 # Lint and tests of the TypeScript, with the Node that built the page.
-PAGE := $(BIN)/python -m webui.build
+PAGE := $(BIN)/python -m handover_web.build
 
 # The page is checked in parallel with the checks of Python and the tests; its output is printed at the end.
 PAGE_LOG := build/page-check.log
@@ -182,9 +182,9 @@ python-check: setup
 	@$(BIN)/typos
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
-	@$(BIN)/python -m datamodels.schemas --check
-	@$(BIN)/python -m webui.types --check
-	@$(BIN)/python -m webui.service_types --check
+	@$(BIN)/python -m handover_datamodels.schemas --check
+	@$(BIN)/python -m handover_web.types --check
+	@$(BIN)/python -m handover_web.service_types --check
 	@$(BIN)/python -m requirements.third_party --check
 	@$(BIN)/python -m docs.site.reference --check
 
@@ -298,4 +298,4 @@ humanoid-figures: setup  ## the figures of CoSiMA from own runs, in webui/pictur
 	@$(BIN)/handover humanoid figures webui/pictures
 
 clean:  ## remove what setup made (not your data in .handover)
-	rm -rf $(VENV) $(ROS_VENV) $(LOWEST_VENV) $(PEERS_VENV) $(SCHEMATHESIS_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS_VENV) $(LOWEST_VENV) $(PEERS_VENV) $(SCHEMATHESIS_VENV) webui/handover_web/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -67,7 +67,7 @@ class Broker:
         }
         started_s = time.perf_counter()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "services.context_broker"], env=environment, stdin=subprocess.DEVNULL
+            [sys.executable, "-m", "handover_broker"], env=environment, stdin=subprocess.DEVNULL
         )
         while True:
             try:

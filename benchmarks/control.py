@@ -228,7 +228,7 @@ def tools(robots: int, count: int) -> Iterator[list[Tool]]:
                 }
                 with (folder / "log").open("wb") as log:
                     process = subprocess.Popen(
-                        [sys.executable, "-m", "services.trajectory_tool"],
+                        [sys.executable, "-m", "handover_robots"],
                         env=environment,
                         stdout=log,
                         stderr=log,

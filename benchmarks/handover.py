@@ -150,7 +150,7 @@ def up(env: dict[str, str]) -> tuple[subprocess.Popen[str], float]:
     """Start `handover up`; return the process and the seconds until it was ready."""
     began = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "handover.cli", "up"],
+        [sys.executable, "-m", "handover_cell", "up"],
         env=env,
         cwd=env["HANDOVER_DATA_DIR"],
         stdout=subprocess.PIPE,

@@ -27,15 +27,15 @@ from numpy.typing import NDArray
 
 from benchmarks.steal_time import report_steal_time
 from benchmarks.wrapped_records import unwrapped
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.drivers.runner import WATCH_S
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
-from services.human_state.processing.beats import BeatDetector
-from services.human_state.processing.breathing import breathing_of
-from services.human_state.processing.pipeline import pipeline_for
-from services.human_state.processing.pulse import pulse_of
-from services.human_state.processing.synthesis import (
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.drivers.runner import WATCH_S
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_body.processing.beats import BeatDetector
+from handover_body.processing.breathing import breathing_of
+from handover_body.processing.pipeline import pipeline_for
+from handover_body.processing.pulse import pulse_of
+from handover_body.processing.synthesis import (
     FAULTS,
     acceleration_of,
     add_ecg_noise,

@@ -262,7 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "HANDOVER_TRAJECTORY_PORT": str(robot),
             "HANDOVER_LOG_LEVEL": "error",
         }
-        service = subprocess.Popen([sys.executable, "-m", "services.human_state"], env=env)
+        service = subprocess.Popen([sys.executable, "-m", "handover_body"], env=env)
         try:
             asyncio.run(measure(options, {"human": human, "robot": robot}, psutil.Process(service.pid)))
         finally:

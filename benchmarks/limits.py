@@ -15,13 +15,13 @@ import numpy as np
 
 from benchmarks.motion import SCALES, cell
 from benchmarks.steal_time import report_steal_time
-from services.trajectory_tool.limits.guards import CollisionGuard, Guard
-from services.trajectory_tool.limits.limiter import JointLimiter
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.collision import Collisions
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.trajectory import Course, Setpoint
+from handover_robots.limits.guards import CollisionGuard, Guard
+from handover_robots.limits.limiter import JointLimiter
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.collision import Collisions
+from handover_robots.robot_model import RobotModel
+from handover_robots.robots import ROBOTS
+from handover_robots.trajectory import Course, Setpoint
 
 CYCLE_S = 0.002
 AIM_US = 50.0

@@ -20,11 +20,11 @@ from handover.security.permissions import Grant, Role
 from handover.security.secret_tokens import is_secret_token
 from handover.tls_trust import client_context
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
-from services.accounts import sessions, users
-from services.accounts.grants import add_grant
-from services.accounts.passwords import PasswordHashes
-from services.accounts.set_up import opened_store, set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts import sessions, users
+from handover_accounts.grants import add_grant
+from handover_accounts.passwords import PasswordHashes
+from handover_accounts.set_up import opened_store, set_up
+from handover_accounts.settings import AccountsSettings
 
 PASSWORD = "correct horse battery"
 USERS = 200
@@ -37,7 +37,11 @@ DESCRIPTION = {
 }
 READY_TIMEOUT_S = 120.0
 REPORT_EVERY_S = 10.0
-SERVICES = ("context_broker", "accounts", "device_gateway")
+SERVICES = {
+    "context_broker": "handover_broker",
+    "accounts": "handover_accounts",
+    "device_gateway": "handover_devices",
+}
 PORTS = ("BROKER", "ACCOUNTS", "GATEWAY", "DEVICE", "WEBUI", "PROXY")
 
 
@@ -134,8 +138,8 @@ class Site:
     async def begin(self) -> None:
         """Set up accounts, and start what the replicas share."""
         set_up(self.settings(), ["context-broker", "accounts", "device-gateway", "webui", "cli"])
-        for service in SERVICES:
-            self.shared[service] = self.start(f"services.{service}")
+        for service, module in SERVICES.items():
+            self.shared[service] = self.start(module)
         for name in ("BROKER", "ACCOUNTS", "GATEWAY"):
             await self.ready(f"http://127.0.0.1:{self.ports[name]}/readyz")
         await self._connect_devices()
@@ -208,7 +212,7 @@ class Site:
         before = len(self._processes)
         self.replicas = [
             self.start(
-                "webui",
+                "handover_web",
                 HANDOVER_HOST=host,
                 HANDOVER_INSTANCE=f"replica-{number}",
                 HANDOVER_DATA_DIR=str(self.folder / f"webui-{number}"),

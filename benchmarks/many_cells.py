@@ -50,7 +50,7 @@ class Cell:
             "PERFORMER_PORT": str(performer),
         }
         url = f"http://127.0.0.1:{orchestrator}"
-        self.orchestrator = Service("services.task_orchestrator", url, environment, folder)
+        self.orchestrator = Service("handover_processes", url, environment, folder)
         self.performer = Service(
             "benchmarks.cell_performer", f"http://127.0.0.1:{performer}", environment, folder
         )
@@ -163,7 +163,7 @@ async def measure(arguments: argparse.Namespace, folder: Path) -> None:
             "HANDOVER_BROKER_URL": url,
             "HANDOVER_LOG_LEVEL": "warning",
         }
-        broker = Service("services.context_broker", url, environment, folder)
+        broker = Service("handover_broker", url, environment, folder)
         broker.start()
     cells = [
         Cell(f"cell-{number:02}", folder / f"cell-{number:02}", url) for number in range(arguments.cells)

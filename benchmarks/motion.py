@@ -22,18 +22,18 @@ from ompl import base, geometric
 from benchmarks.jerk_reference import optimal_duration_s
 from benchmarks.steal_time import report_steal_time
 from handover.errors import HandoverError
-from services.trajectory_tool.limits.guards import TorqueGuard
-from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
-from services.trajectory_tool.planning import timing, tracked_distances
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.collision import Collisions
-from services.trajectory_tool.planning.inverse import Inverse
-from services.trajectory_tool.planning.planner import Options, Planner
-from services.trajectory_tool.planning.torques import Torques
-from services.trajectory_tool.planning.tracked_distances import TrackedDistances
-from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.trajectory import duration_s
+from handover_robots.limits.guards import TorqueGuard
+from handover_robots.obstacles import Box, Cylinder, Obstacle, World
+from handover_robots.planning import timing, tracked_distances
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.collision import Collisions
+from handover_robots.planning.inverse import Inverse
+from handover_robots.planning.planner import Options, Planner
+from handover_robots.planning.torques import Torques
+from handover_robots.planning.tracked_distances import TrackedDistances
+from handover_robots.poses import Pose, pointing_down
+from handover_robots.robots import ROBOTS
+from handover_robots.trajectory import duration_s
 
 SCALES = {"ur10": 1.0, "ur5e": 0.7, "panda": 0.6}
 """The size of the cell for the reach of each robot."""

@@ -221,12 +221,8 @@ class Cell:
             "HANDOVER_TASK_DEADLINE_S": "100000",
         }
         own = {**environment, "HANDOVER_DATABASE_URL": database_url} if database_url else environment
-        self.broker = Service(
-            "services.context_broker", environment["HANDOVER_BROKER_URL"], environment, folder
-        )
-        self.orchestrator = Service(
-            "services.task_orchestrator", f"http://127.0.0.1:{orchestrator}", own, folder
-        )
+        self.broker = Service("handover_broker", environment["HANDOVER_BROKER_URL"], environment, folder)
+        self.orchestrator = Service("handover_processes", f"http://127.0.0.1:{orchestrator}", own, folder)
         self.settings = Settings(broker_url=environment["HANDOVER_BROKER_URL"], data_dir=folder)
         self.folder = folder
         self.api = httpx.AsyncClient(base_url=self.orchestrator.url, trust_env=False, timeout=120)

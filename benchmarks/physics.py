@@ -19,19 +19,19 @@ import numpy as np
 
 from benchmarks.steal_time import report_steal_time
 from handover.performer import TaskFailed
-from services.trajectory_tool import operations, parameters
-from services.trajectory_tool.cell_file import Base, CellPlan, RobotEntry
-from services.trajectory_tool.physics.parts import Parts
-from services.trajectory_tool.physics.robot import PhysicsRobot
-from services.trajectory_tool.physics.simulation import Simulation
-from services.trajectory_tool.physics.world_model import STEP_S, build
-from services.trajectory_tool.poses import NO_TURN, Frame
-from services.trajectory_tool.robots.ur10 import FOLDER, ROBOT
-from services.trajectory_tool.scene import Scene, load
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.trajectory import Course, Setpoint
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_robots import operations, parameters
+from handover_robots.cell_file import Base, CellPlan, RobotEntry
+from handover_robots.physics.parts import Parts
+from handover_robots.physics.robot import PhysicsRobot
+from handover_robots.physics.simulation import Simulation
+from handover_robots.physics.world_model import STEP_S, build
+from handover_robots.poses import NO_TURN, Frame
+from handover_robots.robots.ur10 import FOLDER, ROBOT
+from handover_robots.scene import Scene, load
+from handover_robots.settings import TrajectorySettings
+from handover_robots.trajectory import Course, Setpoint
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 
 MAX_SCANS_WITHOUT_PART = 5
 NAME = "ur10-1"

@@ -35,10 +35,10 @@ from websockets.sync.client import connect
 
 from benchmarks.handover import environment, free_ports, stop, up
 from benchmarks.screen import installed_chromium
-from datamodels.times import iso
-from services.device_gateway.device_client import DeviceClient
-from services.device_gateway.model.description import DeviceDescription
-from services.device_gateway.simulation import SimulatedDevice, examples
+from handover_datamodels.times import iso
+from handover_devices.device_client import DeviceClient
+from handover_devices.model.description import DeviceDescription
+from handover_devices.simulation import SimulatedDevice, examples
 from tests.kit.chromium import FLAGS
 
 OUT = Path(__file__).parent.parent / "webui" / "pictures"

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.steal_time import report_steal_time
-from services.trajectory_tool.joint_trajectory import Array
-from services.trajectory_tool.planned_course import PlannedCourse
-from services.trajectory_tool.planning import retiming, timing
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.trajectory import Course, Limits
+from handover_robots.joint_trajectory import Array
+from handover_robots.planned_course import PlannedCourse
+from handover_robots.planning import retiming, timing
+from handover_robots.planning.arm import Arm
+from handover_robots.robots import ROBOTS
+from handover_robots.trajectory import Course, Limits
 
 ROBOT_NAMES = ("ur10", "ur5e", "panda")
 EVERY_S = 0.001

@@ -17,17 +17,17 @@ from pathlib import Path
 
 from glove_sdk_bridge.simulated_assembly import assembly
 from glove_sdk_bridge.simulated_hand import SENSORS, SimulatedHand, minimum_jerk
-from services.gesture_controller.calibration.samples import sample_of, with_sample
-from services.gesture_controller.recognition.finger_states import finger_states
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.hold import HoldEvent
-from services.gesture_controller.recognition.levels import Calibration, CalibrationFailed, calibrate
-from services.gesture_controller.recognition.personal import PersonalRecognizer
-from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
-from services.gesture_controller.recognition.population import USUAL, Population, learn
-from services.gesture_controller.recognition.registry import PERSONAL, THRESHOLDS
-from services.gesture_controller.recognition.thresholds import FINGERS, Threshold, Thresholds
+from handover_gloves.calibration.samples import sample_of, with_sample
+from handover_gloves.recognition.finger_states import finger_states
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.hold import HoldEvent
+from handover_gloves.recognition.levels import Calibration, CalibrationFailed, calibrate
+from handover_gloves.recognition.personal import PersonalRecognizer
+from handover_gloves.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
+from handover_gloves.recognition.population import USUAL, Population, learn
+from handover_gloves.recognition.registry import PERSONAL, THRESHOLDS
+from handover_gloves.recognition.thresholds import FINGERS, Threshold, Thresholds
 
 FIST, OPEN = "0", "5"
 CODES = {

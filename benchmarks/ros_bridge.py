@@ -33,9 +33,9 @@ import psutil
 from benchmarks.steal_time import report_steal_time
 from handover.broker import BrokerClient
 from handover.settings import Settings
-from ros_fiware_bridge.graph.joining import JoinSettings, join
-from ros_fiware_bridge.graph.qos import Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import JoinSettings, join
+from handover_ros.graph.qos import Qos
+from handover_ros.types.type_store import TypeStore
 
 LIMIT_P50_MS, LIMIT_P99_MS = 5.0, 25.0
 LIMIT_CORE_SHARE = 0.5
@@ -150,10 +150,10 @@ async def measure(seconds: float, rate_hz: float, memory_minutes: int) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder))
-        processes = [bench.start("services.context_broker")]
+        processes = [bench.start("handover_broker")]
         try:
             await bench.ready(bench.broker_port)
-            processes.append(bench.start("ros_fiware_bridge"))
+            processes.append(bench.start("handover_ros"))
             await bench.ready(bench.bridge_port)
             measured = [psutil.Process(process.pid) for process in processes]
             await _all(bench, measured, seconds, rate_hz, memory_minutes)

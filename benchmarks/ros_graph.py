@@ -19,9 +19,9 @@ from typing import Any
 
 import psutil
 
-from ros_fiware_bridge.graph.joining import JoinSettings, join
-from ros_fiware_bridge.graph.qos import Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import JoinSettings, join
+from handover_ros.graph.qos import Qos
+from handover_ros.types.type_store import TypeStore
 
 JOINTS = 100
 TOPIC, TYPE = "/joint_states", "sensor_msgs/msg/JointState"

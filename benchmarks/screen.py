@@ -147,7 +147,7 @@ async def measure_memory(
 
 def is_server(process: psutil.Process, env: dict[str, str]) -> bool:
     """Say whether a process is the screen's server of this measurement."""
-    if " ".join(process.info["cmdline"] or []).split()[-2:] != ["-m", "webui"]:
+    if " ".join(process.info["cmdline"] or []).split()[-2:] != ["-m", "handover_web"]:
         return False
     listening = {c.laddr.port for c in process.net_connections() if c.status == psutil.CONN_LISTEN}
     return int(env["HANDOVER_WEBUI_PORT"]) in listening

@@ -27,8 +27,8 @@ import psutil
 
 from benchmarks.handover import free_ports
 from handover.http_client import BodyReadingHttpClient, SendError
-from services.accounts.set_up import set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts.set_up import set_up
+from handover_accounts.settings import AccountsSettings
 
 PASSWORD = "correct horse battery"
 NAME = "Anna"
@@ -63,7 +63,7 @@ class Cell:
         self.http = BodyReadingHttpClient()
         self._processes = {
             name: subprocess.Popen([sys.executable, "-m", module], env=environment, cwd=folder)
-            for name, module in (("accounts", "services.accounts"), ("page server", "webui"))
+            for name, module in (("accounts", "handover_accounts"), ("page server", "handover_web"))
         }
 
     def cpu_s(self) -> dict[str, float]:

@@ -17,10 +17,10 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 from benchmarks.steal_time import report_steal_time
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Library
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import Library
+from handover_processes.notation.file import read_bpmn
 
 try:
     from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser

@@ -40,7 +40,7 @@ def service(folder: Path, files: ServerFiles | None) -> Iterator[tuple[int, psut
             "HANDOVER_TLS_KEY": str(files.key),
             "HANDOVER_TLS_AUTHORITY": str(files.authority),
         }
-    command = [sys.executable, "-m", "services.study"]
+    command = [sys.executable, "-m", "handover_study"]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
         try:
             while True:

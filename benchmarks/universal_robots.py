@@ -21,13 +21,13 @@ import numpy as np
 import psutil
 
 from benchmarks.steal_time import report_steal_time
-from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import load
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.universal_robots.driver import UniversalRobot
-from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
-from services.trajectory_tool.universal_robots.simulator.simulator import Ports, Simulator
+from handover_robots.drivers import RobotContext
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import load
+from handover_robots.settings import TrajectorySettings
+from handover_robots.universal_robots.driver import UniversalRobot
+from handover_robots.universal_robots.simulator.controller import SimulatedController
+from handover_robots.universal_robots.simulator.simulator import Ports, Simulator
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 HOST = "127.0.0.1"

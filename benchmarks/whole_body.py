@@ -19,22 +19,22 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.steal_time import report_steal_time
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish
-from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
-from services.whole_body_control.patterns.regions import Footprint
-from services.whole_body_control.patterns.walking import WalkingPattern
-from services.whole_body_control.patterns.zmp_control import ZmpControl
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.compiled import Compiled
-from services.whole_body_control.solvers.hierarchical import Hierarchical
-from services.whole_body_control.solvers.problem import EPSILON, Problem, Solution, Solver
-from services.whole_body_control.tasks.base import Constraint, Stack
-from services.whole_body_control.tasks.constraints import Contact, JointLimits
-from services.whole_body_control.tasks.self_collision import SelfCollision
-from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.patterns.footsteps import Stance, StepLimits, Wish
+from handover_humanoid.patterns.pendulum import Pendulum, PendulumState
+from handover_humanoid.patterns.regions import Footprint
+from handover_humanoid.patterns.walking import WalkingPattern
+from handover_humanoid.patterns.zmp_control import ZmpControl
+from handover_humanoid.robots import humanoid
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.compiled import Compiled
+from handover_humanoid.solvers.hierarchical import Hierarchical
+from handover_humanoid.solvers.problem import EPSILON, Problem, Solution, Solver
+from handover_humanoid.tasks.base import Constraint, Stack
+from handover_humanoid.tasks.constraints import Contact, JointLimits
+from handover_humanoid.tasks.self_collision import SelfCollision
+from handover_humanoid.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
 
 DT_S = 0.01
 AGREES, NEARLY = 1e-6, 1e-3

@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.whole_body_walking import DEPLOYMENT
-from services.whole_body_control.behaviours.humanoid_component import Behaviour
-from services.whole_body_control.cycle.ports import PortReader, PortWriter
-from services.whole_body_control.cycle.wish import PERSON, SIDES, WISH
+from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.cycle.ports import PortReader, PortWriter
+from handover_humanoid.cycle.wish import PERSON, SIDES, WISH
 
 PART_S, WRITE_S = 60.0, 0.05
 ROUND = (None, Behaviour.WALKING, Behaviour.ASSISTED_WALKING, Behaviour.JUGGLING)
 MAX_GROWTH_MB = 2.0
 """In the whole time: 0.03 MB a minute in an hour. A leak of 80 bytes a period was 0.45 MB a minute."""
-MODULE = "services.whole_body_control.control_process"
+MODULE = "handover_humanoid.control_process"
 
 
 def resident_mb(pid: int) -> float:

@@ -22,11 +22,11 @@ import numpy as np
 
 from benchmarks.steal_time import report_steal_time
 from benchmarks.whole_body import AGREES, DT_S, NEARLY, Robot, juggling, timed, walking
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.compiled import Compiled
-from services.whole_body_control.solvers.hierarchical import Hierarchical
-from services.whole_body_control.solvers.problem import Problem, Solver
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.compiled import Compiled
+from handover_humanoid.solvers.hierarchical import Hierarchical
+from handover_humanoid.solvers.problem import Problem, Solver
 
 SCRIPT = Path(__file__).with_name("peer_solvers.py")
 MOVES, CYCLES_PER_MOVE = 12, 25

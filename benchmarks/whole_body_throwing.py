@@ -12,15 +12,15 @@ import time
 
 import numpy as np
 
-from services.whole_body_control.behaviours.rehearsal import rehearse
-from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.throwing import Practice
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.patterns.throwing import OutOfReach, ThrowPlanner
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.ball import build_with_ball
-from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
-from services.whole_body_control.solvers.compiled import fastest_solver
+from handover_humanoid.behaviours.rehearsal import rehearse
+from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
+from handover_humanoid.behaviours.throwing import Practice
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.patterns.throwing import OutOfReach, ThrowPlanner
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.ball import build_with_ball
+from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE
+from handover_humanoid.solvers.compiled import fastest_solver
 
 COMAN = humanoid("coman")
 DISTANCE_M, HEIGHT_M, SPREAD_RAD = 0.8, 0.5, 0.25

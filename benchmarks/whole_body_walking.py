@@ -20,18 +20,18 @@ from pathlib import Path
 
 import numpy as np
 
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk, WalkRecord
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.components.robot import JointCommand
-from services.whole_body_control.cycle.ports import PortReader, PortWriter
-from services.whole_body_control.cycle.wish import WISH
-from services.whole_body_control.model.kinematics import Array
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.body_model import build
-from services.whole_body_control.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
-from services.whole_body_control.solvers.compiled import fastest_solver
-from services.whole_body_control.solvers.problem import Solver
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk, WalkRecord
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.components.robot import JointCommand
+from handover_humanoid.cycle.ports import PortReader, PortWriter
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.model.kinematics import Array
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.body_model import build
+from handover_humanoid.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
+from handover_humanoid.solvers.compiled import fastest_solver
+from handover_humanoid.solvers.problem import Solver
 
 COMAN = humanoid("coman")
 MODEL = build(COMAN)
@@ -122,7 +122,7 @@ def measure_cycle(seconds: float, *, fifo: bool) -> None:
     ):
         folder, file = Path(name), Path(name) / "deployment.yaml"
         file.write_text(DEPLOYMENT.format(folder=folder, fifo=str(fifo).lower()), encoding="utf-8")
-        module = "services.whole_body_control.control_process"
+        module = "handover_humanoid.control_process"
         with subprocess.Popen(
             [sys.executable, "-m", module, str(file)], stderr=subprocess.DEVNULL
         ) as process:

@@ -150,7 +150,7 @@ def page_packages() -> Iterator[Package]:
         if not manifest.exists():
             if locked.get("optional"):
                 continue
-            raise LicenceError(f"{path} is not installed; install it with: python -m webui.build")
+            raise LicenceError(f"{path} is not installed; install it with: python -m handover_web.build")
         name = path.rpartition("node_modules/")[2]
         licence = KNOWN.get(name) or str(json.loads(manifest.read_text(encoding="utf-8")).get("license", ""))
         texts = tuple(

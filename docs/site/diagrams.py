@@ -11,7 +11,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from webui.build import npm_command
+from handover_web.build import npm_command
 
 VERSION = "11.17.2"
 INTEGRITY = "V6K3C8EBdEsPFZXSKMJe6ppQOENxuHARr9GvHX4hh47lAbhMRD9qf4oEK7LoaRQxULMa80/qt5gHO73aCleBBg=="

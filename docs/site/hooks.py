@@ -27,10 +27,10 @@ INCLUDED = {
         "SECURITY.md",
         "deploy/README.md",
         "ros_fiware_bridge/README.md",
-        "ros_fiware_bridge/graph/README.md",
+        "ros_fiware_bridge/handover_ros/graph/README.md",
         "services/context_broker/README.md",
-        "services/context_broker/operations.md",
-        "services/gesture_controller/recognition/README.md",
+        "services/context_broker/handover_broker/operations.md",
+        "services/gesture_controller/handover_gloves/recognition/README.md",
         "webui/README.md",
     )
     if (ROOT / path).exists()

@@ -20,12 +20,12 @@ from pydantic_core import PydanticUndefined
 from typer.main import get_command
 
 from glove_sdk_bridge.command_line import parser as glove_parser
-from handover.cli.main import app as command_line
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES, application_of
 from handover.extensions import Service
 from handover.security.guard import PUBLIC_PATHS, requirements
 from handover.settings import PREFIX, Settings
-from webui.messages import found_messages
+from handover_cell.main import app as command_line
+from handover_cell.services import OPTIONAL_SERVICES, SERVICES, application_of
+from handover_web.messages import found_messages
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "reference"
@@ -58,8 +58,8 @@ REST = f"""\
 
 Every service answers `/healthz`, `/readyz`, `/metrics` and `/context.jsonld`, and shows its interface with
 schemas on `/docs`, for which the browser needs no internet. Errors are problem details (RFC 7807). The
-context broker answers NGSI-LD; [its operations](../../services/context_broker/operations.md) have a page of
-their own.
+context broker answers NGSI-LD; [its
+operations](../../services/context_broker/handover_broker/operations.md) have a page of their own.
 
 As long as no account exists, every local caller may do everything. With accounts, a caller sends a token
 (`Authorization: Bearer`), and the column *Permission* names what the route asks: a permission, and the

@@ -9,18 +9,18 @@ import orjson
 from pydantic import Field
 
 from handover.settings import Settings
-from ros_fiware_bridge.errors import (
+from handover_ros.errors import (
     AdapterUnavailable,
     BadMessage,
     GraphClosed,
     GraphError,
     ServiceUnavailable,
 )
-from ros_fiware_bridge.graph import names
-from ros_fiware_bridge.graph.base_graph import BaseGraph, require_fit
-from ros_fiware_bridge.graph.inbox import Inbox
-from ros_fiware_bridge.graph.join_settings import JoinSettings
-from ros_fiware_bridge.graph.port import (
+from handover_ros.graph import names
+from handover_ros.graph.base_graph import BaseGraph, require_fit
+from handover_ros.graph.inbox import Inbox
+from handover_ros.graph.join_settings import JoinSettings
+from handover_ros.graph.port import (
     ActionClient,
     ActionHandler,
     ActionInfo,
@@ -33,9 +33,9 @@ from ros_fiware_bridge.graph.port import (
     ServiceInfo,
     TopicInfo,
 )
-from ros_fiware_bridge.graph.qos import DEFAULT, Qos
-from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.qos import DEFAULT, Qos
+from handover_ros.graph.rosbridge.json_codec import JsonCodec
+from handover_ros.types.type_store import TypeStore
 
 MAX_DATAGRAM_BYTES = 60_000
 NO_SERVICES = "datagrams carry topics only; use the adapter of a ROS middleware for services and actions"
@@ -120,7 +120,7 @@ class NeverCalled:
 
 
 class DatagramGraph(BaseGraph, asyncio.DatagramProtocol):
-    """The graph of all topics that datagrams name; see `ros_fiware_bridge.graph.port.RosGraph`."""
+    """The graph of all topics that datagrams name; see `handover_ros.graph.port.RosGraph`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, peer: tuple[str, int]) -> None:
         super().__init__(store, settings)

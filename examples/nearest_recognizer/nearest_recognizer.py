@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.recognizer import CannotRecognize, HandContext, Recognition
 
 MAX_DISTANCE = 0.35
 STRAIGHT_ABOVE, BENT_BELOW = 0.7, 0.4

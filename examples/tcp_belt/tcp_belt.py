@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from services.human_state.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, now_s
-from services.human_state.model.signals import LinkState, Samples, SensorReport, SignalInfo, SignalKind
+from handover_body.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, now_s
+from handover_body.model.signals import LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 BREATH = SignalInfo(SignalKind.RESPIRATION, "C62", 25.0, ("belt",), -100, 100, method="belt")
 

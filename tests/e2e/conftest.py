@@ -13,7 +13,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from datamodels.times import iso
+from handover_datamodels.times import iso
 from tests.kit.cell import Cell
 from tests.kit.chromium import FLAGS, chromium
 from tests.kit.paths import REPOSITORY

@@ -11,8 +11,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from handover.cli.case import PURPOSES, load_case
-from services.assistive_devices.machine import Case
+from handover_cases.machine import Case
+from handover_cell.case import PURPOSES, load_case
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled, wait_for
@@ -25,7 +25,7 @@ PATIENCE_S = 300.0
 
 def test_one_command_runs_a_case_and_prints_the_figures_of_the_paper_beside_ours(cell: Cell) -> None:
     ended = subprocess.run(
-        [sys.executable, "-m", "handover.cli", "case", "wheelchair", "--once", f"--duration={SHORT_S:.0f}"],
+        [sys.executable, "-m", "handover_cell", "case", "wheelchair", "--once", f"--duration={SHORT_S:.0f}"],
         env=cell.environment,
         cwd=cell.data_dir,
         stdin=subprocess.DEVNULL,

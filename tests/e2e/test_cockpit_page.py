@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from datamodels.times import iso
+from handover_datamodels.times import iso
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.other_broker.running import context_link

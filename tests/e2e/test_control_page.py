@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.device_gateway.device_client import DeviceClient
+from handover_devices.device_client import DeviceClient
 from tests.e2e.conftest import APPEARS, OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for

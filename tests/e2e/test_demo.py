@@ -13,6 +13,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.kit.cell import MODULES
 from tests.kit.namesakes import leave_namesakes_in
 from tests.kit.ports import next_free_port
 from tests.kit.sockets import listening_sockets
@@ -32,6 +33,7 @@ SERVICES = {
     "accounts",
     "webui",
 }
+SERVICE_OF = {module: service for service, module in MODULES.items()}
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -73,8 +75,8 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
     for child in psutil.Process(process.pid).children(recursive=True):
         words = " ".join(child.cmdline()).split()
         module = words[words.index("-m") + 1]
-        found[module.rsplit(".", 1)[-1]] = child
-    found.pop("fork_server", None)
+        found[SERVICE_OF.get(module, module)] = child
+    found.pop("handover_cell.fork_server", None)
     return found
 
 

@@ -7,7 +7,7 @@ import httpx
 import pytest
 from playwright.sync_api import expect
 
-from services.device_gateway.device_client import DeviceClient, tls_context
+from handover_devices.device_client import DeviceClient, tls_context
 from tests.e2e.conftest import PANEL, OpenPage
 from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates

@@ -13,7 +13,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, TimeoutError, expect  # noqa: A004 - the one of Playwright
 
-from services.device_gateway.device_client import DeviceClient
+from handover_devices.device_client import DeviceClient
 from tests.e2e.conftest import OpenPage, scan, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY

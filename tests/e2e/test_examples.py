@@ -13,8 +13,8 @@ import httpx
 import orjson
 import pytest
 
-from datamodels.entities import Device, ResourceSpecification
 from handover.broker import BrokerClient
+from handover_datamodels.entities import Device, ResourceSpecification
 from tests.e2e.conftest import EXAMPLES
 from tests.kit.cell import Cell
 from tests.kit.gloves import BENT, STRAIGHT, TcpGlove
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 def handover(cell: Cell, *words: str) -> subprocess.Popen[bytes]:
     """Start the command line in the environment of a cell."""
     return subprocess.Popen(
-        [sys.executable, "-m", "handover.cli", *words],
+        [sys.executable, "-m", "handover_cell", *words],
         env=cell.environment,
         cwd=cell.data_dir,
         stdin=subprocess.DEVNULL,
@@ -261,7 +261,7 @@ def test_unknown_robot_is_refused_with_the_names_there_are(
 ) -> None:
     extended_cell.extra[setting] = "stedy"
     tool = subprocess.run(
-        [sys.executable, "-m", "services.trajectory_tool"],
+        [sys.executable, "-m", "handover_robots"],
         env=extended_cell.environment,
         cwd=extended_cell.data_dir,
         stdin=subprocess.DEVNULL,

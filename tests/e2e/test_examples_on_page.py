@@ -82,7 +82,7 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
 
 def run_lamp(cell: Cell) -> "subprocess.Popen[bytes]":
     """Start the lamp of `examples/` as `handover up` does."""
-    command = [sys.executable, "-m", "handover.cli", "run", "lamp", "--port", str(cell.ports["lamp"])]
+    command = [sys.executable, "-m", "handover_cell", "run", "lamp", "--port", str(cell.ports["lamp"])]
     return subprocess.Popen(
         command, env=cell.environment, cwd=cell.data_dir, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
     )

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Error, Page, expect
 
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.robots import humanoid
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.robots import humanoid
 from tests.e2e.conftest import OpenPage
 from tests.integration.whole_body_control.people import THROW_S
 from tests.kit.cell import Cell, new_cell

@@ -17,7 +17,7 @@ from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-SHIPPED = REPOSITORY / "services" / "task_orchestrator" / "processes" / "bin_picking.bpmn"
+SHIPPED = REPOSITORY / "services/task_orchestrator/handover_processes/processes" / "bin_picking.bpmn"
 REFUSED = "the server responded with a status of 422"
 """What the browser logs of a file that is refused, as it must be."""
 

@@ -49,7 +49,7 @@ def five_confirmations() -> str:
 
 def glove_command(cell: Any, *words: str) -> subprocess.Popen[bytes]:
     """`handover glove …`, as a person would type it."""
-    command = [sys.executable, "-m", "handover.cli", "glove", *words, "--glove", "glove-1"]
+    command = [sys.executable, "-m", "handover_cell", "glove", *words, "--glove", "glove-1"]
     return subprocess.Popen(command, env=cell.environment, cwd=cell.data_dir, stderr=subprocess.PIPE)
 
 

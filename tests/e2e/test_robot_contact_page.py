@@ -8,8 +8,8 @@ import pytest
 import yaml
 from playwright.sync_api import expect
 
-from datamodels.times import iso
-from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
+from handover_datamodels.times import iso
+from handover_robots.universal_robots.simulator.controller import SimulatedController
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController, running_controller

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from websockets.sync.client import connect
 
-from datamodels.times import iso
+from handover_datamodels.times import iso
 from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
 from tests.kit.waiting import Bound, wait_for

@@ -19,7 +19,7 @@ GLOVE = "/gloves/glove-1"
 def handover(cell: Cell, *words: str) -> str:
     """Run the command line in the environment of a cell and return its output."""
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", *words],
+        [sys.executable, "-m", "handover_cell", *words],
         env=cell.environment,
         cwd=cell.data_dir,
         check=True,

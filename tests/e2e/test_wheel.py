@@ -55,13 +55,13 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for needed in (
-        "webui/page/index.html",
-        "services/task_orchestrator/processes/bin_picking.bpmn",
-        "services/trajectory_tool/robots/ur10/bin_picking.yaml",
-        "services/trajectory_tool/robots/ur10/ur10.urdf",
-        "datamodels/contexts/handover.jsonld",
-        "ros_fiware_bridge/mappings/arm.yaml",
-        "ros_fiware_bridge/messages/handover_human_msgs/msg/HeartRate.msg",
+        "handover_web/page/index.html",
+        "handover_processes/processes/bin_picking.bpmn",
+        "handover_robots/robots/ur10/bin_picking.yaml",
+        "handover_robots/robots/ur10/ur10.urdf",
+        "handover_datamodels/contexts/handover.jsonld",
+        "handover_ros/mappings/arm.yaml",
+        "handover_ros/messages/handover_human_msgs/msg/HeartRate.msg",
     ):
         assert needed in names
     licences = {Path(name).name for name in names if ".dist-info/licenses/" in name}

@@ -13,8 +13,22 @@ from tests.kit.ports import next_free_port
 from tests.kit.processes import Process
 from tests.kit.waiting import scaled
 
-TOP_LEVEL = frozenset({"webui", "ros_fiware_bridge"})
-"""Services whose folder is not in `services`."""
+MODULES = {
+    "context_broker": "handover_broker",
+    "task_orchestrator": "handover_processes",
+    "gesture_controller": "handover_gloves",
+    "trajectory_tool": "handover_robots",
+    "human_state": "handover_body",
+    "device_gateway": "handover_devices",
+    "alert_router": "handover_alerts",
+    "accounts": "handover_accounts",
+    "assistive_devices": "handover_cases",
+    "study": "handover_study",
+    "whole_body_control": "handover_humanoid",
+    "webui": "handover_web",
+    "ros_fiware_bridge": "handover_ros",
+}
+"""The import package of each service."""
 
 SERVICES = (
     "context_broker",
@@ -119,7 +133,7 @@ class Cell:
             self.other_broker = self.other_broker or running.OtherBroker(self.ports[service], self.data_dir)
             self.processes[service] = self.other_broker.spawn(self.environment, self._log_file(service))
             return
-        module = service if service in TOP_LEVEL else f"services.{service}"
+        module = MODULES[service]
         self.processes[service] = processes.spawn_module(
             module, self.environment, self._log_file(service), self.data_dir
         )

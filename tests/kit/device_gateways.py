@@ -8,14 +8,14 @@ from typing import Any
 from sqlalchemy import Engine
 
 from handover.broker import BrokerClient
-from services.device_gateway.broker_reports import BrokerReports
-from services.device_gateway.commands.dispatcher import Dispatcher
-from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.model.description import DeviceDescription
-from services.device_gateway.protocol.times import TimeRule
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage import schema
-from services.device_gateway.storage.history_writer import HistoryWriter
+from handover_devices.broker_reports import BrokerReports
+from handover_devices.commands.dispatcher import Dispatcher
+from handover_devices.gateway import DeviceGateway
+from handover_devices.model.description import DeviceDescription
+from handover_devices.protocol.times import TimeRule
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage import schema
+from handover_devices.storage.history_writer import HistoryWriter
 
 SENSOR = DeviceDescription.model_validate(
     {

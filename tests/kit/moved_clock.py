@@ -8,7 +8,7 @@ import pytest
 
 from handover.python_processes import module_command
 from tests.kit import processes
-from tests.kit.cell import TOP_LEVEL, Cell, new_cell
+from tests.kit.cell import MODULES, Cell, new_cell
 from tests.kit.other_broker import running
 from tests.kit.skipping import NO_FAKETIME
 
@@ -51,7 +51,7 @@ class ClockedCell(Cell):
         if service == "context_broker" and running.IS_OTHER:
             super().spawn(service)
             return
-        module = service if service in TOP_LEVEL else f"services.{service}"
+        module = MODULES[service]
         self.processes[service] = processes.spawn(
             module_command(module), self.environment, self._log_file(service), self.data_dir
         )

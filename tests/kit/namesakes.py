@@ -4,7 +4,8 @@ from pathlib import Path
 
 NAMESAKES = (
     "random", "queue", "tempfile", "logging", "types", "httpx", "pydantic", "yaml",
-    "handover", "services", "datamodels", "webui", "glove_sdk_bridge", "ros_fiware_bridge",
+    "handover", "handover_datamodels", "handover_cell", "handover_web", "glove_sdk_bridge", "handover_ros",
+    "handover_broker", "services", "webui",
 )  # fmt: skip
 
 

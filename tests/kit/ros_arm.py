@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from handover_ros.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
+from handover_ros.graph.qos import SENSOR_DATA
 
 CYCLE_S = 0.005
 FOLLOW = "/joint_trajectory_controller/follow_joint_trajectory"

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ros_fiware_bridge.graph.port import Message
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from handover_ros.graph.port import Message
+from handover_ros.graph.qos import SENSOR_DATA
 
 PERIOD_S, FIRST_STAMP_S = 0.005, 1000.0
 JOINT_STATES, IMU, COMMANDS, GAINS = "/joint_states", "/imu", "/joint_commands", "/joint_gains"

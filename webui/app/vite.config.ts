@@ -9,7 +9,7 @@ export default defineConfig({
   plugins: [react(), compress()],
   resolve: { alias: { "~": fileURLToPath(new URL("./src", import.meta.url)) } },
   // Beside `app`, where the wheel and the image carry it without the sources.
-  build: { outDir: "../page", emptyOutDir: true, manifest: true, target: "es2022", chunkSizeWarningLimit: 1200 },
+  build: { outDir: "../handover_web/page", emptyOutDir: true, manifest: true, target: "es2022", chunkSizeWarningLimit: 1200 },
   // `npm run dev` shows the page of a running `handover up` while it is being changed.
   server: { host: "127.0.0.1", proxy: { "/api": { target: served, ws: true } } },
   test: {

@@ -2,11 +2,11 @@
 
 import time
 
+from handover_robots.cyclic_robot import CyclicRobot
+from handover_robots.drivers import RobotContext
+from handover_robots.robot import JointState
+from handover_robots.trajectory import Setpoint
 from rail_robot.controller import Controller
-from services.trajectory_tool.cyclic_robot import CyclicRobot
-from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.robot import JointState
-from services.trajectory_tool.trajectory import Setpoint
 
 
 class SteadyRobot(CyclicRobot):

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from rail_robot.driver import SteadyRobot
 
-from services.trajectory_tool.driver_contract import RobotContract, context_of
-from services.trajectory_tool.drivers import DRIVERS
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.driver_contract import RobotContract, context_of
+from handover_robots.drivers import DRIVERS
+from handover_robots.robot import Joints
+from handover_robots.robots import ROBOTS
 
 UR10 = ROBOTS.load("ur10")
 

@@ -1,6 +1,6 @@
 """The rail arm keeps what every robot model keeps."""
 
-from services.trajectory_tool.model_contract import ModelContract
+from handover_robots.model_contract import ModelContract
 
 
 class TestRail(ModelContract):

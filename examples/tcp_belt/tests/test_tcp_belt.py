@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tcp_belt import BeltDriver, BeltSettings, parse
 
-from services.human_state.driver_contract import Device, SensorDriverContract
-from services.human_state.drivers.base import PacketError
+from handover_body.driver_contract import Device, SensorDriverContract
+from handover_body.drivers.base import PacketError
 
 
 @given(st.binary(max_size=40))

@@ -53,7 +53,7 @@ class BrokerProcess:
     def spawn(self) -> processes.Process:
         environment = processes.clean_environment()
         environment |= {"HANDOVER_BROKER_PORT": str(self.port), "HANDOVER_DATA_DIR": str(self.data_dir)}
-        module, log = "services.context_broker", (self.log_dir or self.data_dir) / "log"
+        module, log = "handover_broker", (self.log_dir or self.data_dir) / "log"
         if self.is_forked:
             return processes.spawn_module(module, environment | self.extra, log, self.data_dir)
         command = module_command(module)

@@ -14,8 +14,8 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import OWNER_GRANTS, Grant, Role
 from handover.settings import Settings
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import create_broker
+from handover_broker.settings import BrokerSettings
 from tests.kit.waiting import until
 
 ROOT = "http://localhost"
@@ -206,7 +206,7 @@ async def test_no_operation_of_a_caller_without_a_grant_changes_anything(
         [entity(OTHER_ROBOT, "Device", **value)],
         [OTHER_ROBOT],
     ]
-    from services.context_broker.app import operations_of
+    from handover_broker.app import operations_of
 
     for operation in operations_of(BrokerSettings(_env_file=None)):
         if operation.method == "GET" or operation.name == "receiveSourceNotification":

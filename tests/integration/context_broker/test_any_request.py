@@ -17,9 +17,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.app import operations_of
-from services.context_broker.request.routing import Operation
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import operations_of
+from handover_broker.request.routing import Operation
+from handover_broker.settings import BrokerSettings
 
 SEQUENCES = 4 * settings.default.max_examples
 """Of up to six requests."""

@@ -7,9 +7,9 @@ from typing import Any
 import httpx
 import pytest
 
-from services.context_broker.app import create_broker
-from services.context_broker.query.place_index import PlaceIndex
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import create_broker
+from handover_broker.query.place_index import PlaceIndex
+from handover_broker.settings import BrokerSettings
 
 NEAR = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": "[8,40]"}
 HUGE = {"type": "Point", "coordinates": [1e308, 1e308]}

@@ -15,8 +15,8 @@ import httpx
 import pytest
 
 from handover.security.permissions import Role
-from services.context_broker.app import operations_of
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import operations_of
+from handover_broker.settings import BrokerSettings
 from tests.integration.context_broker.conftest import Subscriber
 from tests.integration.context_broker.secured import SecuredBroker, secured_broker
 from tests.kit.context_sources import ScriptedSource

@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.contexts import HANDOVER_URL
+from handover_datamodels.contexts import HANDOVER_URL
 from tests.integration.context_broker.conftest import Subscriber
 from tests.kit.waiting import wait_for
 

@@ -9,9 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
-from services.context_broker.app import create_broker
-from services.context_broker.federation.operations import entity_map_pages
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import create_broker
+from handover_broker.federation.operations import entity_map_pages
+from handover_broker.settings import BrokerSettings
 
 from .conftest import BrokerProcess
 

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL
 from handover.broker_copy.copying import CopyReport, copy_broker, place_at
 from handover.free_values import FREE_VALUES
 from handover.notifications import KEY_HEADER
 from handover.python_processes import module_command
 from handover.security.permissions import Role
 from handover.settings import Settings
+from handover_datamodels.contexts import HANDOVER_URL
 from tests.kit import processes
 from tests.kit.other_broker.profiles import ORION_LD
 from tests.kit.other_broker.running import QUERY, OtherBroker
@@ -77,7 +77,7 @@ def strict_broker(tmp_path: Path) -> Iterator[Callable[[], tuple[str, OtherBroke
 def command(folder: Path, *words: str) -> subprocess.Popen[str]:
     """Start `handover broker copy`."""
     return subprocess.Popen(
-        [*module_command("handover.cli"), "broker", "copy", *words],
+        [*module_command("handover_cell"), "broker", "copy", *words],
         env=processes.clean_environment() | {"HANDOVER_DATA_DIR": str(folder)},
         cwd=folder,
         stdin=subprocess.DEVNULL,

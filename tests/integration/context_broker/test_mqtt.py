@@ -12,8 +12,8 @@ import pytest
 
 from handover.http_client import SendError
 from handover.outbound_policy import OutboundPolicy
-from services.context_broker.delivery.mqtt_address import mqtt_address
-from services.context_broker.delivery.mqtt_sender import MqttSender
+from handover_broker.delivery.mqtt_address import mqtt_address
+from handover_broker.delivery.mqtt_sender import MqttSender
 from tests.integration.context_broker import acts
 from tests.kit.mosquitto import PASSWORD, Mosquitto
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.context_broker.app import operations_of
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import operations_of
+from handover_broker.settings import BrokerSettings
 
 from .conftest import BrokerProcess
 
@@ -23,8 +23,8 @@ OFF = {"HANDOVER_BROKER_FEDERATION": "false", "HANDOVER_BROKER_SNAPSHOTS": "fals
 LOADED = """
 import sys
 from pathlib import Path
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import create_broker
+from handover_broker.settings import BrokerSettings
 create_broker(BrokerSettings(data_dir=Path(sys.argv[1]), broker_federation=False, broker_snapshots=False))
 print(*sorted(sys.modules))
 """
@@ -33,8 +33,8 @@ print(*sorted(sys.modules))
 def test_packages_of_switched_off_parts_are_not_imported(tmp_path: Path) -> None:
     command = [sys.executable, "-c", LOADED, str(tmp_path)]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    assert "services.context_broker.extensions.federation" in loaded
-    parts = ("services.context_broker.federation", "services.context_broker.snapshots")
+    assert "handover_broker.extensions.federation" in loaded
+    parts = ("handover_broker.federation", "handover_broker.snapshots")
     assert [one for one in loaded if one.startswith(parts)] == []
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL
-from services.context_broker.settings import BrokerSettings
+from handover_broker.settings import BrokerSettings
+from handover_datamodels.contexts import HANDOVER_URL
 
 POINT = {"type": "Point", "coordinates": [8, 40]}
 ENDPOINT = {"endpoint": {"uri": "http://127.0.0.1:9/"}}

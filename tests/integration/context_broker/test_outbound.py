@@ -13,8 +13,8 @@ import httpx
 import orjson
 import pytest
 
-from services.accounts.set_up import set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts.set_up import set_up
+from handover_accounts.settings import AccountsSettings
 from tests.integration.context_broker.acts import Eventually, create, subscribe
 from tests.integration.context_broker.conftest import BrokerProcess
 from tests.kit import processes
@@ -96,7 +96,7 @@ def accounts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str
         "HANDOVER_DATA_DIR": str(folder),
         "HANDOVER_ACCOUNTS_PORT": str(port),
     }
-    process = processes.spawn_module("services.accounts", environment, folder / "log", folder)
+    process = processes.spawn_module("handover_accounts", environment, folder / "log", folder)
     processes.wait_ready(process, f"http://127.0.0.1:{port}/readyz", (folder / "log").read_text, 60)
     yield {
         **BEYOND_LOOPBACK,

@@ -224,7 +224,7 @@ def test_subscriptions_of_the_present_version_have_no_owner_until_somebody_chang
 
 def as_of_an_earlier_version(database: Path) -> None:
     """Remove the owner from the stored subscriptions."""
-    from services.context_broker.storage import checksums
+    from handover_broker.storage import checksums
 
     with sqlite3.connect(database) as connection:
         rows = connection.execute("SELECT kind, tenant, id, body FROM documents").fetchall()

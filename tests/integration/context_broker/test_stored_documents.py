@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.storage import checksums
+from handover_broker.storage import checksums
 from tests.integration.context_broker.conftest import BrokerProcess
 
 ENDPOINT = {"uri": "http://127.0.0.1:9/n"}

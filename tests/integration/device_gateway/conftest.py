@@ -13,9 +13,9 @@ import httpx
 import pytest
 from pydantic import TypeAdapter
 
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
-from services.device_gateway.routes.views import CommandView
+from handover_broker.app import create_broker
+from handover_broker.settings import BrokerSettings
+from handover_devices.routes.views import CommandView
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled
 

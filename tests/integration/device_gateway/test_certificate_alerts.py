@@ -13,12 +13,12 @@ import pytest
 from handover.alert_catalogue import DEVICE_CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient
 from handover.transport_security import local_authority
-from services.device_gateway.app import make_app
-from services.device_gateway.certificate_alerts import CertificateAlerts
-from services.device_gateway.model.description import DeviceDescription
-from services.device_gateway.registry.device import Device
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage.device_store import StoredDevice
+from handover_devices.app import make_app
+from handover_devices.certificate_alerts import CertificateAlerts
+from handover_devices.model.description import DeviceDescription
+from handover_devices.registry.device import Device
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage.device_store import StoredDevice
 from tests.integration.device_gateway.conftest import SENSOR, broker_in_process
 from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates

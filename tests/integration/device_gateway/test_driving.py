@@ -22,7 +22,7 @@ def robots(bench: Bench) -> Iterator[Bench]:
     """A NAO and a myCobot, played by the command line."""
     for name, template in (("nao-1", "nao"), ("cobot-1", "mycobot280")):
         bench.rest.post("/devices", json={"name": name, "template": template}).raise_for_status()
-    command = [sys.executable, "-m", "handover.cli", "device", "simulate", "nao-1", "cobot-1"]
+    command = [sys.executable, "-m", "handover_cell", "device", "simulate", "nao-1", "cobot-1"]
     with (bench.cell.data_dir / "simulate.log").open("wb") as log:
         playing = subprocess.Popen(command, env=bench.cell.environment, stdout=log, stderr=log)
     try:

@@ -15,8 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
-from services.device_gateway.device_client import DeviceClient, Run, tls_context
-from services.device_gateway.simulation import image_at
+from handover_devices.device_client import DeviceClient, Run, tls_context
+from handover_devices.simulation import image_at
 from tests.integration.device_gateway.conftest import SENSOR, TcpDevice
 from tests.integration.device_gateway.test_driving import driver
 from tests.kit import processes
@@ -478,9 +478,9 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
     new_site: Callable[..., Site], tmp_path: Path
 ) -> None:
     pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
-    from ros_fiware_bridge.graph.joining import JoinSettings, join
-    from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus
-    from ros_fiware_bridge.types.type_store import TypeStore
+    from handover_ros.graph.joining import JoinSettings, join
+    from handover_ros.graph.port import GoalEnded, GoalStatus
+    from handover_ros.types.type_store import TypeStore
 
     site, domain = new_site(), ros_domain()
     description = {
@@ -502,7 +502,7 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
     ros = {"HANDOVER_ROS_DOMAIN_ID": str(domain), "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]'}
     arguments = ("bridge", "device", "rover-1", "--file", str(tmp_path / "rover.yaml"))
     process = processes.spawn(
-        [sys.executable, "-m", "handover.cli", *arguments, "--port", str(site.edge.ports["devices"])],
+        [sys.executable, "-m", "handover_cell", *arguments, "--port", str(site.edge.ports["devices"])],
         {**site.edge.environment, **ros, "HANDOVER_DEVICE_TOKEN": token},
         tmp_path / "rover.log",
         tmp_path,

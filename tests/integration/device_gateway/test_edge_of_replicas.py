@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from services.device_gateway.device_client import DeviceClient, Run
+from handover_devices.device_client import DeviceClient, Run
 from tests.integration.device_gateway.test_replicas import Pair, certificates, mosquitto, pair
 from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for

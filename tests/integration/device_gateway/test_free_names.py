@@ -9,7 +9,7 @@ import pytest
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import Problem
 from handover.settings import Settings
-from services.device_gateway.registry.free_names import FreeNames
+from handover_devices.registry.free_names import FreeNames
 from tests.integration.device_gateway.conftest import broker_in_process
 
 

@@ -13,10 +13,10 @@ from pydantic import TypeAdapter
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from services.device_gateway.camera_images import MAX_IMAGE_BYTES, MIN_INTERVAL_S, CameraImages
-from services.device_gateway.device_client import DeviceClient
-from services.device_gateway.routes.views import DeviceView
-from services.device_gateway.simulation import SimulatedDevice, examples
+from handover_devices.camera_images import MAX_IMAGE_BYTES, MIN_INTERVAL_S, CameraImages
+from handover_devices.device_client import DeviceClient
+from handover_devices.routes.views import DeviceView
+from handover_devices.simulation import SimulatedDevice, examples
 from tests.integration.device_gateway.conftest import Bench, TcpDevice, now_s
 from tests.kit.waiting import until, wait_for
 

@@ -10,7 +10,7 @@ import httpx
 import orjson
 import pytest
 
-from services.device_gateway.input_mapping import AxisInput, AxisMapping, InputMapping, MappedAxes
+from handover_devices.input_mapping import AxisInput, AxisMapping, InputMapping, MappedAxes
 from tests.integration.device_gateway.conftest import Bench
 
 pytestmark = pytest.mark.slow

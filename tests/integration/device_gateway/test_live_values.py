@@ -13,18 +13,18 @@ from pydantic import TypeAdapter
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.security.service_access import ServiceAccess
+from handover_web.live.event_log import EventLog
+from handover_web.live.live_state import LiveState, Viewer
+from handover_web.live.viewers import Viewers
+from handover_web.live.views import type_of_topic
+from handover_web.settings import WebuiSettings
+from handover_web.sources.broker_abilities import BrokerAbilities
+from handover_web.sources.on_demand import SourceContext
+from handover_web.sources.registered_devices import RegisteredDevices
+from handover_web.sources.services import ServiceMonitor
+from handover_web.sources.source import run_sources
 from tests.integration.device_gateway.conftest import Bench
 from tests.kit.waiting import until
-from webui.live.event_log import EventLog
-from webui.live.live_state import LiveState, Viewer
-from webui.live.viewers import Viewers
-from webui.live.views import type_of_topic
-from webui.settings import WebuiSettings
-from webui.sources.broker_abilities import BrokerAbilities
-from webui.sources.on_demand import SourceContext
-from webui.sources.registered_devices import RegisteredDevices
-from webui.sources.services import ServiceMonitor
-from webui.sources.source import run_sources
 
 pytestmark = pytest.mark.slow
 

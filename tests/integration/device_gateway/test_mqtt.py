@@ -13,11 +13,11 @@ from sqlalchemy import Engine
 from handover.database import connect
 from handover.errors import Problem, UsageError
 from handover.retry import MAX_DELAY_S
-from services.device_gateway.adapters.base import ADAPTERS
-from services.device_gateway.adapters.mqtt import MqttAdapter, MqttServer, make
-from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage import history
+from handover_devices.adapters.base import ADAPTERS
+from handover_devices.adapters.mqtt import MqttAdapter, MqttServer, make
+from handover_devices.gateway import DeviceGateway
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage import history
 from tests.kit.certificates import Certificates
 from tests.kit.device_gateways import SENSOR, background, running_gateway
 from tests.kit.mosquitto import PASSWORD, Mosquitto

@@ -11,12 +11,12 @@ import orjson
 
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
-from services.device_gateway.model.description import DeviceDescription
-from services.device_gateway.registry.device import Device
-from services.device_gateway.registry.entities import device_id, specification_id
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage.device_store import StoredDevice
-from services.device_gateway.upkeep import MAX_BATCH_DEVICES, RegistryEntities
+from handover_devices.model.description import DeviceDescription
+from handover_devices.registry.device import Device
+from handover_devices.registry.entities import device_id, specification_id
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage.device_store import StoredDevice
+from handover_devices.upkeep import MAX_BATCH_DEVICES, RegistryEntities
 from tests.integration.device_gateway.conftest import broker_in_process
 from tests.kit.waiting import scaled, until
 

@@ -16,8 +16,8 @@ import httpx
 import pytest
 
 from handover.transport_security.local_authority import ServerFiles
-from services.device_gateway.device_client import DeviceClient, Run, tls_context
-from services.device_gateway.settings import GatewaySettings
+from handover_devices.device_client import DeviceClient, Run, tls_context
+from handover_devices.settings import GatewaySettings
 from tests.integration.device_gateway.conftest import SENSOR, TcpDevice
 from tests.integration.device_gateway.test_driving import driver
 from tests.integration.device_gateway.test_mqtt import MqttDevice

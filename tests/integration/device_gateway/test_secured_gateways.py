@@ -18,8 +18,8 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import Grant, Role
 from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
-from services.accounts.settings import AccountsSettings
-from services.accounts.signing_keys import SigningKeys
+from handover_accounts.settings import AccountsSettings
+from handover_accounts.signing_keys import SigningKeys
 from tests.integration.device_gateway.conftest import SENSOR
 from tests.integration.webui.test_signing_in import set_up
 from tests.kit import processes
@@ -224,7 +224,7 @@ def test_a_partition_between_edge_and_gateway_loses_nothing_and_delays_no_motion
             HANDOVER_EDGE_NAME=EDGE,
             HANDOVER_EDGE_TOKEN=token[0],
         )
-        command = namespace.within(sys.executable, "-m", "services.device_gateway")
+        command = namespace.within(sys.executable, "-m", "handover_devices")
         process = processes.spawn(command, edge.environment, edge.data_dir / "edge.log", edge.data_dir)
         stack.callback(processes.kill, process)
         trust = client_context(edge.files.authority)

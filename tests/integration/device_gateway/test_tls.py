@@ -13,9 +13,9 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from handover.errors import UsageError
-from services.device_gateway.connection.device_server import DeviceServer
-from services.device_gateway.device_client import DeviceClient, tls_context
-from services.device_gateway.settings import GatewaySettings
+from handover_devices.connection.device_server import DeviceServer
+from handover_devices.device_client import DeviceClient, tls_context
+from handover_devices.settings import GatewaySettings
 from tests.integration.device_gateway.conftest import SENSOR
 from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates

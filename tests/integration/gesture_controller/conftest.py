@@ -7,8 +7,8 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import Task
 from handover.broker import BrokerClient
+from handover_datamodels.entities import Task
 from tests.kit.cell import Cell
 from tests.kit.gloves import TcpGlove
 

@@ -115,7 +115,7 @@ def test_the_doctor_says_it_before_a_cell_runs(proxy: RefusingProxy, tmp_path: P
     """Nothing serves our @context then."""
     given = {"HANDOVER_BROKER_URL": proxy.url, "HANDOVER_CONTEXT_URL": "http://127.0.0.1:9/none"}
     environment = {**clean_environment(), "HANDOVER_DATA_DIR": str(tmp_path), **given}
-    command = [*module_command("handover.cli"), "doctor"]
+    command = [*module_command("handover_cell"), "doctor"]
     run = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert re.search(r"ok +broker http://\S+: Orion-LD 1\.6\.0", run.stdout)
 
@@ -134,7 +134,7 @@ def test_the_doctor_the_page_and_the_metrics_say_it(proxy: RefusingProxy, tmp_pa
 
         wait_for(lambda: len(metrics()) == len(ABILITIES))
         assert {name for name, is_there in metrics().items() if float(is_there) == 0} == MISSING
-        command = [*module_command("handover.cli"), "doctor"]
+        command = [*module_command("handover_cell"), "doctor"]
         run = subprocess.run(
             command, env=cell.environment, cwd=folder, capture_output=True, text=True, check=False
         )

@@ -16,9 +16,9 @@ import pytest
 from handover.security.permissions import Grant, Role
 from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
-from services.accounts import grants, users
-from services.accounts.set_up import opened_store, set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts import grants, users
+from handover_accounts.set_up import opened_store, set_up
+from handover_accounts.settings import AccountsSettings
 from tests.integration.handover.test_performer import HERE, LAMP, a_task
 from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
@@ -45,7 +45,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 def handover(cell: Cell, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", *words],
+        [sys.executable, "-m", "handover_cell", *words],
         env=cell.environment,
         cwd=cell.data_dir,
         capture_output=True,

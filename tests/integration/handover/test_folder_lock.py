@@ -16,7 +16,7 @@ from handover.folder_lock import hold
 from handover.python_processes import module_command
 from handover.settings import Settings
 from tests.kit import processes
-from tests.kit.cell import SERVICES, TOP_LEVEL, Cell
+from tests.kit.cell import MODULES, SERVICES, Cell
 from tests.kit.databases import DATABASE
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, wait_for
@@ -26,10 +26,6 @@ NOT_SERVICES = frozenset({"devices", "glove"})
 pytestmark = pytest.mark.skipif(DATABASE != "sqlite", reason="with a server the database decides who works")
 
 
-def module_of(service: str) -> str:
-    return service if service in TOP_LEVEL else f"services.{service}"
-
-
 def second(cell: Cell, service: str, **settings: str) -> tuple[processes.Process, Path]:
     """Start a second process of a service on the folder of `cell`, with ports of its own."""
     other = Cell(cell.data_dir, {name: next_free_port() for name in SERVICES}, {**cell.extra, **settings})
@@ -37,12 +33,12 @@ def second(cell: Cell, service: str, **settings: str) -> tuple[processes.Process
         other.ports["context_broker"] = cell.ports["context_broker"]
     log = cell.data_dir / f"second-{service}.log"
     log.touch()
-    return processes.spawn_module(module_of(service), other.environment, log, cell.data_dir), log
+    return processes.spawn_module(MODULES[service], other.environment, log, cell.data_dir), log
 
 
 @pytest.mark.parametrize("service", sorted(set(SERVICES) - NOT_SERVICES))
 def test_each_service_is_refused_in_one_line_while_its_folder_is_held(cell: Cell, service: str) -> None:
-    main = Path(importlib.import_module(module_of(service)).__path__[0], "__main__.py").read_text()
+    main = Path(importlib.import_module(MODULES[service]).__path__[0], "__main__.py").read_text()
     name = main.rpartition("run(")[2].split('"')[1]
     release = hold(cell.data_dir / name, name)
     try:
@@ -99,7 +95,7 @@ def test_two_services_of_different_names_that_own_one_database_exclude_each_othe
 def test_programs_that_read_work_beside_a_service(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     check = subprocess.run(
-        [*module_command("handover.cli"), "check"],
+        [*module_command("handover_cell"), "check"],
         env=cell.environment,
         cwd=cell.data_dir,
         capture_output=True,

@@ -10,8 +10,8 @@ from sqlalchemy import Engine, create_engine, text
 
 from handover.database import LockLost, connect
 from handover.leadership import Leadership
-from services.alert_router.app import make_app
-from services.alert_router.settings import RouterSettings
+from handover_alerts.app import make_app
+from handover_alerts.settings import RouterSettings
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import until
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from services.context_broker.storage.database import APPLICATION_ID
+from handover_broker.storage.database import APPLICATION_ID
 
 
 def of_a_newer_broker(folder: Path) -> Path:
@@ -46,7 +46,7 @@ def test_a_service_says_why_it_does_not_start_on_them(
 ) -> None:
     make(tmp_path)
     ended = subprocess.run(
-        [sys.executable, "-m", "handover.cli", "run", service, "--data-dir", str(tmp_path)],
+        [sys.executable, "-m", "handover_cell", "run", service, "--data-dir", str(tmp_path)],
         env={**os.environ, port_setting: str(free_port())},
         cwd=tmp_path,
         capture_output=True,

@@ -11,7 +11,6 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled
@@ -19,6 +18,7 @@ from handover.notifications import KEY_HEADER
 from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
 from handover.task_life import UNFINISHED_QUERY
+from handover_datamodels.entities import Task, TaskStatus
 from tests.kit.cell import Cell
 from tests.kit.context_sources import ScriptedSource
 from tests.kit.paths import REPOSITORY

@@ -15,10 +15,10 @@ from playwright.sync_api import Page, expect, sync_playwright
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from handover.cli import services
 from handover.extensions import Service
-from services.context_broker.app import operations_of
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import operations_of
+from handover_broker.settings import BrokerSettings
+from handover_cell import services
 from tests.kit.cell import Cell, new_cell
 from tests.kit.chromium import FLAGS, chromium
 from tests.kit.other_broker import running
@@ -91,7 +91,7 @@ def test_every_socket_is_on_loopback_and_documented(cell: Cell) -> None:
     documented = {port for service in ours for port in ports_of(cell, service)}
     found = listening_sockets(cell.processes[name].pid for name in SERVICES)
     assert {one.port for one in found} >= {cell.ports[name] for name in (*SERVICES, "glove", "devices")}
-    known = {one for one in found if one.protocol == "udp" and "ros_fiware_bridge" in one.process}
+    known = {one for one in found if one.protocol == "udp" and "handover_ros" in one.process}
     assert [one for one in found - known if not ip_address(one.address).is_loopback] == []
     assert [one for one in found - known if one.protocol != "tcp" or one.port not in documented] == []
 

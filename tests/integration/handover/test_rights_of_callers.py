@@ -14,7 +14,6 @@ from fastapi import FastAPI
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from handover.cli.services import all_services, application_of, service_named
 from handover.database import connect
 from handover.leadership import OnlyLeading
 from handover.security.access_tokens import SigningKey, key_set
@@ -22,9 +21,10 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Requirement, _walk
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import ROLE_PERMISSIONS, Grant, Permission, Role
-from services.task_orchestrator.app import make_app
-from services.whole_body_control.running.session_store import SessionStore
-from services.whole_body_control.settings import WholeBodySettings
+from handover_cell.services import all_services, application_of, service_named
+from handover_humanoid.running.session_store import SessionStore
+from handover_humanoid.settings import WholeBodySettings
+from handover_processes.app import make_app
 from tests.integration.handover.test_rights_of_routes import open_stream
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.kit.ports import next_free_port

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES
 from handover.extensions import Service
+from handover_cell.services import OPTIONAL_SERVICES, SERVICES
 from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import wait_for
@@ -71,7 +71,7 @@ def test_a_service_waits_for_a_connection_that_has_its_port_and_then_starts(cell
         log = cell.data_dir / "context_broker.log"
         with outgoing, incoming, log.open("wb") as written:
             cell.processes["context_broker"] = broker = subprocess.Popen(
-                [sys.executable, "-m", "services.context_broker"],
+                [sys.executable, "-m", "handover_broker"],
                 env=cell.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=written,

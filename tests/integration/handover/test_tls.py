@@ -188,7 +188,7 @@ def test_a_server_with_an_expired_certificate_does_not_start(
 def run_webui(cell: TlsCell, **more: str) -> str:
     """Return the one line with which the page's server refuses to start."""
     ended = subprocess.run(
-        [sys.executable, "-m", "webui"],
+        [sys.executable, "-m", "handover_web"],
         env={**cell.environment, **more},
         stdin=subprocess.DEVNULL,
         capture_output=True,

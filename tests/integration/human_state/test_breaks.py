@@ -11,17 +11,17 @@ import uvicorn
 from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.security.service_access import ServiceAccess
-from services.human_state.fusion.baseline import Baseline
-from services.human_state.monitoring.breaks import BreakProposals
-from services.human_state.monitoring.monitoring import Monitoring
-from services.human_state.monitoring.person_monitor import PersonMonitor
-from services.human_state.monitoring.processors import pipeline_of
-from services.human_state.people.consent import Purpose
-from services.human_state.people.people import People, now_us
-from services.human_state.settings import HumanStateSettings
-from services.human_state.storage import tables
-from services.human_state.storage.store import Store
-from services.task_orchestrator.app import make_app
+from handover_body.fusion.baseline import Baseline
+from handover_body.monitoring.breaks import BreakProposals
+from handover_body.monitoring.monitoring import Monitoring
+from handover_body.monitoring.person_monitor import PersonMonitor
+from handover_body.monitoring.processors import pipeline_of
+from handover_body.people.consent import Purpose
+from handover_body.people.people import People, now_us
+from handover_body.settings import HumanStateSettings
+from handover_body.storage import tables
+from handover_body.storage.store import Store
+from handover_processes.app import make_app
 from tests.integration.task_orchestrator.rest import XML, settings_in
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import until

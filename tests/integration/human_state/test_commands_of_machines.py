@@ -13,14 +13,14 @@ pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
 
 from handover.background_tasks import BackgroundTasks
 from handover.control.speed_limits import Allowed
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
-from services.assistive_devices.body_link import BodyLink
-from services.assistive_devices.machine import CASES, Seen
-from services.assistive_devices.machines.wheelchair.case import WheelchairMachine
-from services.assistive_devices.model.body import Body, Reading
-from services.assistive_devices.running.machine_runner import MachineRunner
-from services.assistive_devices.running.ros_commands import RosCommands
+from handover_cases.body_link import BodyLink
+from handover_cases.machine import CASES, Seen
+from handover_cases.machines.wheelchair.case import WheelchairMachine
+from handover_cases.model.body import Body, Reading
+from handover_cases.running.machine_runner import MachineRunner
+from handover_cases.running.ros_commands import RosCommands
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 from tests.kit.ros_domains import ros_domain
 from tests.kit.waiting import until
 

@@ -6,7 +6,7 @@ import pytest
 
 from handover.broker import BrokerClient, NotFound
 from handover.reporting_writer import reporting_writer
-from services.human_state.exchange.deletions import Deletions
+from handover_body.exchange.deletions import Deletions
 from tests.kit.cell import Cell
 from tests.kit.refusing_proxy import RefusingProxy, refusing_proxy
 from tests.kit.waiting import until

@@ -9,7 +9,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from handover.security.permissions import Grant, Role
-from services.human_state.routes.foxglove_socket import MAX_CLIENTS
+from handover_body.routes.foxglove_socket import MAX_CLIENTS
 from tests.integration.human_state.conftest import Running, add_person, token_of
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, until

@@ -15,8 +15,8 @@ import pylsl
 
 from handover.errors import UsageError
 from handover.security.permissions import OWNER_GRANTS
-from services.human_state.exchange.lsl import LslInlet
-from services.human_state.monitoring.lsl_feed import LslFeed
+from handover_body.exchange.lsl import LslInlet
+from handover_body.monitoring.lsl_feed import LslFeed
 
 
 async def streams_of(pseudonym: str, wait_s: float) -> list[pylsl.StreamInfo]:

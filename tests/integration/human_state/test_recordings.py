@@ -13,13 +13,13 @@ import pytest
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.notifications import KEY_HEADER
-from services.human_state.exchange.mcap import read_stream
-from services.human_state.formats.json_messages import Marker
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SignalKind
-from services.human_state.recording.archive import JOURNAL, SUFFIX
-from services.human_state.settings import HumanStateSettings
-from services.human_state.storage.store import RecordingRow, Store
+from handover_body.exchange.mcap import read_stream
+from handover_body.formats.json_messages import Marker
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SignalKind
+from handover_body.recording.archive import JOURNAL, SUFFIX
+from handover_body.settings import HumanStateSettings
+from handover_body.storage.store import RecordingRow, Store
 from tests.integration.human_state.conftest import Running, add_person, consent
 from tests.kit.cell import Cell
 from tests.kit.waiting import until

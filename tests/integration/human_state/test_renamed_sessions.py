@@ -6,8 +6,8 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient
-from services.human_state.recording import session_entities
-from services.human_state.recording.session_entities import rename_attributes
+from handover_body.recording import session_entities
+from handover_body.recording.session_entities import rename_attributes
 from tests.integration.human_state.conftest import Running
 from tests.kit.cell import Cell
 from tests.kit.waiting import until

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
-from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
-from services.human_state.drivers.runner import SensorRunner
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.formats.ros import messages_of
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
-from services.human_state.monitoring.processors import pipeline_of
+from handover_body.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
+from handover_body.drivers.runner import SensorRunner
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.formats.ros import messages_of
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from handover_body.monitoring.processors import pipeline_of
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 from tests.kit.paths import REPOSITORY
 from tests.kit.ros_domains import ros_domain
 from tests.kit.waiting import until
@@ -25,7 +25,7 @@ ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",))
 
 async def test_the_driver_reads_what_the_graph_publishes() -> None:
     domain = ros_domain()
-    store = TypeStore([REPOSITORY / "ros_fiware_bridge" / "messages"])
+    store = TypeStore([REPOSITORY / "ros_fiware_bridge/handover_ros/messages"])
     graph = await join(store, JoinSettings(domain_id=domain), Adapter.CYCLONE)
     settings = RosTopicSettings(
         topic="/ecg", kind=SignalKind.ECG, unit="D82", rate_hz=130.0, channels=("I",), domain=domain

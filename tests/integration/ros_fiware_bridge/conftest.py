@@ -13,10 +13,10 @@ from handover.settings import Settings
 
 pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
 
-from ros_fiware_bridge.graph.joining import JoinSettings, join
-from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
-from ros_fiware_bridge.graph.qos import DEFAULT, Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import JoinSettings, join
+from handover_ros.graph.port import Publisher, Received, Subscription
+from handover_ros.graph.qos import DEFAULT, Qos
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.shared_mapping import BOTH_WAYS, REQUESTS
 from tests.kit.cell import new_cell
 from tests.kit.ros_domains import ros_domain

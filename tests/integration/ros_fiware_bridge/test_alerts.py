@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from handover_ros.graph.qos import SENSOR_DATA
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,8 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import Task, TaskStatus
-from datamodels.times import iso
+from handover_datamodels.entities import Task, TaskStatus
+from handover_datamodels.times import iso
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.cell import new_cell
 from tests.kit.ros_arm import RosArm

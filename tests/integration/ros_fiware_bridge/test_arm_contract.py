@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
-from datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, ArmVelocity, VelocityOutput
-from datamodels.robot_messages import StreamRefusal
 from handover.broker import BrokerClient
-from services.trajectory_tool.driver_contract import RobotContract, context_of
-from services.trajectory_tool.robot import Joints, RobotFault
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.ros_robot import RosRobot, twist
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.trajectory import Setpoint
+from handover_datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, ArmVelocity, VelocityOutput
+from handover_datamodels.robot_messages import StreamRefusal
+from handover_robots.driver_contract import RobotContract, context_of
+from handover_robots.robot import Joints, RobotFault
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.ros_robot import RosRobot, twist
+from handover_robots.settings import TrajectorySettings
+from handover_robots.trajectory import Setpoint
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.cell import new_cell
 from tests.kit.ros_arm import TWISTS, VELOCITIES, RosArm

@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Qos
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA, Qos
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.waiting import scaled
 

@@ -6,8 +6,8 @@ from contextlib import AsyncExitStack
 
 import pytest
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.rosbridge_server import running
 from tests.kit.cell import Cell

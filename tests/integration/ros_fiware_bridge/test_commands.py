@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from handover.cli.main import main
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from handover_cell.main import main
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA
 from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import genuine
 from tests.kit.waiting import scaled
 
@@ -65,7 +65,7 @@ async def test_check_reports_each_error_with_its_line(own_shop: Any, handover: H
 
 
 def test_a_failed_command_prints_one_line(tmp_path: Path) -> None:
-    typed = [sys.executable, "-m", "handover.cli", "bridge", "check", "nowhere.yaml"]
+    typed = [sys.executable, "-m", "handover_cell", "bridge", "check", "nowhere.yaml"]
     ended = subprocess.run(
         typed, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=scaled(90)
     )
@@ -76,9 +76,9 @@ def test_a_failed_command_prints_one_line(tmp_path: Path) -> None:
 def test_logs_of_a_command_go_to_standard_error(tmp_path: Path) -> None:
     # Every logger of the bridge is a structlog logger; this one logs what the others may.
     script = (
-        "import sys, structlog\nfrom handover.cli.main import main\n"
-        "from ros_fiware_bridge.graph.cyclone.domain import log\n"
-        "from ros_fiware_bridge.types import type_store\n"
+        "import sys, structlog\nfrom handover_cell.main import main\n"
+        "from handover_ros.graph.cyclone.domain import log\n"
+        "from handover_ros.types import type_store\n"
         "read = type_store.TypeStore.resolve\n"
         "def resolve(*given):\n    log.warning('a line of the log')\n    return read(*given)\n"
         "type_store.TypeStore.resolve = resolve\n"

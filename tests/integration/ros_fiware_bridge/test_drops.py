@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from ros_fiware_bridge.graph.qos import History, Qos
+from handover_ros.graph.qos import History, Qos
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.cell import new_cell
 from tests.kit.ports import next_free_port

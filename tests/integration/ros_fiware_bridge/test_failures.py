@@ -14,8 +14,8 @@ import httpx
 import numpy as np
 import pytest
 
-from ros_fiware_bridge.graph.joining import JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow

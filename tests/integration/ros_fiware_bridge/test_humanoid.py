@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from ros_fiware_bridge.graph.joining import Adapter, installed
-from services.whole_body_control.components.modes import ModeConversion
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.cycle.robot_link import Driver, PortRobot
-from services.whole_body_control.cycle.watchdog import Safety
-from services.whole_body_control.drivers import DriverContext, make_robot
-from services.whole_body_control.drivers.ros2 import LinkDelay, Ros2Options, Ros2Robot
-from services.whole_body_control.model.humanoid import JointMode
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.settings import WholeBodySettings
+from handover_humanoid.components.modes import ModeConversion
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.cycle.robot_link import Driver, PortRobot
+from handover_humanoid.cycle.watchdog import Safety
+from handover_humanoid.drivers import DriverContext, make_robot
+from handover_humanoid.drivers.ros2 import LinkDelay, Ros2Options, Ros2Robot
+from handover_humanoid.model.humanoid import JointMode
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.settings import WholeBodySettings
+from handover_ros.graph.joining import Adapter, installed
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script
 from tests.kit.cell import new_cell

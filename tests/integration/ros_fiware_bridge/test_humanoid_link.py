@@ -11,8 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
-from ros_fiware_bridge.graph.joining import Adapter, installed
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from handover_ros.graph.joining import Adapter, installed
+from handover_ros.graph.qos import SENSOR_DATA
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script
 from tests.kit.cell import new_cell

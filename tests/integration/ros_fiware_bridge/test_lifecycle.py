@@ -5,7 +5,7 @@ from typing import Any
 import httpx
 import pytest
 
-from ros_fiware_bridge.graph.qos import LATCHED
+from handover_ros.graph.qos import LATCHED
 
 pytestmark = pytest.mark.slow
 

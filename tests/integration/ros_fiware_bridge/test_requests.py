@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from datamodels.entities import Task, TaskStatus
-from datamodels.times import iso
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
+from handover_datamodels.entities import Task, TaskStatus
+from handover_datamodels.times import iso
+from handover_ros.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.waiting import scaled
 

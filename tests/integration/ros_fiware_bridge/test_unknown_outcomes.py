@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from datamodels.times import iso
 from handover.outcomes import is_outcome_unknown
-from ros_fiware_bridge.graph.joining import Adapter, installed
+from handover_datamodels.times import iso
+from handover_ros.graph.joining import Adapter, installed
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.conftest import TYPES, running_script
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from services.study.questionnaires import TLX_PAIRS, TLX_SCALES
+from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES
 from tests.kit.waiting import until
 
 

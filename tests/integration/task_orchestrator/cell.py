@@ -141,7 +141,7 @@ class Cell:
             if running.IS_OTHER
             else Member(
                 "broker",
-                "services.context_broker",
+                "handover_broker",
                 environment,
                 folder / "broker.log",
                 f"http://127.0.0.1:{broker}/readyz",
@@ -149,7 +149,7 @@ class Cell:
         )
         self.orchestrator = Member(
             "orchestrator",
-            "services.task_orchestrator",
+            "handover_processes",
             of_orchestrator,
             folder / "orchestrator.log",
             f"http://127.0.0.1:{orchestrator}/healthz",

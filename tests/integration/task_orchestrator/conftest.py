@@ -9,9 +9,9 @@ import pytest
 import uvicorn
 
 from handover.broker import BrokerClient
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_broker.app import create_broker
+from handover_broker.settings import BrokerSettings
+from handover_processes.settings import OrchestratorSettings
 from tests.integration.task_orchestrator.cell import Cell, cell
 from tests.integration.task_orchestrator.rest import service, settings_in
 from tests.kit.ports import next_free_port

@@ -13,12 +13,12 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.notifications import KEY_HEADER
-from services.task_orchestrator.app import make_app
-from services.task_orchestrator.orchestrator import utc_now
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_datamodels.times import iso
+from handover_processes.app import make_app
+from handover_processes.orchestrator import utc_now
+from handover_processes.settings import OrchestratorSettings
 from tests.kit.databases import default_url
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
 

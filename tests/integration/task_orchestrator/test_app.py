@@ -10,7 +10,7 @@ import pytest
 
 from handover.broker import BrokerClient
 from handover.notifications import KEY_HEADER
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_processes.settings import OrchestratorSettings
 from tests.integration.task_orchestrator.rest import (
     KEYED,
     XML,

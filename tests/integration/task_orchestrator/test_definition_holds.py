@@ -8,10 +8,10 @@ from pathlib import Path
 import httpx
 
 from handover.broker import BrokerClient
-from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.records import ActKind, MessageOutcome
-from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.storage.process_filter import ProcessFilter
+from handover_processes.orchestrator import Orchestrator
+from handover_processes.records import ActKind, MessageOutcome
+from handover_processes.settings import OrchestratorSettings
+from handover_processes.storage.process_filter import ProcessFilter
 from tests.integration.task_orchestrator.rest import XML, service, settings_in
 from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, drawing, end, path
 

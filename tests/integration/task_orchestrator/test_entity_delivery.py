@@ -10,9 +10,9 @@ from sqlalchemy import text
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
-from services.task_orchestrator.model import EntityFilter
-from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_processes.model import EntityFilter
+from handover_processes.orchestrator import Orchestrator
+from handover_processes.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import activity, boundary, drawing, end, path, start
 
 KEY = EntityFilter("Alert").key

@@ -5,7 +5,7 @@ from typing import Any
 import httpx
 
 from handover.broker import BrokerClient
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_processes.settings import OrchestratorSettings
 from tests.integration.task_orchestrator.rest import deployed, moved, service
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start
 

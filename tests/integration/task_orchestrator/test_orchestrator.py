@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from sqlalchemy import text
 
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
-from services.task_orchestrator.orchestrator import Orchestrator, utc_now
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.storage.process_filter import ProcessFilter
+from handover_datamodels.times import iso
+from handover_processes.orchestrator import Orchestrator, utc_now
+from handover_processes.process.process import Process
+from handover_processes.settings import OrchestratorSettings
+from handover_processes.storage.process_filter import ProcessFilter
 from tests.kit.databases import default_url
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,

@@ -8,8 +8,8 @@ import pytest
 
 from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
-from services.task_orchestrator.outbox import Outbox
-from services.task_orchestrator.records import Message, MessageKind
+from handover_processes.outbox import Outbox
+from handover_processes.records import Message, MessageKind
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 

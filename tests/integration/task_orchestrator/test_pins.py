@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from services.task_orchestrator.orchestrator import Orchestrator, utc_now
+from handover_datamodels.times import iso
+from handover_processes.orchestrator import Orchestrator, utc_now
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.kit.waiting import until
 from tests.unit.task_orchestrator.drawing import drawing, end, path, start

@@ -8,11 +8,11 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from datamodels.times import iso
 from handover.broker import BrokerClient
-from services.task_orchestrator import reconcile
-from services.task_orchestrator.orchestrator import Orchestrator, utc_now
-from services.task_orchestrator.reconcile import Reconciler
+from handover_datamodels.times import iso
+from handover_processes import reconcile
+from handover_processes.orchestrator import Orchestrator, utc_now
+from handover_processes.reconcile import Reconciler
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.kit.waiting import until
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing

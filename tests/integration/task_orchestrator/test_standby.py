@@ -26,7 +26,7 @@ def test_a_standby_takes_over_and_nothing_is_lost_or_doubled(
     with cell(tmp_path, next_free_port, database, standby_urls=[url]) as running:
         standby = Member(
             "standby",
-            "services.task_orchestrator",
+            "handover_processes",
             {**running.orchestrator.environment, "HANDOVER_ORCHESTRATOR_PORT": str(port)},
             tmp_path / "standby.log",
             f"{url}/healthz",

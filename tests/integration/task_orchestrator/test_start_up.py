@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from handover.broker import BrokerClient
-from services.task_orchestrator.orchestrator import Orchestrator
+from handover_processes.orchestrator import Orchestrator
 from tests.integration.task_orchestrator.rest import settings_in
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path
 

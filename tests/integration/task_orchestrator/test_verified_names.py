@@ -13,8 +13,8 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
 from handover.security.revocations import FollowedRevocations
-from services.task_orchestrator.app import make_app
-from services.task_orchestrator.storage.store import Store
+from handover_processes.app import make_app
+from handover_processes.storage.store import Store
 from tests.integration.task_orchestrator.rest import XML, settings_in
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
 from tests.unit.task_orchestrator.earlier_tables import take_back

@@ -6,8 +6,8 @@ from typing import Any
 import httpx
 import pytest
 
-from services.trajectory_tool.physics import is_available
-from services.trajectory_tool.planning import is_available as is_planning_available
+from handover_robots.physics import is_available
+from handover_robots.planning import is_available as is_planning_available
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 

@@ -29,7 +29,7 @@ def tool(shared_cell: Cell) -> Cell:
     cell = shared_cell
     with (cell.data_dir / "trajectory_tool.log").open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "services.trajectory_tool"],
+            [sys.executable, "-m", "handover_robots"],
             env=cell.environment,
             cwd=cell.data_dir,
             stdin=subprocess.DEVNULL,
@@ -159,7 +159,7 @@ def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
 )
 def test_a_wrong_setting_is_one_readable_line(cell: Cell, setting: str, value: str, complaint: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "services.trajectory_tool"],
+        [sys.executable, "-m", "handover_robots"],
         env={**cell.environment, setting: value},
         cwd=cell.data_dir,
         stdin=subprocess.DEVNULL,

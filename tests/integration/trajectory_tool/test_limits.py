@@ -15,17 +15,17 @@ import pytest
 import uvicorn
 from websockets.sync.client import ClientConnection, connect
 
-from datamodels.streams import PeopleReport, SpeedLimitReport
-from services.trajectory_tool.app import make_app
-from services.trajectory_tool.limits.contact_force import ContactForce
-from services.trajectory_tool.limits.report_stream import MAX_REPORTS_PER_S, Rate
-from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.store import LimitStore, RobotRecord, SafeSpeed
-from services.trajectory_tool.people.simulation import SimulatedSensor
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.scene import Scene
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.trajectory import Setpoint
+from handover_datamodels.streams import PeopleReport, SpeedLimitReport
+from handover_robots.app import make_app
+from handover_robots.limits.contact_force import ContactForce
+from handover_robots.limits.report_stream import MAX_REPORTS_PER_S, Rate
+from handover_robots.limits.robot_limits import RobotLimits
+from handover_robots.limits.store import LimitStore, RobotRecord, SafeSpeed
+from handover_robots.people.simulation import SimulatedSensor
+from handover_robots.robots import ROBOTS
+from handover_robots.scene import Scene
+from handover_robots.settings import TrajectorySettings
+from handover_robots.trajectory import Setpoint
 
 UR10 = ROBOTS.load("ur10")
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from datamodels.entities import Person
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.settings import Settings
-from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.store import LimitStore
-from services.trajectory_tool.people.entities import SOURCE, STALE_S, PersonEntities, seen_of
-from services.trajectory_tool.robots import ROBOTS
+from handover_datamodels.entities import Person
+from handover_datamodels.times import iso
+from handover_robots.limits.robot_limits import RobotLimits
+from handover_robots.limits.store import LimitStore
+from handover_robots.people.entities import SOURCE, STALE_S, PersonEntities, seen_of
+from handover_robots.robots import ROBOTS
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 

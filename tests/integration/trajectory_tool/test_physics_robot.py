@@ -11,33 +11,33 @@ import pytest
 
 from handover.errors import UsageError
 from handover.performer import TaskFailed
-from services.trajectory_tool import operations, parameters
-from services.trajectory_tool.physics import is_available
-from services.trajectory_tool.planning import is_available as is_planning_available
+from handover_robots import operations, parameters
+from handover_robots.physics import is_available
+from handover_robots.planning import is_available as is_planning_available
 
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
-from services.trajectory_tool.driver_contract import RobotContract
-from services.trajectory_tool.drivers import Clock
-from services.trajectory_tool.limits.limiter import JointLimiter
-from services.trajectory_tool.physics.pacing import PacedSimulation
-from services.trajectory_tool.physics.parts import Parts
-from services.trajectory_tool.physics.robot import PhysicsRobot
-from services.trajectory_tool.physics.shared_world import SharedWorld
-from services.trajectory_tool.physics.simulation import Simulation
-from services.trajectory_tool.physics.world_model import build
-from services.trajectory_tool.poses import NO_TURN, Frame, Pose
-from services.trajectory_tool.robot import Joints, Robot, RobotFault
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import panda, ur10
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import Scene, load
-from services.trajectory_tool.scene_routes import scene_view
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_robot import SimulatedRobot
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_robots.driver_contract import RobotContract
+from handover_robots.drivers import Clock
+from handover_robots.limits.limiter import JointLimiter
+from handover_robots.physics.pacing import PacedSimulation
+from handover_robots.physics.parts import Parts
+from handover_robots.physics.robot import PhysicsRobot
+from handover_robots.physics.shared_world import SharedWorld
+from handover_robots.physics.simulation import Simulation
+from handover_robots.physics.world_model import build
+from handover_robots.poses import NO_TURN, Frame, Pose
+from handover_robots.robot import Joints, Robot, RobotFault
+from handover_robots.robot_model import RobotModel
+from handover_robots.robots import panda, ur10
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import Scene, load
+from handover_robots.scene_routes import scene_view
+from handover_robots.settings import TrajectorySettings
+from handover_robots.simulated_robot import SimulatedRobot
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 
 NAME = "ur10-1"
 NEAR = (ROBOT.home[0] + 0.1, *ROBOT.home[1:])

@@ -4,11 +4,11 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 
-from services.trajectory_tool.driver_contract import RobotContract
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.simulated_robot import SimulatedRobot
-from services.trajectory_tool.trajectory import Setpoint
+from handover_robots.driver_contract import RobotContract
+from handover_robots.robot import Joints
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.simulated_robot import SimulatedRobot
+from handover_robots.trajectory import Setpoint
 
 
 class TestSimulatedRobot(RobotContract):

@@ -12,14 +12,14 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
 from handover.outcomes import is_outcome_unknown
 from handover.own_subscriptions import OwnSubscriptions
 from handover.settings import RESTARTED, Settings
 from handover.subscription_record import SubscriptionRecord
 from handover.task_life import FINISHED
-from services.trajectory_tool.physics import is_available
+from handover_datamodels.entities import Device, DeviceState, Task, TaskStatus
+from handover_robots.physics import is_available
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 

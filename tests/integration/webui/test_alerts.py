@@ -8,14 +8,14 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.states import Severity
 from handover.alert_catalogue import GLOVE_SILENT, AlertType
 from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.settings import Settings
+from handover_datamodels.states import Severity
+from handover_web.settings import WebuiSettings
+from handover_web.sources.cells import Cells
 from tests.kit.waiting import until
-from webui.settings import WebuiSettings
-from webui.sources.cells import Cells
 
 pytestmark = pytest.mark.slow
 

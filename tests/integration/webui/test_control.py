@@ -11,13 +11,13 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from handover.origin_guard import OriginGuard, OriginPolicy
-from services.trajectory_tool.app import make_app as make_tool
-from services.trajectory_tool.settings import TrajectorySettings
+from handover_robots.app import make_app as make_tool
+from handover_robots.settings import TrajectorySettings
+from handover_web.server import make_app
+from handover_web.settings import WebuiSettings
 from tests.kit.asgi_server import served
 from tests.kit.ports import next_free_port
 from tests.unit.trajectory_tool.control.test_session import UP, Person, until
-from webui.server import make_app
-from webui.settings import WebuiSettings
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from handover.origin_guard import OriginGuard, OriginPolicy
-from services.human_state.app import make_app as make_human_state
-from services.human_state.settings import HumanStateSettings
+from handover_body.app import make_app as make_human_state
+from handover_body.settings import HumanStateSettings
+from handover_web.server import make_app
+from handover_web.settings import WebuiSettings
 from tests.kit.asgi_server import served
 from tests.kit.ports import next_free_port
-from webui.server import make_app
-from webui.settings import WebuiSettings
 
 
 @pytest.fixture

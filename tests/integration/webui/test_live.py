@@ -16,14 +16,14 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
-from services.task_orchestrator import responses
+from handover_processes import responses
+from handover_web.live.live_socket import LiveSocket
+from handover_web.live.live_state import LiveState
+from handover_web.live.viewers import Viewers
+from handover_web.live.views import ORCHESTRATOR_TOPICS, TOPICS, LiveEvent, type_of_topic
 from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import scaled
 from tests.unit.task_orchestrator.drawing import drawing
-from webui.live.live_socket import LiveSocket
-from webui.live.live_state import LiveState
-from webui.live.viewers import Viewers
-from webui.live.views import ORCHESTRATOR_TOPICS, TOPICS, LiveEvent, type_of_topic
 
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ PASSWORD = "correct horse battery"
 def set_up(cell: Cell) -> str:
     """End local mode as an engineer does; return the secret of the owner's link."""
     done = subprocess.run(
-        [sys.executable, "-m", "handover.cli", "accounts", "set-up"],
+        [sys.executable, "-m", "handover_cell", "accounts", "set-up"],
         env=cell.environment,
         cwd=cell.data_dir,
         capture_output=True,

@@ -18,7 +18,7 @@ from tests.integration.whole_body_control.people import (
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
 
-PLANS = REPOSITORY / "services/whole_body_control/processes"
+PLANS = REPOSITORY / "services/whole_body_control/handover_humanoid/processes"
 
 
 class Plan:

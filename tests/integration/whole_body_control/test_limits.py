@@ -1,6 +1,6 @@
 """The heart rate of a person slows the humanoid: limits of human state only lower."""
 
-from services.whole_body_control.cycle.ports import PortReader
+from handover_humanoid.cycle.ports import PortReader
 from tests.integration.whole_body_control.conftest import WITHIN_S, HumanoidCell
 from tests.integration.whole_body_control.people import heart_at, therapist_at
 from tests.kit.waiting import wait_for

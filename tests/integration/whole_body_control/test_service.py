@@ -7,7 +7,7 @@ from typing import Any
 import orjson
 from websockets.sync.client import connect
 
-from services.whole_body_control.cycle.ports import PortReader
+from handover_humanoid.cycle.ports import PortReader
 from tests.integration.whole_body_control.conftest import SERVICE, WITHIN_S, HumanoidCell
 from tests.integration.whole_body_control.people import socket_url, stands, therapist_at
 from tests.kit.waiting import wait_for

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import httpx
 
-from datamodels.times import iso
+from handover_datamodels.times import iso
 from tests.kit.other_broker.profiles import ORION_LD, RULES
 from tests.kit.waiting import wait_for
 

@@ -22,8 +22,8 @@ from typing import Final
 
 import httpx
 
-from datamodels.contexts import handover_context
 from handover.settings import Settings
+from handover_datamodels.contexts import handover_context
 from tests.kit import processes
 from tests.kit.other_broker.profiles import ORION_LD, PLAIN
 from tests.kit.paths import REPOSITORY
@@ -132,7 +132,7 @@ class OtherBroker:
         }
         if not self._url:
             behind = {**environment, "HANDOVER_BROKER_PORT": str(self._behind_port)}
-            self._behind = processes.spawn_module("services.context_broker", behind, log, self._data_dir)
+            self._behind = processes.spawn_module("handover_broker", behind, log, self._data_dir)
         return processes.spawn_module(MODULE, front, log, self._data_dir)
 
     def kill(self) -> None:

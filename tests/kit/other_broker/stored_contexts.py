@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from datamodels.contexts import HANDOVER_URL, is_core, resolve
 from handover.http_client import BodyReadingHttpClient, SendError
+from handover_datamodels.contexts import HANDOVER_URL, is_core, resolve
 from tests.kit.other_broker.profiles import Refused, problem
 
 CONTEXT_LINK: Final = re.compile(r"<([^>]*)>(?=[^,]*json-ld#context)")

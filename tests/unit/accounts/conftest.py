@@ -13,12 +13,12 @@ from pydantic import TypeAdapter
 from handover.security.caller import Caller
 from handover.security.keys_in_force import KeysInForce
 from handover.security.service_access import service_token_file
-from services.accounts import passwords
-from services.accounts.app import make_app
-from services.accounts.directory import Directory
-from services.accounts.routes.views import UserToken
-from services.accounts.set_up import set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts import passwords
+from handover_accounts.app import make_app
+from handover_accounts.directory import Directory
+from handover_accounts.routes.views import UserToken
+from handover_accounts.set_up import set_up
+from handover_accounts.settings import AccountsSettings
 
 MEMORY_KIB = 512
 """Of a hash in these tests, which make hundreds."""

@@ -15,10 +15,10 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.revocations import FollowedRevocations
 from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.settings import SERVICE_TOKENS_FOLDER, SIGNING_KEYS_FILE, Settings
-from services.accounts.changes import Store
-from services.accounts.check import faults_in
-from services.accounts.set_up import owner_link, set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts.changes import Store
+from handover_accounts.check import faults_in
+from handover_accounts.set_up import owner_link, set_up
+from handover_accounts.settings import AccountsSettings
 from tests.unit.accounts.conftest import Accounts, running
 
 
@@ -234,7 +234,7 @@ def test_a_damaged_key_for_notifications_is_named_by_the_check(tmp_path: Path) -
     (tmp_path / "lamp.notification-key").write_bytes(b"\xff\x00")
     (tmp_path / "other.notification-key").mkdir()
     checked = subprocess.run(
-        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(tmp_path)],
+        [sys.executable, "-m", "handover_cell", "check", "--data-dir", str(tmp_path)],
         capture_output=True,
         text=True,
         check=False,

@@ -13,9 +13,9 @@ import pytest
 
 from handover.errors import UsageError
 from handover.security.permissions import Grant, Role
-from services.accounts.openid_connect.claims import name_of, role_mapping
-from services.accounts.set_up import set_up
-from services.accounts.settings import AccountsSettings
+from handover_accounts.openid_connect.claims import name_of, role_mapping
+from handover_accounts.set_up import set_up
+from handover_accounts.settings import AccountsSettings
 from tests.kit.openid_provider import Client, OpenIdProvider, openid_provider
 from tests.unit.accounts.conftest import HOME, Accounts, running
 

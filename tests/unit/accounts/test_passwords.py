@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from handover.errors import Problem
-from services.accounts.passwords import MAX_WAITING, NICENESS, PasswordHashes
+from handover_accounts.passwords import MAX_WAITING, NICENESS, PasswordHashes
 
 
 def niceness() -> int:

@@ -15,11 +15,11 @@ from handover.security.caller import InvalidToken
 from handover.security.permissions import Permission
 from handover.security.revocations import FollowedRevocations
 from handover.security.secret_tokens import token_hash
-from services.accounts import signing_keys
-from services.accounts.changes import Store
-from services.accounts.set_up import set_up
-from services.accounts.settings import AccountsSettings
-from services.accounts.signing_keys import ADOPTED_AFTER_S, SigningKeys
+from handover_accounts import signing_keys
+from handover_accounts.changes import Store
+from handover_accounts.set_up import set_up
+from handover_accounts.settings import AccountsSettings
+from handover_accounts.signing_keys import ADOPTED_AFTER_S, SigningKeys
 from tests.unit.accounts.conftest import HOME, PASSWORD, Accounts, running
 
 UR10 = "urn:ngsi-ld:Device:demo:ur10-1"

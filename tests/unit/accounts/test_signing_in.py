@@ -9,10 +9,10 @@ import pytest
 from handover.security.caller import CallerKind
 from handover.security.guard import routes_without_requirement
 from handover.security.permissions import Grant, Role
-from services.accounts.app import make_app
-from services.accounts.set_up import owner_link, set_up
-from services.accounts.settings import AccountsSettings
-from services.accounts.sign_in_limits import FREE_ATTEMPTS, MAX_DELAY_S, SignInLimits
+from handover_accounts.app import make_app
+from handover_accounts.set_up import owner_link, set_up
+from handover_accounts.settings import AccountsSettings
+from handover_accounts.sign_in_limits import FREE_ATTEMPTS, MAX_DELAY_S, SignInLimits
 from tests.unit.accounts.conftest import ATTACKER, HOME, PASSWORD, Accounts, running
 
 ATTEMPTS = 1000

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.states import AlertState, Severity
 from handover.errors import UsageError
-from services.alert_router.model import Hours, Route, read_configuration
-from services.alert_router.occurrence import AlertView, Occurrence, concerns, due_steps
+from handover_alerts.model import Hours, Route, read_configuration
+from handover_alerts.occurrence import AlertView, Occurrence, concerns, due_steps
+from handover_datamodels.states import AlertState, Severity
 
 MONDAY = datetime(2026, 3, 2, 12, 0, tzinfo=UTC)
 ALERT = AlertView(

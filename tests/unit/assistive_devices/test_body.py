@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from services.assistive_devices.model.body import read_body
+from handover_cases.model.body import read_body
 
 
 def message(**members: Any) -> dict[str, Any]:

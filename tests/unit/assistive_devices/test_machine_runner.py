@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.assistive_devices.running.machine_runner import PERIOD_S, next_due_s
+from handover_cases.running.machine_runner import PERIOD_S, next_due_s
 
 
 def test_a_cycle_in_time_is_followed_a_period_after_it_was_due() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.assistive_devices.model.smoothing import AT_REST, Smoothed, within_rate
+from handover_cases.model.smoothing import AT_REST, Smoothed, within_rate
 
 STEPS = st.lists(st.tuples(st.floats(-2, 2), st.floats(0, 0.3)), max_size=60)
 

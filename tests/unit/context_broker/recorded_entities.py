@@ -5,19 +5,19 @@ from datetime import UTC, datetime, timedelta
 from itertools import count
 from typing import Any
 
-from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.model import changes
-from services.context_broker.model.changes import Outcome
-from services.context_broker.model.context import Context
-from services.context_broker.model.entity import Entity, Event, Instance
-from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.validation import timestamp
-from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.journal import Journal
-from services.context_broker.temporal.history import Recorder
-from services.context_broker.temporal.history_reader import EvolutionPage, HistoryRequest, read_evolution
-from services.context_broker.temporal.query import TemporalQuery
-from services.context_broker.temporal.subjects import Subject, subjects_of
+from handover_broker.model import changes
+from handover_broker.model.changes import Outcome
+from handover_broker.model.context import Context
+from handover_broker.model.entity import Entity, Event, Instance
+from handover_broker.model.entity_parser import read_change, read_entity
+from handover_broker.model.validation import timestamp
+from handover_broker.storage.entries import Entries
+from handover_broker.storage.journal import Journal
+from handover_broker.temporal.history import Recorder
+from handover_broker.temporal.history_reader import EvolutionPage, HistoryRequest, read_evolution
+from handover_broker.temporal.query import TemporalQuery
+from handover_broker.temporal.subjects import Subject, subjects_of
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.model.validation import MICROS, written_time
-from services.context_broker.temporal.aggregation import METHODS, measure, periods, totals, written_totals
-from services.context_broker.temporal.durations import (
+from handover_broker.model.validation import MICROS, written_time
+from handover_broker.temporal.aggregation import METHODS, measure, periods, totals, written_totals
+from handover_broker.temporal.durations import (
     MAX_TIME,
     Duration,
     read_duration,

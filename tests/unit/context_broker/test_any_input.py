@@ -6,19 +6,19 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.delivery.subscription import subscription
-from services.context_broker.delivery.subscription_documents import (
+from handover_broker.delivery.subscription import subscription
+from handover_broker.delivery.subscription_documents import (
     kept_document,
     shown_document,
     updated_document,
 )
-from services.context_broker.model.changes import appended, created, merged
-from services.context_broker.model.completion import completed, normalized
-from services.context_broker.model.context import Context
-from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.rendering import Form, View, render
+from handover_broker.model.changes import appended, created, merged
+from handover_broker.model.completion import completed, normalized
+from handover_broker.model.context import Context
+from handover_broker.model.entity_parser import read_change, read_entity
+from handover_broker.model.rendering import Form, View, render
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms

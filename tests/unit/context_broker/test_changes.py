@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.model import changes
-from services.context_broker.model.entity import NULL, Entity
-from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.rendering import Form, View, render
-from services.context_broker.model.validation import moment
+from handover_broker.model import changes
+from handover_broker.model.entity import NULL, Entity
+from handover_broker.model.entity_parser import read_change, read_entity
+from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.validation import moment
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)
 BEFORE, AFTER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.context_broker.storage.check import faults_in
-from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
-from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
-from services.context_broker.storage.journal import SCRIPT, Journal, total_of
-from services.context_broker.storage.write_ahead_log import frames
-from services.context_broker.storage.write_ahead_log.checkpoint import merge_commits
-from services.context_broker.storage.write_ahead_log.frames import FILE_BYTES
-from services.context_broker.storage.write_ahead_log.inspection import changes, describe
-from services.context_broker.storage.write_ahead_log.records import decode, encode
+from handover_broker.storage.check import faults_in
+from handover_broker.storage.database import NotStored, SqliteDatabase
+from handover_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
+from handover_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
+from handover_broker.storage.journal import SCRIPT, Journal, total_of
+from handover_broker.storage.write_ahead_log import frames
+from handover_broker.storage.write_ahead_log.checkpoint import merge_commits
+from handover_broker.storage.write_ahead_log.frames import FILE_BYTES
+from handover_broker.storage.write_ahead_log.inspection import changes, describe
+from handover_broker.storage.write_ahead_log.records import decode, encode
 
 TABLES = {
     "entities": "SELECT seq, tenant, body FROM entities",

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.storage import commits
-from services.context_broker.storage.commits import CommitQueue, NotCompleted
-from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries
-from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.write_ahead_log.checkpoint import MAX_INLINE_BYTES
+from handover_broker.storage import commits
+from handover_broker.storage.commits import CommitQueue, NotCompleted
+from handover_broker.storage.database import NotStored, SqliteDatabase
+from handover_broker.storage.entries import EntityRow, Entries
+from handover_broker.storage.journal import Journal
+from handover_broker.storage.write_ahead_log.checkpoint import MAX_INLINE_BYTES
 
 QUICK, SLOW = 0.00001, 1.0
 

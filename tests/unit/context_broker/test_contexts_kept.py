@@ -9,8 +9,8 @@ import pytest
 
 from handover.errors import Problem
 from handover.outbound_policy import OutboundPolicy
-from services.context_broker.contexts.context_resolver import CORE, ContextResolver
-from services.context_broker.contexts.fetching import (
+from handover_broker.contexts.context_resolver import CORE, ContextResolver
+from handover_broker.contexts.fetching import (
     MAX_KEPT_S,
     MIN_KEPT_S,
     USUALLY_KEPT_S,
@@ -18,9 +18,9 @@ from services.context_broker.contexts.fetching import (
     Fetcher,
     kept_for_s,
 )
-from services.context_broker.contexts.own_address import OwnAddress
-from services.context_broker.model.problems import context_not_available
-from services.context_broker.storage.entries import DocumentKey, DocumentKind
+from handover_broker.contexts.own_address import OwnAddress
+from handover_broker.model.problems import context_not_available
+from handover_broker.storage.entries import DocumentKey, DocumentKind
 
 URL = "https://a.example/context.jsonld"
 

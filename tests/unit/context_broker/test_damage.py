@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
-from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
-from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
+from handover_broker.storage.database import NotStored, SqliteDatabase
+from handover_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
+from handover_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
+from handover_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
 
 TRIALS = int(os.environ.get("HANDOVER_TEST_DAMAGES", "12"))
 """Parametrized by the kind of damage and the state of the files."""

@@ -4,9 +4,9 @@ import asyncio
 import time
 from datetime import UTC, datetime
 
-from services.context_broker.model.entity import Entity, Event
-from services.context_broker.model.validation import timestamp
-from services.context_broker.storage.expiry_queue import LEFT_BEHIND, ExpiryQueue
+from handover_broker.model.entity import Entity, Event
+from handover_broker.model.validation import timestamp
+from handover_broker.storage.expiry_queue import LEFT_BEHIND, ExpiryQueue
 
 AT = "2026-01-01T00:00:00.000000Z"
 

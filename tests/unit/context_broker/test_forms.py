@@ -7,12 +7,12 @@ import orjson
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.model.changes import created, merged
-from services.context_broker.model.completion import completed, normalized
-from services.context_broker.model.entity import VALUE_MEMBER, Entity
-from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.rendering import Form, View, render
+from handover_broker.model.changes import created, merged
+from handover_broker.model.completion import completed, normalized
+from handover_broker.model.entity import VALUE_MEMBER, Entity
+from handover_broker.model.entity_parser import read_change, read_entity
+from handover_broker.model.rendering import Form, View, render
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)
 AT = "2026-01-01T00:00:00.000000Z"

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.query.geo_query import (
+from handover_broker.query.geo_query import (
     GeoQuery,
     boxes_touch,
     distance_to_m,
     geo_query,
     geo_query_document,
 )
-from services.context_broker.query.sphere import EARTH_RADIUS_M, box_around, box_of, distance_m
+from handover_broker.query.sphere import EARTH_RADIUS_M, box_around, box_of, distance_m
 
 HOLED = "[[[0,0],[10,0],[10,10],[0,10],[0,0]],[[4,4],[6,4],[6,6],[4,6],[4,4]]]"
 SQUARE = {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]]}

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.model.changes import created
-from services.context_broker.model.context import Context
-from services.context_broker.model.entity import Entity
-from services.context_broker.model.entity_parser import read_entity
-from services.context_broker.model.geometry import DEPTHS, MAX_POSITIONS, fault_of
-from services.context_broker.query.geo_query import geo_query_document
-from services.context_broker.query.place_index import SKIPPED, PlaceIndex
+from handover_broker.model.changes import created
+from handover_broker.model.context import Context
+from handover_broker.model.entity import Entity
+from handover_broker.model.entity_parser import read_entity
+from handover_broker.model.geometry import DEPTHS, MAX_POSITIONS, fault_of
+from handover_broker.query.geo_query import geo_query_document
+from handover_broker.query.place_index import SKIPPED, PlaceIndex
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL).terms
 AT = "2026-01-01T00:00:00.000000Z"

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.model.negotiation import (
+from handover_broker.model.negotiation import (
     PLAIN,
     WITH_GEO_JSON,
     accepted,

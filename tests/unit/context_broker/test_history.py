@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.model import changes
-from services.context_broker.model.entity import Instance
-from services.context_broker.model.entity_parser import read_change, read_entity
-from services.context_broker.model.validation import MICROS, timestamp
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.journal import Journal
-from services.context_broker.temporal import history_reader
-from services.context_broker.temporal.aggregation import Aggregation
-from services.context_broker.temporal.durations import read_duration
-from services.context_broker.temporal.history import (
+from handover_broker.model import changes
+from handover_broker.model.entity import Instance
+from handover_broker.model.entity_parser import read_change, read_entity
+from handover_broker.model.validation import MICROS, timestamp
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.journal import Journal
+from handover_broker.temporal import history_reader
+from handover_broker.temporal.aggregation import Aggregation
+from handover_broker.temporal.durations import read_duration
+from handover_broker.temporal.history import (
     Change,
     Recorder,
     change_of,
@@ -28,15 +28,15 @@ from services.context_broker.temporal.history import (
     parse_instance_id,
     time_of,
 )
-from services.context_broker.temporal.history_reader import (
+from handover_broker.temporal.history_reader import (
     EvolutionPage,
     HistoryRequest,
     read_evolution,
     read_evolutions,
 )
-from services.context_broker.temporal.query import TemporalQuery
-from services.context_broker.temporal.rendering import content_range
-from services.context_broker.temporal.subjects import subjects_of
+from handover_broker.temporal.query import TemporalQuery
+from handover_broker.temporal.rendering import content_range
+from handover_broker.temporal.subjects import subjects_of
 
 from .recorded_entities import PLACES, START, TERMS, RecordedEntity, event
 

@@ -6,12 +6,12 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.model.entity import Entity
-from services.context_broker.query.geo_query import geo_query_document
-from services.context_broker.query.place_index import PlaceIndex
-from services.context_broker.query.q_index import Equality, Range
-from services.context_broker.query.type_selection import of_types, type_selection
-from services.context_broker.storage.store import MAX_INDEXES, Store
+from handover_broker.model.entity import Entity
+from handover_broker.query.geo_query import geo_query_document
+from handover_broker.query.place_index import PlaceIndex
+from handover_broker.query.q_index import Equality, Range
+from handover_broker.query.type_selection import of_types, type_selection
+from handover_broker.storage.store import MAX_INDEXES, Store
 
 PLACE = "https://a.example/place"
 VALUE = "https://a.example/value"

@@ -7,17 +7,16 @@ import hypothesis
 import pytest
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.model.entity import NULL, is_deletion
-from services.context_broker.model.entity_parser import (
+from handover_broker.model.entity import NULL, is_deletion
+from handover_broker.model.entity_parser import (
     Nulls,
     nulls_in,
     read_attribute,
     read_change,
     read_entity,
 )
-from services.context_broker.model.validation import (
+from handover_broker.model.validation import (
     _ASCII_URI,
     _URI,
     MICROS,
@@ -25,7 +24,8 @@ from services.context_broker.model.validation import (
     require_time,
     written_time,
 )
-from services.context_broker.temporal.history import micros_of
+from handover_broker.temporal.history import micros_of
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}

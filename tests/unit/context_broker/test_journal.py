@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries
-from services.context_broker.storage.journal import SCHEMA_VERSION, Journal
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.entries import DocumentKind, EntityRow, Entries
+from handover_broker.storage.journal import SCHEMA_VERSION, Journal
 
 
 def version_of(file: Path) -> int:

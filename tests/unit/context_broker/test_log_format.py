@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from services.context_broker.model.entity import Entity
-from services.context_broker.storage.entries import (
+from handover_broker.model.entity import Entity
+from handover_broker.storage.entries import (
     DocumentKind,
     EntityRow,
     Entries,
     PendingNotification,
 )
-from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
-from services.context_broker.storage.write_ahead_log.log import WriteAheadLog
-from services.context_broker.storage.write_ahead_log.records import encode
-from services.context_broker.temporal.history import Change, TemporalOnlyEntity
+from handover_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
+from handover_broker.storage.write_ahead_log.log import WriteAheadLog
+from handover_broker.storage.write_ahead_log.records import encode
+from handover_broker.temporal.history import Change, TemporalOnlyEntity
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "write-ahead-log.md"
 DATABASE_ID, LOG_ID = b"database", b"log id 1"

@@ -5,11 +5,11 @@ import threading
 from contextlib import closing
 from pathlib import Path
 
-from services.context_broker.storage import check
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries
-from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.online_copy import snapshot_with_log
+from handover_broker.storage import check
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.entries import EntityRow, Entries
+from handover_broker.storage.journal import Journal
+from handover_broker.storage.online_copy import snapshot_with_log
 
 ROUNDS = 8
 BODY_BYTES = 3_000

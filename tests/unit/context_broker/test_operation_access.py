@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from services.context_broker.access.operation_access import OperationAccess, access_of, has_access_class
-from services.context_broker.app import operations_of
-from services.context_broker.settings import BrokerSettings
+from handover_broker.access.operation_access import OperationAccess, access_of, has_access_class
+from handover_broker.app import operations_of
+from handover_broker.settings import BrokerSettings
 
 
 def test_every_operation_is_classified(tmp_path: Path) -> None:

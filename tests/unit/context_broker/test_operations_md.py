@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from services.context_broker.app import operations_of
-from services.context_broker.request.routing import Operation
-from services.context_broker.settings import BrokerSettings
+from handover_broker.app import operations_of
+from handover_broker.request.routing import Operation
+from handover_broker.settings import BrokerSettings
 
 ROOT = Path(__file__).parents[3]
-PAGE = (ROOT / "services/context_broker/operations.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "services/context_broker/handover_broker/operations.md").read_text(encoding="utf-8")
 CLAUSE = re.compile(r"[4-7](\.\d+)+|RFC \d+")
 WRITTEN = re.compile(r"`([^`]+)`")
 

@@ -25,8 +25,8 @@ from handover.outbound_policy import (
     is_loopback,
 )
 from handover.settings import PUBLIC_KEYS_FILE
-from services.context_broker.network.endpoints import require_allowed
-from services.context_broker.settings import BrokerSettings
+from handover_broker.network.endpoints import require_allowed
+from handover_broker.settings import BrokerSettings
 
 ON_LOOPBACK, BEYOND = OutboundPolicy(), OutboundPolicy(listens_beyond_loopback=True)
 NEVER = [

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.model.entity import Entity
-from services.context_broker.query.collation import collation
-from services.context_broker.query.ordering import Ordering, ordering, ordering_document
-from services.context_broker.query.pages import PagePosition, Window, mark_of, place_of
-from services.context_broker.query.selection import Page, Selection, search
-from services.context_broker.query.type_selection import of_types
-from services.context_broker.storage.store import Store
+from handover_broker.model.entity import Entity
+from handover_broker.query.collation import collation
+from handover_broker.query.ordering import Ordering, ordering, ordering_document
+from handover_broker.query.pages import PagePosition, Window, mark_of, place_of
+from handover_broker.query.selection import Page, Selection, search
+from handover_broker.query.type_selection import of_types
+from handover_broker.storage.store import Store
 
 VOCAB = "https://a.example/"
 AT = "2026-01-01T00:00:00Z"

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.query.patterns import fits, pattern
+from handover_broker.query.patterns import fits, pattern
 
 
 @pytest.mark.parametrize("text", ["^urn:.*:demo:[0-9]{1,4}$", "a|b", "(ab){2,3}", r"\d+-\d+", "(a|b)?c*", ""])

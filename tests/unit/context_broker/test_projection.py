@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.model.changes import created
-from services.context_broker.model.entity_parser import read_entity
-from services.context_broker.model.geojson import feature_of, geometry
-from services.context_broker.model.language import best_tag, preferences
-from services.context_broker.model.projection import read_projection
-from services.context_broker.model.rendering import Form, View, render
+from handover_broker.model.changes import created
+from handover_broker.model.entity_parser import read_entity
+from handover_broker.model.geojson import feature_of, geometry
+from handover_broker.model.language import best_tag, preferences
+from handover_broker.model.projection import read_projection
+from handover_broker.model.rendering import Form, View, render
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}

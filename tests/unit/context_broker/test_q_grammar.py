@@ -11,9 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.model.entity import Entity
-from services.context_broker.query.attribute_index import AttributeIndex, ids_of
-from services.context_broker.query.q_grammar import (
+from handover_broker.model.entity import Entity
+from handover_broker.query.attribute_index import AttributeIndex, ids_of
+from handover_broker.query.q_grammar import (
     And,
     Compare,
     Exists,
@@ -27,8 +27,8 @@ from services.context_broker.query.q_grammar import (
     parse,
     paths,
 )
-from services.context_broker.query.q_index import Equality, Range, conditions, scalars
-from services.context_broker.query.q_match import no_lookup, predicate
+from handover_broker.query.q_index import Equality, Range, conditions, scalars
+from handover_broker.query.q_match import no_lookup, predicate
 
 VOCAB = "https://a.example/"
 

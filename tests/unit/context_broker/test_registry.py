@@ -6,21 +6,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import TermMap
 from handover.errors import Problem
-from services.context_broker.contexts.context_resolver import CORE
-from services.context_broker.federation.registrations.registration import (
+from handover_broker.contexts.context_resolver import CORE
+from handover_broker.federation.registrations.registration import (
     EntityTarget,
     Mode,
     Registration,
     root_of,
     shown_document,
 )
-from services.context_broker.federation.registrations.registration_parser import kept_document, registration
-from services.context_broker.federation.registrations.registry import Registry, claims
-from services.context_broker.model.context import Context
-from services.context_broker.model.entity import Entity
-from services.context_broker.query.patterns import pattern
+from handover_broker.federation.registrations.registration_parser import kept_document, registration
+from handover_broker.federation.registrations.registry import Registry, claims
+from handover_broker.model.context import Context
+from handover_broker.model.entity import Entity
+from handover_broker.query.patterns import pattern
+from handover_datamodels.contexts import TermMap
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))

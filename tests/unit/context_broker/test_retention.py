@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from services.context_broker.model.validation import moment, timestamp
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.history_archive import TemporalOnlyRow
-from services.context_broker.storage.journal import Journal, NotStored
-from services.context_broker.temporal.history import Change, Recorder, TemporalOnlyEntity, micros_of
-from services.context_broker.temporal.retention import Retention
+from handover_broker.model.validation import moment, timestamp
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.entries import Entries
+from handover_broker.storage.history_archive import TemporalOnlyRow
+from handover_broker.storage.journal import Journal, NotStored
+from handover_broker.temporal.history import Change, Recorder, TemporalOnlyEntity, micros_of
+from handover_broker.temporal.retention import Retention
 
 from .recorded_entities import START, RecordedEntity
 
@@ -38,9 +38,9 @@ class Straight:
 async def test_old_history_and_departed_entities_are_deleted_in_small_commits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 3)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
-    monkeypatch.setattr("services.context_broker.temporal.retention.ENTITIES_PER_SCAN", 1)
+    monkeypatch.setattr("handover_broker.temporal.retention.CHANGES_PER_COMMIT", 3)
+    monkeypatch.setattr("handover_broker.temporal.retention.PAUSE_S", 0)
+    monkeypatch.setattr("handover_broker.temporal.retention.ENTITIES_PER_SCAN", 1)
     own = Journal(SqliteDatabase(tmp_path / "broker.db"))
     own.open()
     living, gone, young = (
@@ -75,8 +75,8 @@ async def test_old_history_and_departed_entities_are_deleted_in_small_commits(
 async def test_expired_history_is_deleted_with_all_earlier_places(
     own: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 2)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
+    monkeypatch.setattr("handover_broker.temporal.retention.CHANGES_PER_COMMIT", 2)
+    monkeypatch.setattr("handover_broker.temporal.retention.PAUSE_S", 0)
     at, end = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
     recorder, entries = Recorder(), Entries()
     kept = {

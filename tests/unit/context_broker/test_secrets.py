@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.context_broker.model.secrets import HIDDEN, without_secrets
+from handover_broker.model.secrets import HIDDEN, without_secrets
 
 
 @pytest.mark.parametrize(

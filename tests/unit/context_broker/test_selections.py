@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.query.scope_query import scope_query
-from services.context_broker.query.type_selection import of_types, type_selection
+from handover_broker.query.scope_query import scope_query
+from handover_broker.query.type_selection import of_types, type_selection
 
 VOCAB = "https://a.example/"
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from services.context_broker.app import Broker
-from services.context_broker.request.request_context import Request, RequestContext, Response
-from services.context_broker.request.routing import Operation
-from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
-from services.context_broker.snapshots.snapshot_creation import SnapshotCreator
-from services.context_broker.snapshots.snapshot_store import SnapshotStore
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import DocumentKind
-from services.context_broker.storage.journal import Journal
+from handover_broker.app import Broker
+from handover_broker.request.request_context import Request, RequestContext, Response
+from handover_broker.request.routing import Operation
+from handover_broker.settings import BrokerSettings
+from handover_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
+from handover_broker.snapshots.snapshot_creation import SnapshotCreator
+from handover_broker.snapshots.snapshot_store import SnapshotStore
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.entries import DocumentKind
+from handover_broker.storage.journal import Journal
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
 

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.model.entity import Entity
-from services.context_broker.model.validation import inside, moment, outside, tenant_headers
-from services.context_broker.snapshots.content import SnapshotContent
-from services.context_broker.snapshots.snapshot import (
+from handover_broker.model.entity import Entity
+from handover_broker.model.validation import inside, moment, outside, tenant_headers
+from handover_broker.snapshots.content import SnapshotContent
+from handover_broker.snapshots.snapshot import (
     MAX_LIFETIME_S,
     Status,
     details,

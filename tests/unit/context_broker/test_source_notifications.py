@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 
 from handover.errors import Problem
-from services.context_broker.delivery.notification import change_data
-from services.context_broker.delivery.subscription import subscription
-from services.context_broker.federation.distribution.source_notifications import change_of_notification
-from services.context_broker.model.entity import Entity
+from handover_broker.delivery.notification import change_data
+from handover_broker.delivery.subscription import subscription
+from handover_broker.federation.distribution.source_notifications import change_of_notification
+from handover_broker.model.entity import Entity
 from tests.unit.context_broker.test_fragments import ANYTHING
 from tests.unit.context_broker.test_registry import CONTEXT, TASKS, registered
 

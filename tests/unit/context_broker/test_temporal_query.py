@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.model.validation import MICROS
-from services.context_broker.temporal.evolution_parser import parse_evolution
-from services.context_broker.temporal.history import SCOPE, Change
-from services.context_broker.temporal.query import TemporalQuery, temporal_query
+from handover_broker.model.validation import MICROS
+from handover_broker.temporal.evolution_parser import parse_evolution
+from handover_broker.temporal.history import SCOPE, Change
+from handover_broker.temporal.query import TemporalQuery, temporal_query
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)
 TIMES = st.sampled_from(

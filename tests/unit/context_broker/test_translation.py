@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from datamodels.contexts import TermMap, resolve
-from services.context_broker.federation.distribution.translation import older, translated
-from services.context_broker.federation.distribution.via import append_to_via, chain
+from handover_broker.federation.distribution.translation import older, translated
+from handover_broker.federation.distribution.via import append_to_via, chain
+from handover_datamodels.contexts import TermMap, resolve
 
 CORE = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

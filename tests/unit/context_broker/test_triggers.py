@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.delivery.endpoint_queue import EndpointQueue, MemoryBudget, backoff_s
-from services.context_broker.delivery.notification import change_data
-from services.context_broker.delivery.subscription import Subscription, subscription
-from services.context_broker.delivery.subscription_documents import kept_document
-from services.context_broker.delivery.triggers import ALL, DEFAULT, Triggers, entity_change, read_kinds
-from services.context_broker.model.context import Context
-from services.context_broker.model.entity import NULL, Entity, Event
+from handover_broker.delivery.endpoint_queue import EndpointQueue, MemoryBudget, backoff_s
+from handover_broker.delivery.notification import change_data
+from handover_broker.delivery.subscription import Subscription, subscription
+from handover_broker.delivery.subscription_documents import kept_document
+from handover_broker.delivery.triggers import ALL, DEFAULT, Triggers, entity_change, read_kinds
+from handover_broker.model.context import Context
+from handover_broker.model.entity import NULL, Entity, Event
+from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 AT, LATER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"

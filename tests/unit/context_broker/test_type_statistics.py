@@ -6,8 +6,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.context_broker.model.entity import Entity
-from services.context_broker.storage.type_statistics import TypeStatistics
+from handover_broker.model.entity import Entity
+from handover_broker.storage.type_statistics import TypeStatistics
 
 KINDS = ("Property", "Relationship", "GeoProperty")
 instances = st.lists(st.fixed_dictionaries({"type": st.sampled_from(KINDS)}), min_size=1, max_size=3)

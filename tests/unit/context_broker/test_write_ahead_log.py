@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.context_broker.storage.write_ahead_log.frames import FILE_BYTES, PAGE_BYTES
-from services.context_broker.storage.write_ahead_log.log import WriteAheadLog
-from services.context_broker.storage.write_ahead_log.log_file import Damaged
+from handover_broker.storage.write_ahead_log.frames import FILE_BYTES, PAGE_BYTES
+from handover_broker.storage.write_ahead_log.log import WriteAheadLog
+from handover_broker.storage.write_ahead_log.log_file import Damaged
 
 DATABASE_ID, LOG_ID = b"database", b"log id 1"
 

@@ -4,7 +4,15 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from datamodels import TYPES, CellState, DeviceState, MeasurementStatus, RequestedStatus, Severity, TaskStatus
+from handover_datamodels import (
+    TYPES,
+    CellState,
+    DeviceState,
+    MeasurementStatus,
+    RequestedStatus,
+    Severity,
+    TaskStatus,
+)
 
 words = st.text(st.characters(codec="utf-8"), max_size=12)
 names = st.sampled_from(["mass", "colour", "hand", "value2", "x_y", "temperature"])

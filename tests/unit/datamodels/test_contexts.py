@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pyld import jsonld
 
-from datamodels import TYPES, DataModelError
-from datamodels.contexts import (
+from handover_datamodels import TYPES, DataModelError
+from handover_datamodels.contexts import (
     CORE_URL,
     HANDOVER_URL,
     SHOP4CF_URL,
@@ -92,7 +92,7 @@ def test_a_shipped_document_is_the_callers_own(url: str) -> None:
 
 
 def test_the_context_files_name_no_term_twice() -> None:
-    for path in files("datamodels.contexts").iterdir():
+    for path in files("handover_datamodels.contexts").iterdir():
         if path.name.endswith(".jsonld"):
             pairs: list[tuple[str, Any]] = json.loads(
                 path.read_text(encoding="utf-8"), object_pairs_hook=list

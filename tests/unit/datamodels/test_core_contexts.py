@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyld import jsonld
 
-from datamodels import TYPES
-from datamodels.contexts import (
+from handover_datamodels import TYPES
+from handover_datamodels.contexts import (
     CORE_EXCEPTIONS,
     CORE_MINORS,
     CORE_URL,

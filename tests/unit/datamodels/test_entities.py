@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from datamodels import (
+from handover_datamodels import (
     Alert,
     DataModelError,
     Device,

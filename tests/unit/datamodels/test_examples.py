@@ -8,11 +8,11 @@ from typing import Any
 import jsonschema
 import pytest
 
-import datamodels
-from datamodels import TYPES, Entity, Form, read
-from datamodels.schemas import schema_of
+import handover_datamodels
+from handover_datamodels import TYPES, Entity, Form, read
+from handover_datamodels.schemas import schema_of
 
-OURS = sorted((Path(datamodels.__file__).parent / "examples").glob("*.json"))
+OURS = sorted((Path(handover_datamodels.__file__).parent / "examples").glob("*.json"))
 PUBLISHED_NAMES = [
     "agv",
     "alert",
@@ -24,7 +24,7 @@ PUBLISHED_NAMES = [
     "sensor",
     "task",
 ]
-PUBLISHED_FOLDER = Path(datamodels.__file__).parents[2] / "shared" / "data" / "shop4cf_examples"
+PUBLISHED_FOLDER = Path(handover_datamodels.__file__).parents[3] / "shared" / "data" / "shop4cf_examples"
 
 
 def loaded(path: Path) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels import TYPES, DataModelError, Form, read
-from datamodels.forms import kind_of, normalized_attribute, to_concise, to_key_values
+from handover_datamodels import TYPES, DataModelError, Form, read
+from handover_datamodels.forms import kind_of, normalized_attribute, to_concise, to_key_values
 from tests.unit.datamodels.drawn_entities import anything, entities, names, others, uris, words
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.numbers import MAX_INTEGER, MIN_INTEGER, portable
+from handover_datamodels.numbers import MAX_INTEGER, MIN_INTEGER, portable
 
 integers = st.integers(-(2**70), 2**70) | st.integers(MIN_INTEGER - 2, MIN_INTEGER + 2)
 integers |= st.integers(MAX_INTEGER - 2, MAX_INTEGER + 2) | st.just(10**400)

@@ -7,8 +7,8 @@ from typing import Any
 import jsonschema
 import pytest
 
-from datamodels import TYPES, schemas
-from datamodels.schemas.__main__ import main
+from handover_datamodels import TYPES, schemas
+from handover_datamodels.schemas.__main__ import main
 
 
 def test_the_schema_files_are_current() -> None:
@@ -22,7 +22,10 @@ def test_a_stale_file_fails_the_check_until_it_is_written(
     monkeypatch.setattr(schemas.outdated, "__defaults__", (tmp_path,))
     monkeypatch.setattr(schemas.write, "__defaults__", (tmp_path,))
     assert main(["--check"]) == 1
-    assert "Task.json differs from the models; run python -m datamodels.schemas" in capsys.readouterr().err
+    assert (
+        "Task.json differs from the models; run python -m handover_datamodels.schemas"
+        in capsys.readouterr().err
+    )
     assert main([]) == 0
     assert "wrote Task.json" in capsys.readouterr().out
     assert main(["--check"]) == 0

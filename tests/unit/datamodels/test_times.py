@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.times import Timestamp, as_written, iso, parse
+from handover_datamodels.times import Timestamp, as_written, iso, parse
 
 
 @pytest.mark.parametrize(

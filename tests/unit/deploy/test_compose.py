@@ -15,16 +15,16 @@ from psycopg.conninfo import conninfo_to_dict
 
 from glove_sdk_bridge.command_line import parse
 from handover.broker_credentials import credentials_of
-from handover.cli.glove import bridge_arguments
-from handover.cli.secrets import SECRETS, wait_for_secrets
-from handover.cli.secure import Plan
-from handover.cli.services import OPTIONAL_SERVICES
-from handover.cli.services import SERVICES as USUAL
 from handover.security.glove_token import GLOVE_TOKEN_FILE
 from handover.settings import Settings, origins
-from services.context_broker.settings import BrokerSettings
+from handover_broker.settings import BrokerSettings
+from handover_cell.glove import bridge_arguments
+from handover_cell.secrets import SECRETS, wait_for_secrets
+from handover_cell.secure import Plan
+from handover_cell.services import OPTIONAL_SERVICES
+from handover_cell.services import SERVICES as USUAL
+from handover_web.settings import WebuiSettings
 from tests.kit.waiting import scaled, wait_for
-from webui.settings import WebuiSettings
 
 REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
@@ -221,7 +221,7 @@ def test_what_all_services_mount_holds_no_secret(tmp_path: Path) -> None:
     left.write_text("of a start before secrets were files of their own")
     words = [VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), word) for word in command]
     done = subprocess.run(
-        [sys.executable, "-m", "handover.cli", *words],
+        [sys.executable, "-m", "handover_cell", *words],
         env={**os.environ, **folders, "HANDOVER_WEBUI_URL": "https://127.0.0.1:54400"},
         capture_output=True,
         text=True,

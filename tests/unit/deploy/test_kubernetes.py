@@ -11,9 +11,9 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from handover.cli.services import OPTIONAL_SERVICES
-from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
+from handover_cell.services import OPTIONAL_SERVICES
+from handover_cell.services import SERVICES as USUAL
 from tests.kit import processes
 
 FOLDER = Path(__file__).parents[3] / "deploy/kubernetes"

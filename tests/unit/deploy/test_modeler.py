@@ -7,10 +7,10 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from services.task_orchestrator.model import Activity
-from services.task_orchestrator.notation.dialects import handover
-from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.spans import evaluated_needs, read_needs
+from handover_processes.model import Activity
+from handover_processes.notation.dialects import handover
+from handover_processes.notation.file import read_bpmn
+from handover_processes.spans import evaluated_needs, read_needs
 
 MODELER = Path("deploy/modeler")
 RESERVE = "handover.reserve"

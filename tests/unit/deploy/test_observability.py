@@ -14,19 +14,19 @@ from jsonschema import validate
 from prometheus_client import REGISTRY
 
 from docs.site.reference import metrics
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES
+from handover_cell.services import OPTIONAL_SERVICES, SERVICES
 
 HERE = Path(__file__).parents[3] / "deploy" / "observability"
 DASHBOARD: dict[str, Any] = json.loads((HERE / "dashboards" / "handover.json").read_text())
 COUNTING = (
-    "ros_fiware_bridge.metrics",
-    "services.alert_router.metrics",
-    "services.context_broker.app",
-    "services.device_gateway.metrics",
-    "services.gesture_controller.metrics",
-    "services.task_orchestrator.app",
-    "services.trajectory_tool.metrics",
-    "webui.metrics",
+    "handover_ros.metrics",
+    "handover_alerts.metrics",
+    "handover_broker.app",
+    "handover_devices.metrics",
+    "handover_gloves.metrics",
+    "handover_processes.app",
+    "handover_robots.metrics",
+    "handover_web.metrics",
 )
 """The modules that register what is counted, some by what they import."""
 

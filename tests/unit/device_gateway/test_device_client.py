@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from services.device_gateway.device_client import DeviceClient, Run
+from handover_devices.device_client import DeviceClient, Run
 from tests.kit.waiting import scaled, wait_for
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from services.device_gateway.device_client import DeviceClient, tls_context
+from handover_devices.device_client import DeviceClient, tls_context
 from tests.kit.certificates import Certificates
 from tests.kit.waiting import scaled, wait_for
 

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datamodels.streams import HumanInput
 from handover.control.dead_man import TIMEOUT_S
-from services.device_gateway.driving import MAX_BASE, DriveSession, NotDrivable, require_drivable
-from services.device_gateway.model.description import DeviceDescription, DeviceKind
-from services.device_gateway.registry.device import Device, LatestValue
-from services.device_gateway.registry.templates import templates
-from services.device_gateway.storage.device_store import StoredDevice
+from handover_datamodels.streams import HumanInput
+from handover_devices.driving import MAX_BASE, DriveSession, NotDrivable, require_drivable
+from handover_devices.model.description import DeviceDescription, DeviceKind
+from handover_devices.registry.device import Device, LatestValue
+from handover_devices.registry.templates import templates
+from handover_devices.storage.device_store import StoredDevice
 
 
 class Wire:

@@ -7,10 +7,10 @@ import pytest
 
 from handover.errors import Problem
 from handover.messages import Message, text_of
-from services.device_gateway.refusals import WrongCertificate, WrongToken
-from services.device_gateway.registry.pictures import media_type_of
-from services.device_gateway.registry.templates import template
-from services.device_gateway.registry.urdf import joints_in
+from handover_devices.refusals import WrongCertificate, WrongToken
+from handover_devices.registry.pictures import media_type_of
+from handover_devices.registry.templates import template
+from handover_devices.registry.urdf import joints_in
 from tests.kit.paths import REPOSITORY
 
 GATEWAY = REPOSITORY / "services" / "device_gateway"

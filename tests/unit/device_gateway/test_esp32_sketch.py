@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from handover.database import connect
-from services.device_gateway.commands.command import CommandState
-from services.device_gateway.model.description import DeviceDescription
-from services.device_gateway.protocol import messages
-from services.device_gateway.protocol.lines import LineBuffer
-from services.device_gateway.protocol.messages import BadMessage, parse_hello
-from services.device_gateway.refusals import Refused
-from services.device_gateway.settings import GatewaySettings
+from handover_devices.commands.command import CommandState
+from handover_devices.model.description import DeviceDescription
+from handover_devices.protocol import messages
+from handover_devices.protocol.lines import LineBuffer
+from handover_devices.protocol.messages import BadMessage, parse_hello
+from handover_devices.refusals import Refused
+from handover_devices.settings import GatewaySettings
 from tests.kit.device_gateways import running_gateway
 from tests.kit.paths import REPOSITORY
 

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from handover.errors import Problem
-from services.device_gateway.camera_images import CameraImages
-from services.device_gateway.registry.pictures import MAX_SIDE, media_type_of
-from services.device_gateway.registry.urdf import joints_in
+from handover_devices.camera_images import CameraImages
+from handover_devices.registry.pictures import MAX_SIDE, media_type_of
+from handover_devices.registry.urdf import joints_in
 
 
 def picture(media_type: str, **options: object) -> bytes:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.device_gateway.forecast import TooShort, forecast, needed_intervals
+from handover_devices.forecast import TooShort, forecast, needed_intervals
 
 DAY = 24
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from handover.database import connect
-from services.device_gateway.commands.command import CommandState
-from services.device_gateway.commands.dispatcher import Dispatcher
-from services.device_gateway.storage import schema
-from services.device_gateway.storage.history_writer import HistoryWriter
+from handover_devices.commands.command import CommandState
+from handover_devices.commands.dispatcher import Dispatcher
+from handover_devices.storage import schema
+from handover_devices.storage.history_writer import HistoryWriter
 from tests.kit.device_gateways import SENSOR, background
 
 

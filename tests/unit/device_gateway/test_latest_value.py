@@ -2,11 +2,11 @@
 
 import pytest
 
-from services.device_gateway.model.description import DeviceDescription, DeviceKind
-from services.device_gateway.registry.device import Device, LatestValue
-from services.device_gateway.registry.entities import device_entity
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage.device_store import StoredDevice
+from handover_devices.model.description import DeviceDescription, DeviceKind
+from handover_devices.registry.device import Device, LatestValue
+from handover_devices.registry.entities import device_entity
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage.device_store import StoredDevice
 
 
 def sent_every(period_s: float, times: int = 20) -> LatestValue:

@@ -14,18 +14,18 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
 from handover.security.revocations import FollowedRevocations
 from handover.service import create_app
-from services.device_gateway.camera_images import CameraImages
-from services.device_gateway.commands.dispatcher import Dispatcher
-from services.device_gateway.edge.edge_app import NoReports
-from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.model.description import DeviceDescription, DeviceKind
-from services.device_gateway.protocol.times import TimeRule
-from services.device_gateway.registry.device import Device
-from services.device_gateway.routes.camera_routes import add_camera_routes
-from services.device_gateway.routes.device_routes import add_reading_routes
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage.device_store import StoredDevice
-from services.device_gateway.storage.history_writer import HistoryWriter
+from handover_devices.camera_images import CameraImages
+from handover_devices.commands.dispatcher import Dispatcher
+from handover_devices.edge.edge_app import NoReports
+from handover_devices.gateway import DeviceGateway
+from handover_devices.model.description import DeviceDescription, DeviceKind
+from handover_devices.protocol.times import TimeRule
+from handover_devices.registry.device import Device
+from handover_devices.routes.camera_routes import add_camera_routes
+from handover_devices.routes.device_routes import add_reading_routes
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage.device_store import StoredDevice
+from handover_devices.storage.history_writer import HistoryWriter
 
 KEY = SigningKey.generate()
 DEVICES = {"nao-1": DeviceKind.HUMANOID, "nao-2": DeviceKind.HUMANOID, "hall-1": DeviceKind.SENSOR}

@@ -13,8 +13,8 @@ from typer.main import get_command
 
 from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
-from handover.cli.main import app
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_cell.main import app
+from handover_processes.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
 
 DOCUMENTS = sorted(
@@ -103,7 +103,7 @@ def test_every_command_exists(document: str, command: str) -> None:
         check_handover(words[1:])
     elif program == "glove_sdk_bridge":
         parse(words[1:], program)
-    elif program.startswith("services."):
+    elif program.startswith("handover_"):
         assert importlib.util.find_spec(program) is not None, program
     elif program == "make":
         makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")

@@ -13,10 +13,10 @@ from pydantic import BaseModel
 from glove_sdk_bridge.errors import BridgeError, Dropped
 from glove_sdk_bridge.frames import Frame, parse_frame
 from glove_sdk_bridge.replay import read_table
-from handover.cli.device import add
 from handover.errors import UsageError
-from services.device_gateway.model.description import DeviceDescription
-from services.task_orchestrator.requests import (
+from handover_cell.device import add
+from handover_devices.model.description import DeviceDescription
+from handover_processes.requests import (
     ClaimRequest,
     CommentRequest,
     CompleteRequest,

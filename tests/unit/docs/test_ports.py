@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES
+from handover_cell.services import OPTIONAL_SERVICES, SERVICES
 
 ROOT = Path(__file__).parents[3]
 ROW = re.compile(r"^\| (\d+) \| `(HANDOVER_\w+_PORT)` \|", re.MULTILINE)

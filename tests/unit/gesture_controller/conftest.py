@@ -10,21 +10,21 @@ import pytest
 import uvloop
 from sqlalchemy import Engine
 
-from datamodels.entities import Task
-from datamodels.states import Outcome
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.prompting.prompt import GesturePrompt, PromptSpec
-from services.gesture_controller.recognition.frames import Frame, Hello
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Part
-from services.gesture_controller.recognition.hold import HoldTiming
-from services.gesture_controller.recognition.pipeline import RecognitionConfig
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
-from services.gesture_controller.settings import ControllerSettings
+from handover_datamodels.entities import Task
+from handover_datamodels.states import Outcome
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.prompting.prompt import GesturePrompt, PromptSpec
+from handover_gloves.recognition.frames import Frame, Hello
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Part
+from handover_gloves.recognition.hold import HoldTiming
+from handover_gloves.recognition.pipeline import RecognitionConfig
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.settings import ControllerSettings
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
 

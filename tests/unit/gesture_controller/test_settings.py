@@ -3,7 +3,7 @@
 import pytest
 
 from handover.errors import UsageError
-from services.gesture_controller.settings import ControllerSettings
+from handover_gloves.settings import ControllerSettings
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,10 @@ from glove_sdk_bridge.simulated_hand import (
     level,
     minimum_jerk,
 )
-from services.gesture_controller.recognition.finger_states import finger_states
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
-from services.gesture_controller.recognition.levels import calibrate
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.recognition.finger_states import finger_states
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.recognition.levels import calibrate
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 SETTLED = 50

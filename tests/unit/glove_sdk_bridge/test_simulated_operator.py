@@ -17,12 +17,12 @@ from glove_sdk_bridge.simulated_operator import (
     Stage,
     View,
 )
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.hold import HoldEvent
-from services.gesture_controller.recognition.levels import calibrate
-from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.hold import HoldEvent
+from handover_gloves.recognition.levels import calibrate
+from handover_gloves.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 CONFIG = RecognitionConfig(
     Thresholds(tuple(Threshold(upper=level(sensor, 0.6), lower=level(sensor, 0.45)) for sensor in SENSORS)),

@@ -27,7 +27,7 @@ def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
         for file in (ROOT / folder).rglob("*.py")
     ]
     sources += [
-        (ROOT / "handover" / f"{name}.py").read_text()
+        (ROOT / "handover/handover" / f"{name}.py").read_text()
         for name in ("certificate_watch", "own_subscriptions", "reporting_writer", "watchdog")
     ]
     named = {name: one for name, one in vars(alert_catalogue).items() if isinstance(one, AlertType)}

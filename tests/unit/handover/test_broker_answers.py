@@ -3,7 +3,6 @@
 import httpx
 import pytest
 
-from datamodels.contexts import handover_context
 from handover.broker import (
     AlreadyExists,
     BrokerClient,
@@ -15,6 +14,7 @@ from handover.broker import (
 )
 from handover.broker_identity import CONTEXT_PATH
 from handover.settings import Settings
+from handover_datamodels.contexts import handover_context
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import term_map
 from handover.broker_copy.broker_side import MAX_BATCH, MAX_BATCH_BYTES, batches
 from handover.broker_copy.entity_form import differences, expanded, with_terms
+from handover_datamodels.contexts import term_map
 
 N = "https://example.org/n"
 CORE = term_map(None)

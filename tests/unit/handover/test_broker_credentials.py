@@ -17,11 +17,11 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from datamodels.contexts import handover_context
-from datamodels.entities import Device
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import UsageError
 from handover.settings import HEADERS_OF_REQUESTS, Settings, headers_in
+from handover_datamodels.contexts import handover_context
+from handover_datamodels.entities import Device
 from tests.kit.openid_provider import openid_provider
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from handover.cli.case_treadmill import PARTICIPANTS, SEED, perform_study, walk
 from handover.errors import UsageError
-from services.assistive_devices.machines.treadmill.belt import BeltState, StopReason
-from services.assistive_devices.machines.treadmill.training import Plan
+from handover_cases.machines.treadmill.belt import BeltState, StopReason
+from handover_cases.machines.treadmill.training import Plan
+from handover_cell.case_treadmill import PARTICIPANTS, SEED, perform_study, walk
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled
 
@@ -73,7 +73,7 @@ def study(url: str, *arguments: str, timeout_s: float = 30.0) -> str:
         "HANDOVER_TRAINER_MODEL_KEY": "a-key",
         "HANDOVER_TRAINER_MODEL_TIMEOUT_S": str(min(20, timeout_s)),
     }
-    command = [sys.executable, "-m", "handover.cli", "case", "treadmill", "--once", "--duration=59"]
+    command = [sys.executable, "-m", "handover_cell", "case", "treadmill", "--once", "--duration=59"]
     ended = subprocess.run(
         [*command, *arguments], env=environment, capture_output=True, text=True, timeout=scaled(120)
     )

@@ -17,7 +17,7 @@ from sqlalchemy import text
 from handover.database import connect
 from handover.errors import UsageError
 from handover.sqlite_files import renew_marks
-from services.context_broker.storage.postgres import PostgresDatabase
+from handover_broker.storage.postgres import PostgresDatabase
 from tests.kit.certificates import Certificates
 from tests.kit.postgres_tls import tls_in_front_of
 

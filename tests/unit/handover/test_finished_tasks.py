@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from datamodels.entities import TaskStatus
 from handover.errors import UsageError
 from handover.finished_tasks import DELETE_OLD_EVERY, MIN_KEEP_H, End, FinishedTasks, KnownAct
 from handover.settings import Settings
+from handover_datamodels.entities import TaskStatus
 
 LIT = End(TaskStatus.COMPLETED, {"lit": True, "note": "größer"})
 HOUR_S = 3600.0

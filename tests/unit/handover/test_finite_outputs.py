@@ -7,8 +7,8 @@ import orjson
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.numbers import not_finite_place
 from handover.job import finite_outputs
+from handover_datamodels.numbers import not_finite_place
 
 _NAMES = st.text("abc", min_size=1, max_size=3)
 _VALUES = st.recursive(

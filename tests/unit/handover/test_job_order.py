@@ -5,12 +5,12 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.entities import Task
 from handover.broker import BrokerClient
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job
 from handover.performer import ResourceQueue
 from handover.settings import Settings
+from handover_datamodels.entities import Task
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from datamodels.entities import Task
 from handover.broker import BrokerClient
 from handover.finished_tasks import FinishedTasks
 from handover.job import Job, TaskFailed
 from handover.messages import with_code
 from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
+from handover_datamodels.entities import Task
 
 TASK = {
     "id": "urn:ngsi-ld:Task:demo:grip",

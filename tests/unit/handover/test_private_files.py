@@ -100,7 +100,7 @@ def test_an_explicit_mode_holds_whatever_the_umask(tmp_path: Path) -> None:
 def test_check_names_what_others_can_read(tmp_path: Path) -> None:
     tmp_path.chmod(0o755)
     checked = subprocess.run(
-        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(tmp_path)],
+        [sys.executable, "-m", "handover_cell", "check", "--data-dir", str(tmp_path)],
         capture_output=True,
         text=True,
         cwd=REPOSITORY,
@@ -110,7 +110,7 @@ def test_check_names_what_others_can_read(tmp_path: Path) -> None:
 
 def test_a_command_that_makes_accounts_makes_private_files(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "data"
-    command = [sys.executable, "-m", "handover.cli", "accounts", "set-up", "--data-dir", str(folder)]
+    command = [sys.executable, "-m", "handover_cell", "accounts", "set-up", "--data-dir", str(folder)]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     assert mode_of(folder) == 0o700
     stored_files = [path for path in folder.rglob("*") if path.is_file() and "security" not in path.parts]

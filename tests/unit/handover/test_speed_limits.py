@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from datamodels.streams import SpeedLimitReport
 from handover.control.speed_limits import (
     MAX_SOURCES,
     RAISE_PER_S,
     RefusedReport,
     SpeedLimits,
 )
+from handover_datamodels.streams import SpeedLimitReport
 
 WALL_S = 1_700_000_000.0
 

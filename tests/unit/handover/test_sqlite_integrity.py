@@ -15,13 +15,13 @@ from typing import Final
 import pytest
 from sqlalchemy import text
 
-from datamodels.entities import TaskStatus
-from handover.cli.check import Checked, check_database
 from handover.database import connect
 from handover.errors import UsageError
 from handover.finished_tasks import End, FinishedTasks
 from handover.settings import Settings
 from handover.sqlite_integrity.wal_file import read_wal
+from handover_cell.check import Checked, check_database
+from handover_datamodels.entities import TaskStatus
 from tests.kit.small_disk import small_disk
 
 WRITES: Final = """

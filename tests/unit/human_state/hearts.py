@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.fusion.person_state import PersonState
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
-from services.human_state.processing.pipeline import pipeline_for
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.fusion.person_state import PersonState
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import ClockKind, Samples, SignalInfo, SignalKind
+from handover_body.processing.pipeline import pipeline_for
 
 Floats = NDArray[np.float64]
 Rate = Callable[[float], float]

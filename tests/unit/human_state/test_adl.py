@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.human_state.model.features import Feature
-from services.human_state.model.signals import SensorFault, SensorReport, SignalInfo, SignalKind
-from services.human_state.processing.adl.classifier import AdlClassifier, UnusableModel, load_model
-from services.human_state.processing.adl.training import main, simulated_activity
-from services.human_state.processing.synthesis import packets_of
+from handover_body.model.features import Feature
+from handover_body.model.signals import SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_body.processing.adl.classifier import AdlClassifier, UnusableModel, load_model
+from handover_body.processing.adl.training import main, simulated_activity
+from handover_body.processing.synthesis import packets_of
 
 IMU = SignalInfo(SignalKind.ACCELERATION, "MSK", 25.0, ("x", "y", "z"))
 MAT = SignalInfo(SignalKind.PRESSURE_MAP, "C62", 25.0, tuple(f"r{r}c{c}" for r in range(3) for c in range(4)))

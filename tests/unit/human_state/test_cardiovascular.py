@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.model.cardiovascular import (
+from handover_body.model.cardiovascular import (
     RECOVERY_S,
     RISE_S,
     Heart,

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import SignalInfo, SignalKind
-from services.human_state.processing.beats import BeatDetector
-from services.human_state.processing.pipeline import pipeline_for
-from services.human_state.processing.rhythm import Interval, Rhythm, lf_hf, rmssd_ms
-from services.human_state.processing.synthesis import (
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import SignalInfo, SignalKind
+from handover_body.processing.beats import BeatDetector
+from handover_body.processing.pipeline import pipeline_for
+from handover_body.processing.rhythm import Interval, Rhythm, lf_hf, rmssd_ms
+from handover_body.processing.synthesis import (
     TrueBeat,
     add_ecg_noise,
     ecg_of,

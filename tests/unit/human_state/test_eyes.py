@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.drivers.runner import SensorRunner
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.drivers.simulated.eyes import EyeMovement, SimulatedEyes
-from services.human_state.fusion.person_state import PersonState
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import (
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.drivers.runner import SensorRunner
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.drivers.simulated.eyes import EyeMovement, SimulatedEyes
+from handover_body.fusion.person_state import PersonState
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import (
     EYE_EVENTS,
     ClockKind,
     Samples,
@@ -24,15 +24,15 @@ from services.human_state.model.signals import (
     SignalInfo,
     SignalKind,
 )
-from services.human_state.monitoring.processors import pipeline_of
-from services.human_state.processing.eyes import (
+from handover_body.monitoring.processors import pipeline_of
+from handover_body.processing.eyes import (
     BLINK_WINDOW_S,
     DURATIONS_S,
     EyeEventProcessor,
     GazeProcessor,
     PupilProcessor,
 )
-from services.human_state.processing.pipeline import pipeline_for
+from handover_body.processing.pipeline import pipeline_for
 
 START_S = 1_700_000_000.0
 TRACKER = (SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE, SignalKind.EYE_STATE)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.human_state.fusion.person_state import PersonState
-from services.human_state.model.features import MIN_QUALITY, Feature, FeatureName, Status
-from services.human_state.model.signals import SensorFault, SensorReport
-from services.human_state.processing.rhythm import steady_from
+from handover_body.fusion.person_state import PersonState
+from handover_body.model.features import MIN_QUALITY, Feature, FeatureName, Status
+from handover_body.model.signals import SensorFault, SensorReport
+from handover_body.processing.rhythm import steady_from
 from tests.kit.paths import REPOSITORY
 from tests.unit.human_state.hearts import BEATS, Heart, course, heart, heart_rates, with_fault
 
@@ -171,7 +171,7 @@ def test_recorded_hearts_stay_valid() -> None:
     folder = REPOSITORY.parent / "shared" / "data" / "physiology"
     if not (folder / "a103l.hea").is_file():
         pytest.skip(f"the records are not kept here ({folder})")
-    from services.human_state.drivers.recording.tracks import read  # of the extra
+    from handover_body.drivers.recording.tracks import read  # of the extra
 
     least = {("a103l", "II"): 0.91, ("a103l", "V"): 0.94, ("v102s", "II"): 0.4, ("v102s", "V"): 0.94}
     for (name, lead), share in least.items():

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
-from services.human_state.processing.events import PersonAnalysis
-from services.human_state.processing.motion import step_rate
-from services.human_state.processing.pipeline import pipeline_for, processors_for
-from services.human_state.processing.pulse import saturation_of
-from services.human_state.processing.synthesis import (
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_body.processing.events import PersonAnalysis
+from handover_body.processing.motion import step_rate
+from handover_body.processing.pipeline import pipeline_for, processors_for
+from handover_body.processing.pulse import saturation_of
+from handover_body.processing.synthesis import (
     acceleration_of,
     breathing_wave,
     packets_of,

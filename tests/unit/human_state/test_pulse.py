@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.human_state.model.features import FeatureName, Status
-from services.human_state.model.signals import SignalInfo, SignalKind
-from services.human_state.processing.beats import BeatDetector
-from services.human_state.processing.pipeline import pipeline_for
-from services.human_state.processing.pulse import pulse_of, unwrapped
-from services.human_state.processing.synthesis import packets_of
+from handover_body.model.features import FeatureName, Status
+from handover_body.model.signals import SignalInfo, SignalKind
+from handover_body.processing.beats import BeatDetector
+from handover_body.processing.pipeline import pipeline_for
+from handover_body.processing.pulse import pulse_of, unwrapped
+from handover_body.processing.synthesis import packets_of
 from tests.kit.paths import REPOSITORY
 
 RECORDS = REPOSITORY.parent / "shared" / "data" / "physiology"

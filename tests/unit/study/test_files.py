@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from services.study.analysis import analysis_of
-from services.study.pdf import pdf_of
-from services.study.protocol import LANGUAGES, StepAnswer
-from services.study.table import csv_of
+from handover_study.analysis import analysis_of
+from handover_study.pdf import pdf_of
+from handover_study.protocol import LANGUAGES, StepAnswer
+from handover_study.table import csv_of
 
 
 def rows_of(sessions: list[Any]) -> list[dict[str, str]]:
@@ -92,7 +92,7 @@ def test_nothing_heavy_is_loaded_before_somebody_asks_for_it() -> None:
     import sys
 
     asked = (
-        "import services.gesture_controller.app, sys;"
+        "import handover_gloves.app, sys;"
         "print([m for m in ('scipy', 'PIL', 'reportlab') if m in sys.modules])"
     )
     said = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.study.protocol import LANGUAGES
-from services.study.questionnaires import (
+from handover_study.protocol import LANGUAGES
+from handover_study.questionnaires import (
     TLX_PAIRS,
     TLX_SCALES,
     sus_grade,
@@ -14,7 +14,7 @@ from services.study.questionnaires import (
     tlx_weighted,
     tlx_weights,
 )
-from services.study.wording import consent_version, wording
+from handover_study.wording import consent_version, wording
 
 
 @pytest.mark.parametrize(

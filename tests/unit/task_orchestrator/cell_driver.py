@@ -5,16 +5,16 @@ from datetime import timedelta
 from itertools import count
 from typing import Any
 
-from datamodels.entities import Task, TaskStatus
-from datamodels.times import iso
-from services.task_orchestrator.allocation.agents import Agent, Agents
-from services.task_orchestrator.allocation.allocator import Allocator
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.state import RunFailed
-from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import ProcessRecord, ReservationState, Step, TaskRecord
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_datamodels.entities import Task, TaskStatus
+from handover_datamodels.times import iso
+from handover_processes.allocation.agents import Agent, Agents
+from handover_processes.allocation.allocator import Allocator
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.state import RunFailed
+from handover_processes.notation.file import read_bpmn
+from handover_processes.process.process import Process
+from handover_processes.records import ProcessRecord, ReservationState, Step, TaskRecord
+from handover_processes.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import NOW
 from tests.unit.task_orchestrator.process_driver import DEFINED_BY
 

@@ -3,15 +3,15 @@
 from datetime import datetime, timedelta
 from typing import Any
 
-from datamodels.entities import Task, TaskStatus
-from datamodels.times import iso
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.state import Library
-from services.task_orchestrator.model import Definition
-from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import MessageKind, ProcessRecord, Step
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_datamodels.entities import Task, TaskStatus
+from handover_datamodels.times import iso
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.state import Library
+from handover_processes.model import Definition
+from handover_processes.notation.file import read_bpmn
+from handover_processes.process.process import Process
+from handover_processes.records import MessageKind, ProcessRecord, Step
+from handover_processes.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import NOW, drawing
 
 DEFINED_BY = {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"}

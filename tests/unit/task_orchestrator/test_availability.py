@@ -2,9 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-from services.task_orchestrator.allocation.agents import Agent
-from services.task_orchestrator.reporting.views import resources_view
-from services.task_orchestrator.tally import Period
+from handover_processes.allocation.agents import Agent
+from handover_processes.reporting.views import resources_view
+from handover_processes.tally import Period
 
 NOW = datetime(2026, 11, 30, 12, tzinfo=UTC)
 HOUR = int(NOW.timestamp()) // 3600

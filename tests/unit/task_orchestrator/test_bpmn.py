@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-import services.task_orchestrator
-from services.gesture_controller.recognition.gestures import DEFAULT_COMMANDS
-from services.task_orchestrator.entities import definition_entities
-from services.task_orchestrator.model import Definition
-from services.task_orchestrator.notation.faults import MAX_FAULTS_LISTED, BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.settings import OrchestratorSettings
+import handover_processes
+from handover_gloves.recognition.gestures import DEFAULT_COMMANDS
+from handover_processes.entities import definition_entities
+from handover_processes.model import Definition
+from handover_processes.notation.faults import MAX_FAULTS_LISTED, BadBpmn
+from handover_processes.notation.file import read_bpmn
+from handover_processes.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,
@@ -27,7 +27,7 @@ from tests.unit.task_orchestrator.drawing import (
 )
 from tests.unit.task_orchestrator.process_driver import only_process
 
-SHIPPED = sorted((Path(services.task_orchestrator.__file__).parent / "processes").glob("*.bpmn"))
+SHIPPED = sorted((Path(handover_processes.__file__).parent / "processes").glob("*.bpmn"))
 
 
 def faults(body: str, **more: str) -> list[str]:

@@ -10,18 +10,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import delete
 
-from datamodels.entities import TaskStatus
 from handover.database import connect
-from services.task_orchestrator.process.tally import count_end, count_start, count_task
-from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
-from services.task_orchestrator.storage import schema
-from services.task_orchestrator.storage.counts import (
+from handover_datamodels.entities import TaskStatus
+from handover_processes.process.tally import count_end, count_start, count_task
+from handover_processes.records import ProcessRecord, Step, TaskRecord
+from handover_processes.storage import schema
+from handover_processes.storage.counts import (
     ElementCount,
     PeriodCount,
     VersionCount,
     count_elements,
 )
-from services.task_orchestrator.storage.store import Store
+from handover_processes.storage.store import Store
 from tests.unit.task_orchestrator.drawing import NOW
 
 PROCESS = ProcessRecord(

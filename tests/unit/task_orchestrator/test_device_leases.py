@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from handover.database import connect
 from handover.device_lease import LEASE_S, REST_S, Authority, DeviceLease, LeaseState
-from services.task_orchestrator.operations.device_leases import DeviceLeases
-from services.task_orchestrator.storage.device_leases import LeaseHolder
-from services.task_orchestrator.storage.store import Store
+from handover_processes.operations.device_leases import DeviceLeases
+from handover_processes.storage.device_leases import LeaseHolder
+from handover_processes.storage.store import Store
 
 DEVICE = "urn:ngsi-ld:Device:demo:arm-1"
 

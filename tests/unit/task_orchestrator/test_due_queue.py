@@ -5,7 +5,7 @@ from datetime import timedelta
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.due_queue import DueQueue
+from handover_processes.due_queue import DueQueue
 from tests.unit.task_orchestrator.drawing import NOW
 
 CHANGES = st.lists(st.tuples(st.integers(0, 9), st.none() | st.integers(0, 20)), max_size=200)

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,

@@ -3,10 +3,10 @@
 from datetime import timedelta
 from typing import Any
 
-from datamodels.times import iso
-from services.task_orchestrator.people_acts import offer_of
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.records import Act, ActKind, MessageKind, Step
+from handover_datamodels.times import iso
+from handover_processes.people_acts import offer_of
+from handover_processes.process import interventions
+from handover_processes.records import Act, ActKind, MessageKind, Step
 from tests.unit.task_orchestrator.drawing import NOW, activity, boundary, end, path, start
 from tests.unit.task_orchestrator.process_driver import ProcessDriver, alerts, task_id
 

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datamodels.entities import TaskStatus
 from handover.alerts import unshown_key
 from handover.errors import Problem
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
+from handover_datamodels.entities import TaskStatus
+from handover_processes.process import interventions
+from handover_processes.process.process import Process
+from handover_processes.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,

@@ -4,8 +4,8 @@ import pytest
 
 from handover.settings import Settings
 from handover.specification import MAX_COMMAND_ID, Specification
-from services.task_orchestrator.entities import definition_entities
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.entities import definition_entities
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import activity, drawing, end, path, start
 
 

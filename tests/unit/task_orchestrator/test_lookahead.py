@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.lookahead import MAX_UPCOMING, upcoming_activities
-from services.task_orchestrator.model import Definition
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.lookahead import MAX_UPCOMING, upcoming_activities
+from handover_processes.model import Definition
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
@@ -27,7 +27,7 @@ from tests.unit.task_orchestrator.drawing import (
 from tests.unit.task_orchestrator.process_driver import OneDefinition, only_process
 from tests.unit.task_orchestrator.shapes import SHAPES, whole
 
-BIN_PICKING = Path("services/task_orchestrator/processes/bin_picking.bpmn")
+BIN_PICKING = Path("services/task_orchestrator/handover_processes/processes/bin_picking.bpmn")
 FORK = (
     start()
     + activity("work")

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from handover.outcomes import is_outcome_unknown
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.records import MessageKind
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.records import MessageKind
 from tests.unit.task_orchestrator.drawing import activity, end, path, start
 from tests.unit.task_orchestrator.process_driver import ProcessDriver, alerts, created, task_id
 

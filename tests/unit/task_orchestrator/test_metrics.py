@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from prometheus_client import REGISTRY
 
-from datamodels.entities import TaskStatus
-from services.task_orchestrator import metrics
-from services.task_orchestrator.records import Move, Step, TaskRecord
+from handover_datamodels.entities import TaskStatus
+from handover_processes import metrics
+from handover_processes.records import Move, Step, TaskRecord
 from tests.unit.task_orchestrator.drawing import NOW
 
 HAND = {"commandId": 3, "gesture": "Thumbs up"}

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.offer_rules import MAX_UNDECIDED, Candidate, Offers, read_candidate
-from services.task_orchestrator.records import Decision, OfferStatus, Step
+from handover_processes.offer_rules import MAX_UNDECIDED, Candidate, Offers, read_candidate
+from handover_processes.records import Decision, OfferStatus, Step
 from tests.unit.task_orchestrator.drawing import NOW
 
 DEFINITION = "urn:ngsi-ld:TaskDefinition:mes:pick"

@@ -4,11 +4,11 @@ from datetime import timedelta
 
 import pytest
 
-from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import Act, ActKind, MessageKind, TimerKind
+from handover_datamodels.entities import Task, TaskStatus
+from handover_processes.process import interventions
+from handover_processes.process.process import Process
+from handover_processes.records import Act, ActKind, MessageKind, TimerKind
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,

@@ -11,12 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import delete
 
-from datamodels.entities import TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.records import IncidentRecord, Step
-from services.task_orchestrator.storage import schema
-from services.task_orchestrator.storage.process_filter import ProcessFilter, read_condition
-from services.task_orchestrator.storage.store import Store
+from handover_datamodels.entities import TaskStatus
+from handover_processes.records import IncidentRecord, Step
+from handover_processes.storage import schema
+from handover_processes.storage.process_filter import ProcessFilter, read_condition
+from handover_processes.storage.store import Store
 from tests.unit.task_orchestrator.drawing import NOW
 from tests.unit.task_orchestrator.test_tally import ROBOT, as_new, process, store, task
 

@@ -3,11 +3,11 @@
 import pytest
 
 from handover.errors import Problem
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.process.interventions import MigrationReport
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import Act, ActKind
+from handover_processes.execution.graph import Plan
+from handover_processes.process import interventions
+from handover_processes.process.interventions import MigrationReport
+from handover_processes.process.process import Process
+from handover_processes.records import Act, ActKind
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.entities import TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.allocation.agents import UNLIMITED, Agent, Agents
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.records import Act, ActKind, Step
+from handover_datamodels.entities import TaskStatus
+from handover_processes.allocation.agents import UNLIMITED, Agent, Agents
+from handover_processes.process import interventions
+from handover_processes.records import Act, ActKind, Step
 from tests.unit.task_orchestrator.cell_driver import SharedCell, performer, urn
 from tests.unit.task_orchestrator.drawing import boundary, drawing, end, flow, gateway, path, start
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from handover.durations import Duration, parse_duration
 from handover.messages import with_code
 from handover.outcomes import is_outcome_unknown, outcome_unknown
-from services.task_orchestrator.model import RetryPolicy, Value
-from services.task_orchestrator.process import interventions
-from services.task_orchestrator.process.process import Process
-from services.task_orchestrator.records import Act, ActKind
-from services.task_orchestrator.retries import MAX_DELAY_S, retry_at
+from handover_processes.model import RetryPolicy, Value
+from handover_processes.process import interventions
+from handover_processes.process.process import Process
+from handover_processes.records import Act, ActKind
+from handover_processes.retries import MAX_DELAY_S, retry_at
 from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, boundary, end, path, start, timer
 from tests.unit.task_orchestrator.process_driver import ProcessDriver, alerts, created, task_id
 

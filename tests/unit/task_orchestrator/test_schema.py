@@ -11,9 +11,9 @@ from sqlalchemy import Engine, inspect, text
 from handover.database import connect
 from handover.errors import UsageError
 from handover.sqlite_integrity.marks import TABLE as COMMITS
-from services.task_orchestrator.records import Step
-from services.task_orchestrator.storage import schema
-from services.task_orchestrator.storage.store import Store
+from handover_processes.records import Step
+from handover_processes.storage import schema
+from handover_processes.storage.store import Store
 from tests.unit.task_orchestrator.earlier_tables import MADE, take_back
 
 

@@ -2,7 +2,7 @@
 
 from datetime import timedelta
 
-from services.task_orchestrator.start_timers import next_timer, start_timers
+from handover_processes.start_timers import next_timer, start_timers
 from tests.unit.task_orchestrator.drawing import NOW, activity, drawing, end, path
 from tests.unit.task_orchestrator.process_driver import only_process
 

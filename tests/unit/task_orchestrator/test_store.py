@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from sqlalchemy import event, text
 
-from datamodels.entities import TaskStatus
 from handover.database import connect
 from handover.errors import Problem
 from handover.messages import message
-from services.task_orchestrator.records import (
+from handover_datamodels.entities import TaskStatus
+from handover_processes.records import (
     Act,
     ActKind,
     DefinitionRecord,
@@ -24,9 +24,9 @@ from services.task_orchestrator.records import (
     Step,
     TaskRecord,
 )
-from services.task_orchestrator.storage.process_filter import ProcessFilter
-from services.task_orchestrator.storage.store import Store
-from services.task_orchestrator.storage.transaction import Conflict
+from handover_processes.storage.process_filter import ProcessFilter
+from handover_processes.storage.store import Store
+from handover_processes.storage.transaction import Conflict
 from tests.unit.task_orchestrator.drawing import NOW
 from tests.unit.task_orchestrator.earlier_tables import take_back
 

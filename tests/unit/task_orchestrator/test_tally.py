@@ -10,17 +10,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import delete
 
-from datamodels.entities import TaskStatus
 from handover.database import connect
 from handover.errors import Problem
 from handover.messages import message
-from services.task_orchestrator.process.tally import count_change, count_end, count_start, count_task
-from services.task_orchestrator.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
-from services.task_orchestrator.reporting.period import read_period
-from services.task_orchestrator.storage import schema
-from services.task_orchestrator.storage.rollups import Scope
-from services.task_orchestrator.storage.store import Store
-from services.task_orchestrator.tally import (
+from handover_datamodels.entities import TaskStatus
+from handover_processes.process.tally import count_change, count_end, count_start, count_task
+from handover_processes.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
+from handover_processes.reporting.period import read_period
+from handover_processes.storage import schema
+from handover_processes.storage.rollups import Scope
+from handover_processes.storage.store import Store
+from handover_processes.tally import (
     HOUR_MS,
     WHOLE_PROCESS,
     Counted,

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from services.trajectory_tool import operations, parameters
-from services.trajectory_tool.drivers import Clock
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_robots import operations, parameters
+from handover_robots.drivers import Clock
+from handover_robots.settings import TrajectorySettings
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 from tests.kit.waiting import until
 
 

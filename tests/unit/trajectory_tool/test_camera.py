@@ -1,5 +1,5 @@
-from services.trajectory_tool.camera import Camera
-from services.trajectory_tool.settings import TrajectorySettings
+from handover_robots.camera import Camera
+from handover_robots.settings import TrajectorySettings
 
 PARTS = ["part-1", "part-2"]
 

@@ -1,9 +1,9 @@
 import pytest
 
-from services.trajectory_tool.contents import Contents, Grip, initial
-from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import load
+from handover_robots.contents import Contents, Grip, initial
+from handover_robots.poses import Pose, pointing_down
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import load
 
 SCENE = load(None, ROBOT)
 

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 from prometheus_client import REGISTRY
 
-from datamodels.entities import DeviceState, Task
 from handover.broker import BrokerClient
 from handover.finished_tasks import FinishedTasks
 from handover.performer import Job, TaskFailed
-from services.trajectory_tool.controller import Controller, Controllers
-from services.trajectory_tool.settings import TrajectorySettings
+from handover_datamodels.entities import DeviceState, Task
+from handover_robots.controller import Controller, Controllers
+from handover_robots.settings import TrajectorySettings
 
 
 @pytest.fixture

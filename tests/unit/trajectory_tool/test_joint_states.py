@@ -7,9 +7,9 @@ from typing import Any
 from prometheus_client import REGISTRY
 from starlette.websockets import WebSocket
 
-from services.trajectory_tool.joint_states import stream, written
-from services.trajectory_tool.robot import JointState
-from services.trajectory_tool.robots.ur10 import ROBOT
+from handover_robots.joint_states import stream, written
+from handover_robots.robot import JointState
+from handover_robots.robots.ur10 import ROBOT
 
 TARGET = (1.0, -1.2, 1.1, -1.4, -1.5, 0.3)
 

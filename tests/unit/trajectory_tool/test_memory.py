@@ -4,11 +4,11 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool.contents import initial
-from services.trajectory_tool.memory import Act, Memory, MemoryFile, RobotMemory
-from services.trajectory_tool.poses import pointing_down
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import load
+from handover_robots.contents import initial
+from handover_robots.memory import Act, Memory, MemoryFile, RobotMemory
+from handover_robots.poses import pointing_down
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import load
 
 SCENE = load(None, ROBOT)
 ROBOTS = {"ur10-1": ROBOT.joint_names}

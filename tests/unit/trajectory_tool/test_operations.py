@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from datamodels.streams import SpeedLimitReport
 from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
-from services.trajectory_tool.robot import RobotFault
-from services.trajectory_tool.settings import TrajectorySettings
+from handover_datamodels.streams import SpeedLimitReport
+from handover_robots.robot import RobotFault
+from handover_robots.settings import TrajectorySettings
 
 
 async def picked(worker: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.trajectory_tool.robots.ur10 import ROBOT
+from handover_robots.robots.ur10 import ROBOT
 
 KNOWN = json.loads(
     (Path(__file__).parents[3] / "webui/app/src/robot3d/ur10.poses.json").read_text(encoding="utf-8")

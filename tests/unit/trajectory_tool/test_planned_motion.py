@@ -12,14 +12,14 @@ import pytest
 
 from handover.errors import UsageError
 from handover.performer import TaskFailed
-from services.trajectory_tool import motion
-from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.obstacles import Box, Obstacle
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.robots import ur10
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.workcell import Workcell
+from handover_robots import motion
+from handover_robots.cell import Cell
+from handover_robots.obstacles import Box, Obstacle
+from handover_robots.planning import is_available
+from handover_robots.poses import Pose, pointing_down
+from handover_robots.robots import ur10
+from handover_robots.settings import TrajectorySettings
+from handover_robots.workcell import Workcell
 from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -148,9 +148,9 @@ async def test_changed_obstacles_stop_the_motion_and_are_avoided(
 def test_a_cell_without_obstacles_does_not_load_the_planner(settings: TrajectorySettings) -> None:
     program = (
         "import sys\n"
-        "import services.trajectory_tool.app\n"
-        "from services.trajectory_tool.workcell import Workcell\n"
-        "from services.trajectory_tool.settings import TrajectorySettings\n"
+        "import handover_robots.app\n"
+        "from handover_robots.workcell import Workcell\n"
+        "from handover_robots.settings import TrajectorySettings\n"
         "cell = Workcell(TrajectorySettings.load()).only\n"
         "assert not cell.planning.avoids_obstacles\n"
         "print(sorted({'pinocchio', 'coal', 'ompl', 'toppra'} & sys.modules.keys()))\n"

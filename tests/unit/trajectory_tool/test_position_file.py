@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from services.trajectory_tool.position_file import PositionFile
+from handover_robots.position_file import PositionFile
 
 HOME = (0.0, -1.5)
 

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from handover.cli.main import app
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robots import ur10
+from handover_cell.main import app
+from handover_robots.planning import is_available
+from handover_robots.robots import ur10
 from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 
-BIN_PICKING = REPOSITORY / "services/task_orchestrator/processes/bin_picking.bpmn"
+BIN_PICKING = REPOSITORY / "services/task_orchestrator/handover_processes/processes/bin_picking.bpmn"
 
 PROCESS = """<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
   xmlns:handover="urn:handover:bpmn" id="file" targetNamespace="urn:x">

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool import robot_model
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import pointing_down
-from services.trajectory_tool.robot import Unreachable
-from services.trajectory_tool.robot_model import Finger, RobotModel, read_model
+from handover_robots import robot_model
+from handover_robots.planning import is_available
+from handover_robots.poses import pointing_down
+from handover_robots.robot import Unreachable
+from handover_robots.robot_model import Finger, RobotModel, read_model
 
 TWO_JOINTS = """<robot name="crane">
   <link name="world"/><link name="base"/><link name="mast"/><link name="boom"/>

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import load
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import load
 
 assert ROBOT.scene is not None
 BUILT_IN = ROBOT.scene

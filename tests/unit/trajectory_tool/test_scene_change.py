@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import pointing_down
-from services.trajectory_tool.scene_entities import things_of
-from services.trajectory_tool.scene_shapes import drawn_shapes
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.workcell import Workcell
+from handover_robots.planning import is_available
+from handover_robots.poses import pointing_down
+from handover_robots.scene_entities import things_of
+from handover_robots.scene_shapes import drawn_shapes
+from handover_robots.settings import TrajectorySettings
+from handover_robots.workcell import Workcell
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from handover.performer import TaskFailed
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot import RobotFault
+from handover_robots.planning import is_available
+from handover_robots.robot import RobotFault
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.trajectory_tool.robot import Joints, RobotFault
-from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
+from handover_robots.robot import Joints, RobotFault
+from handover_robots.trajectory import Course, Limits, Setpoint, duration_s
 
 unhurried = settings(deadline=None)
 UR10 = Limits((2.09, 2.09, 3.14, 3.14, 3.14, 3.14), (8.0,) * 6, (80.0,) * 6)

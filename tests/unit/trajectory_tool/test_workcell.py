@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datamodels.entities import DeviceState, Task
 from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.performer import Job, TaskFailed
-from services.trajectory_tool import operations, parameters
-from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.controller import Controllers
-from services.trajectory_tool.drivers import DRIVERS, RobotContext
-from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Obstacle, World
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Frame, pointing_down
-from services.trajectory_tool.robot import RobotFault
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_robot import SimulatedRobot
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_datamodels.entities import DeviceState, Task
+from handover_robots import operations, parameters
+from handover_robots.cell import Cell
+from handover_robots.controller import Controllers
+from handover_robots.drivers import DRIVERS, RobotContext
+from handover_robots.obstacles import Box, Capsule, Cylinder, Obstacle, World
+from handover_robots.planning import is_available
+from handover_robots.poses import Frame, pointing_down
+from handover_robots.robot import RobotFault
+from handover_robots.settings import TrajectorySettings
+from handover_robots.simulated_robot import SimulatedRobot
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 from tests.kit.waiting import until
 
 if is_available():
-    from services.trajectory_tool.planning.arm import Arm
-    from services.trajectory_tool.planning.collision import Collisions
-    from services.trajectory_tool.planning.volumes import occupied, swept
+    from handover_robots.planning.arm import Arm
+    from handover_robots.planning.collision import Collisions
+    from handover_robots.planning.volumes import occupied, swept
 
 UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

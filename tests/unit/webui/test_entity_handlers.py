@@ -8,20 +8,20 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import Alert
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.database import connect
-from webui.live.event_log import EventLog
-from webui.live.live_state import LiveState
-from webui.settings import WebuiSettings
-from webui.sources import alerts as alerts_module
-from webui.sources.alerts import Alerts, view_of
-from webui.sources.broker_abilities import BrokerAbilities
-from webui.sources.devices import Devices
-from webui.sources.services import ServiceMonitor
-from webui.sources.tasklist import Tasklist
-from webui.sources.tasks import Tasks
+from handover_datamodels.entities import Alert
+from handover_datamodels.times import iso
+from handover_web.live.event_log import EventLog
+from handover_web.live.live_state import LiveState
+from handover_web.settings import WebuiSettings
+from handover_web.sources import alerts as alerts_module
+from handover_web.sources.alerts import Alerts, view_of
+from handover_web.sources.broker_abilities import BrokerAbilities
+from handover_web.sources.devices import Devices
+from handover_web.sources.services import ServiceMonitor
+from handover_web.sources.tasklist import Tasklist
+from handover_web.sources.tasks import Tasks
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
 TASK = "urn:ngsi-ld:Task:demo:bin-picking-1-confirm-1"

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from sqlalchemy import text
 
-from datamodels.times import iso
 from handover.database import connect
-from webui.live import event_log as event_log_module
-from webui.live.event_log import Event, EventLog
+from handover_datamodels.times import iso
+from handover_web.live import event_log as event_log_module
+from handover_web.live.event_log import Event, EventLog
 
 BEGAN = "2026-01-01T00:00:00.000Z"
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from webui.settings import WebuiSettings
-from webui.sources.extra_services import ExtraService, extra_services
+from handover_web.settings import WebuiSettings
+from handover_web.sources.extra_services import ExtraService, extra_services
 
 MODULE = """
 from pydantic import Field

@@ -6,7 +6,7 @@ import orjson
 from hypothesis import given
 from hypothesis import strategies as st
 
-from webui.live.live_state import MAX_PENDING_EVENTS, LiveState, Reader, Viewer
+from handover_web.live.live_state import MAX_PENDING_EVENTS, LiveState, Reader, Viewer
 
 TOPICS = ["services", "glove/glove-1", "process/p-1", "robot/ur10-1", "robot/ur10-1/joints"]
 JOINTS = "robot/ur10-1/joints"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from webui.messages import ENGLISH, InvalidMessage, english, found_messages, serialized
+from handover_web.messages import ENGLISH, InvalidMessage, english, found_messages, serialized
 
 
 def module(tmp_path: Path, *calls: str) -> Path:
@@ -16,7 +16,7 @@ def module(tmp_path: Path, *calls: str) -> Path:
 
 def test_the_english_texts_of_the_page_match_the_source() -> None:
     assert ENGLISH.read_text(encoding="utf-8") == serialized(english(found_messages())), (
-        "run python -m webui.messages, and translate what is new in de/server.json and fi/server.json"
+        "run python -m handover_web.messages, and translate what is new in de/server.json and fi/server.json"
     )
 
 

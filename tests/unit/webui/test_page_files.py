@@ -7,9 +7,9 @@ from starlette.datastructures import Headers
 from starlette.responses import FileResponse, Response
 
 from handover.errors import Problem
-from webui import build
-from webui.http import page_files
-from webui.http.page_files import CACHE_FOREVER, REVALIDATE, PageFiles
+from handover_web import build
+from handover_web.http import page_files
+from handover_web.http.page_files import CACHE_FOREVER, REVALIDATE, PageFiles
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import pytest
 from handover.errors import Problem
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
+from handover_web.http.page_guard import PageGuard
+from handover_web.settings import WebuiSettings
 from tests.kit.ports import next_free_port
 from tests.kit.rubbish_source import RubbishSource
-from webui.http.page_guard import PageGuard
-from webui.settings import WebuiSettings
 
 
 @pytest.fixture

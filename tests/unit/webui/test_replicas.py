@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from webui.settings import WebuiSettings
-from webui.sources.broker_entities import BrokerEntities
+from handover_web.settings import WebuiSettings
+from handover_web.sources.broker_entities import BrokerEntities
 
 
 def subscription_of(**settings: Any) -> dict[str, Any]:

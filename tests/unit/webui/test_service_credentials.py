@@ -9,7 +9,7 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.service_access import ServiceAccess
 from handover.settings import Settings
-from webui.service_credentials import ServiceCredentials
+from handover_web.service_credentials import ServiceCredentials
 
 OURS = ["http://127.0.0.1:54200", "https://tool.example:54220"]
 SCRIPT = "hnd_script_" + "a" * 43

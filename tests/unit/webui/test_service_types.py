@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from webui import service_types
+from handover_web import service_types
 
 
 def response(schema: str) -> dict[str, Any]:

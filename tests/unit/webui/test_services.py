@@ -1,6 +1,6 @@
 """Service health: rates from counters."""
 
-from webui.sources.services import ServiceRow, sum_counters
+from handover_web.sources.services import ServiceRow, sum_counters
 
 METRICS = """# HELP handover_broker_requests_total Requests answered
 # TYPE handover_broker_requests_total counter

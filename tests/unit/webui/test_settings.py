@@ -2,8 +2,8 @@
 
 import pytest
 
-from webui.server import cell_view
-from webui.settings import WebuiSettings
+from handover_web.server import cell_view
+from handover_web.settings import WebuiSettings
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from webui.http.sign_in_rate import IN_A_FLOOD, MAX_NETWORKS, OF_ALL, USUAL, SignInRate
+from handover_web.http.sign_in_rate import IN_A_FLOOD, MAX_NETWORKS, OF_ALL, USUAL, SignInRate
 
 PERSON = "192.0.2.7"
 
@@ -78,7 +78,7 @@ async def test_what_is_no_attempt_is_never_refused(page: Page) -> None:
 
 
 async def test_the_memory_of_a_flood_is_bounded(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("webui.http.sign_in_rate.MAX_NETWORKS", 10)
+    monkeypatch.setattr("handover_web.http.sign_in_rate.MAX_NETWORKS", 10)
     assert MAX_NETWORKS > 10
     for number in range(50):
         await page.ask(f"203.0.113.{number}")

@@ -7,8 +7,8 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 
 from handover.security.service_access import ServiceAccess
 from handover.settings import Settings
+from handover_web.sources.on_demand import Streams
 from tests.kit.waiting import until
-from webui.sources.on_demand import Streams
 
 HOST = "127.0.0.1"
 

@@ -6,12 +6,12 @@ import pytest
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from webui import types
-from webui.live import views
+from handover_web import types
+from handover_web.live import views
 
 
 def test_the_types_of_the_page_match_the_views() -> None:
-    assert types.FILE.read_text(encoding="utf-8") == types.typescript(), "run python -m webui.types"
+    assert types.FILE.read_text(encoding="utf-8") == types.typescript(), "run python -m handover_web.types"
 
 
 class Lamp(TypedDict):

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from services.whole_body_control.components.robot import RobotSensors
-from services.whole_body_control.control_process import control_loop
-from services.whole_body_control.cycle.deployment import Deployment
-from services.whole_body_control.cycle.ports import PortWriter
-from services.whole_body_control.cycle.wish import PERSON, WISH
+from handover_humanoid.components.robot import RobotSensors
+from handover_humanoid.control_process import control_loop
+from handover_humanoid.cycle.deployment import Deployment
+from handover_humanoid.cycle.ports import PortWriter
+from handover_humanoid.cycle.wish import PERSON, WISH
 
 
 class Cycle:

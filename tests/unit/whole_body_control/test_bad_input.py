@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from handover.control.speed_limits import Allowed
-from services.whole_body_control import control_process
-from services.whole_body_control.behaviours.humanoid_component import PHASES, Behaviour, Fault
-from services.whole_body_control.behaviours.walking import footsteps_of
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.cycle.loop import Hold, Mode
-from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.reading import read_folder
-from services.whole_body_control.robots import COMAN, humanoid
-from services.whole_body_control.routes.input_socket import shortfall
-from services.whole_body_control.running import motion as motion_module
-from services.whole_body_control.running.humanoid_control import FAULTS, HOLDS
-from services.whole_body_control.running.inputs import PersonInputs, WishMessage
-from services.whole_body_control.running.live import LiveDocument
-from services.whole_body_control.running.motion import Motion
+from handover_humanoid import control_process
+from handover_humanoid.behaviours.humanoid_component import PHASES, Behaviour, Fault
+from handover_humanoid.behaviours.walking import footsteps_of
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.cycle.loop import Hold, Mode
+from handover_humanoid.model.humanoid import Humanoid
+from handover_humanoid.model.reading import read_folder
+from handover_humanoid.robots import COMAN, humanoid
+from handover_humanoid.routes.input_socket import shortfall
+from handover_humanoid.running import motion as motion_module
+from handover_humanoid.running.humanoid_control import FAULTS, HOLDS
+from handover_humanoid.running.inputs import PersonInputs, WishMessage
+from handover_humanoid.running.live import LiveDocument
+from handover_humanoid.running.motion import Motion
 from tests.unit.whole_body_control.cycle import Cycle
 
 STANDING = {"speed_share": 1.0, "behaviour": float(Behaviour.WALKING)}

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from handover.errors import UsageError
-from services.whole_body_control.solvers import cascade
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.compiled import Compiled, fastest_solver
-from services.whole_body_control.solvers.problem import Problem, Solution, Unsolvable
+from handover_humanoid.solvers import cascade
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.compiled import Compiled, fastest_solver
+from handover_humanoid.solvers.problem import Problem, Solution, Unsolvable
 
 pytest.importorskip("numba", reason="the compiled solver needs numba, which has no wheel for this platform")
 
@@ -168,14 +168,14 @@ def test_what_has_no_meaning_is_named(compiled: Compiled) -> None:
 
 
 def test_the_tolerances_are_those_of_the_reference() -> None:
-    from services.whole_body_control.solvers import kernels
+    from handover_humanoid.solvers import kernels
 
     for name in ("RANK_TOLERANCE", "FEASIBLE", "EQUALITY", "PRIMAL_TOLERANCE"):
         assert getattr(kernels, name) == getattr(cascade, name)
 
 
 def test_without_numba_daqp_serves_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    package = "services.whole_body_control.solvers"
+    package = "handover_humanoid.solvers"
     monkeypatch.delitem(sys.modules, f"{package}.kernels", raising=False)
     monkeypatch.delattr(sys.modules[package], "kernels", raising=False)
     original = builtins.__import__

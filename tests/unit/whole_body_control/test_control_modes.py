@@ -9,19 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.components.modes import ModeConversion
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.control_process import control_loop
-from services.whole_body_control.cycle.deployment import read_deployment
-from services.whole_body_control.cycle.loop import Mode
-from services.whole_body_control.cycle.ports import PortWriter
-from services.whole_body_control.cycle.robot_link import Driver, PortRobot
-from services.whole_body_control.cycle.watchdog import Safety, Watchdog
-from services.whole_body_control.cycle.wish import WISH
-from services.whole_body_control.model.humanoid import JointMode
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from handover_humanoid.components.modes import ModeConversion
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.control_process import control_loop
+from handover_humanoid.cycle.deployment import read_deployment
+from handover_humanoid.cycle.loop import Mode
+from handover_humanoid.cycle.ports import PortWriter
+from handover_humanoid.cycle.robot_link import Driver, PortRobot
+from handover_humanoid.cycle.watchdog import Safety, Watchdog
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.model.humanoid import JointMode
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 COMAN = humanoid("coman")
 JOINTS = len(COMAN.joints)

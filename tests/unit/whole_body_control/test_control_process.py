@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.behaviours.humanoid_component import Behaviour, HumanoidComponent
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.control_process import control_loop
-from services.whole_body_control.cycle.deployment import Deployment, read_deployment
-from services.whole_body_control.cycle.loop import MAX_FAULTS, Mode
-from services.whole_body_control.cycle.ports import PortReader, PortWriter
-from services.whole_body_control.cycle.wish import SIDES, WISH
+from handover_humanoid.behaviours.humanoid_component import Behaviour, HumanoidComponent
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.control_process import control_loop
+from handover_humanoid.cycle.deployment import Deployment, read_deployment
+from handover_humanoid.cycle.loop import MAX_FAULTS, Mode
+from handover_humanoid.cycle.ports import PortReader, PortWriter
+from handover_humanoid.cycle.wish import SIDES, WISH
 from tests.kit.waiting import Bound, scaled
 from tests.unit.whole_body_control.cycle import Cycle
 
@@ -38,8 +38,8 @@ COMMANDER = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from services.whole_body_control.cycle.wish import WISH
-from services.whole_body_control.cycle.ports import PortWriter
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.cycle.ports import PortWriter
 port = PortWriter(Path(sys.argv[1]) / "wish", WISH)
 wish = {"ahead_mps": 0.05, "speed_share": 1.0}
 while True:
@@ -73,7 +73,7 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> N
 @pytest.fixture(params=["stack", "projections"])
 def cycle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Return a control process with each motion engine, which is stopped in the end."""
-    module = "services.whole_body_control.control_process"
+    module = "handover_humanoid.control_process"
     text = DEPLOYMENT.replace("solver: daqp", f"engine: {request.param}")
     with subprocess.Popen([sys.executable, "-m", module, str(written(tmp_path, text))], text=True) as process:
         try:

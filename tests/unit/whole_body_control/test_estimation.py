@@ -9,21 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.balance.estimation import StateEstimator
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.components.robot import RobotSensors
-from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import (
+from handover_humanoid.balance.estimation import StateEstimator
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.components.robot import RobotSensors
+from handover_humanoid.model.humanoid import Humanoid
+from handover_humanoid.model.kinematics import (
     BASE_POSITIONS,
     BASE_VELOCITIES,
     GRAVITY_MPS2,
     Array,
     Kinematics,
 )
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE, SimulatedRobot
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE, SimulatedRobot
 
 COMAN = humanoid("coman")
 KINEMATICS = Kinematics(COMAN)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from services.whole_body_control.behaviours.simulated_person import Lead
-from services.whole_body_control.figures import draw_led_walk, draw_throws
-from services.whole_body_control.robots import humanoid
+from handover_humanoid.behaviours.simulated_person import Lead
+from handover_humanoid.figures import draw_led_walk, draw_throws
+from handover_humanoid.robots import humanoid
 
 COMAN = humanoid("coman")
 

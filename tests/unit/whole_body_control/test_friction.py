@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.whole_body_control.engines.stack_engine import DAMPING, StackEngine
-from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array, Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.tasks.base import NO_BOUND
-from services.whole_body_control.tasks.constraints import Contact, Friction, JointLimits
-from services.whole_body_control.tasks.tasks import CentreOfMassTask, LinearMomentumTask, posture
+from handover_humanoid.engines.stack_engine import DAMPING, StackEngine
+from handover_humanoid.model.kinematics import GRAVITY_MPS2, Array, Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.tasks.base import NO_BOUND
+from handover_humanoid.tasks.constraints import Contact, Friction, JointLimits
+from handover_humanoid.tasks.tasks import CentreOfMassTask, LinearMomentumTask, posture
 
 COMAN = humanoid("coman")
 SOLES = ("left_sole", "right_sole")

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem, UsageError
-from services.whole_body_control.control_process import control_loop
-from services.whole_body_control.cycle.deployment import Deployment
-from services.whole_body_control.cycle.gains import CHANGE_S, GainShares, gain_fields
-from services.whole_body_control.cycle.loop import Mode
-from services.whole_body_control.cycle.ports import PortWriter
-from services.whole_body_control.cycle.wish import WISH
-from services.whole_body_control.model.reading import read_folder
-from services.whole_body_control.robots import COMAN as FOLDER
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.running.gains import OF_THE_MODEL, ChainGains, Shares
+from handover_humanoid.control_process import control_loop
+from handover_humanoid.cycle.deployment import Deployment
+from handover_humanoid.cycle.gains import CHANGE_S, GainShares, gain_fields
+from handover_humanoid.cycle.loop import Mode
+from handover_humanoid.cycle.ports import PortWriter
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.model.reading import read_folder
+from handover_humanoid.robots import COMAN as FOLDER
+from handover_humanoid.robots import humanoid
+from handover_humanoid.running.gains import OF_THE_MODEL, ChainGains, Shares
 
 COMAN = humanoid("coman")
 FIELDS = gain_fields(COMAN)

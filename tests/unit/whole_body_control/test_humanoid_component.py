@@ -6,22 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.whole_body_control.behaviours.humanoid_component import (
+from handover_humanoid.behaviours.humanoid_component import (
     PHASES,
     BallPhase,
     Behaviour,
     Fault,
     HumanoidComponent,
 )
-from services.whole_body_control.behaviours.walking import SIDES
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.cycle.loop import Mode
-from services.whole_body_control.cycle.wish import WISH
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.patterns.regions import Footprint, Side
-from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from handover_humanoid.behaviours.walking import SIDES
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.cycle.loop import Mode
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.patterns.regions import Footprint, Side
+from handover_humanoid.patterns.throwing import Throw, ThrowPlanner
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 from tests.unit.whole_body_control.cycle import Cycle
 
 COMAN = humanoid("coman")

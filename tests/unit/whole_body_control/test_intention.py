@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics
-from services.whole_body_control.patterns.intention import (
+from handover_humanoid.model.kinematics import BASE_VELOCITIES, Array, Kinematics
+from handover_humanoid.patterns.intention import (
     ArmState,
     IntentionLimits,
     IntentionReference,
     arm_state,
     hand_place,
 )
-from services.whole_body_control.robots import humanoid
+from handover_humanoid.robots import humanoid
 
 COMAN = humanoid("coman")
 ARMS = {"left_arm": "LSoftHand", "right_arm": "RSoftHand"}

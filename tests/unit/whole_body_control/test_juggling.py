@@ -8,14 +8,14 @@ import pytest
 
 from handover.control.limit_link import LimitLink
 from handover.database import connect
-from services.whole_body_control.behaviours.humanoid_component import BallPhase, Behaviour
-from services.whole_body_control.running.humanoid_control import HumanoidControl
-from services.whole_body_control.running.juggling import MAX_REFUSALS, REFUSED, Juggling
-from services.whole_body_control.running.store import Store
-from services.whole_body_control.sessions.catching import CatchRules
-from services.whole_body_control.sessions.difficulty import CatchingSpace, Difficulty
-from services.whole_body_control.sessions.exercise import EndReason, Exercise, Goal, PauseReason, State
-from services.whole_body_control.settings import WholeBodySettings
+from handover_humanoid.behaviours.humanoid_component import BallPhase, Behaviour
+from handover_humanoid.running.humanoid_control import HumanoidControl
+from handover_humanoid.running.juggling import MAX_REFUSALS, REFUSED, Juggling
+from handover_humanoid.running.store import Store
+from handover_humanoid.sessions.catching import CatchRules
+from handover_humanoid.sessions.difficulty import CatchingSpace, Difficulty
+from handover_humanoid.sessions.exercise import EndReason, Exercise, Goal, PauseReason, State
+from handover_humanoid.settings import WholeBodySettings
 from tests.kit.waiting import until
 
 REACHING = 1.0

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.robots import humanoid
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.robots import humanoid
 
 COMAN = humanoid("coman")
 DT_S = 1e-6

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.whole_body_control.model.kinematics import Array
-from services.whole_body_control.patterns.intention import ArmState
-from services.whole_body_control.patterns.lead import HoldStiffness, LeadLimits, LeadReference, hand_force
+from handover_humanoid.model.kinematics import Array
+from handover_humanoid.patterns.intention import ArmState
+from handover_humanoid.patterns.lead import HoldStiffness, LeadLimits, LeadReference, hand_force
 
 LIMITS = LeadLimits()
 DT_S = 0.02

@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.balance.external_torques import ExternalTorques
-from services.whole_body_control.behaviours.humanoid_component import Fault
-from services.whole_body_control.behaviours.led_walk_report import (
+from handover_humanoid.balance.external_torques import ExternalTorques
+from handover_humanoid.behaviours.humanoid_component import Fault
+from handover_humanoid.behaviours.led_walk_report import (
     REACTION_S,
     Followed,
     Stopped,
     followed,
 )
-from services.whole_body_control.behaviours.simulated_person import SCRIPTS, Hold, Lead, LedRecord, LedWalk
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.patterns.lead import hand_force
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE, SimulatedRobot
+from handover_humanoid.behaviours.simulated_person import SCRIPTS, Hold, Lead, LedRecord, LedWalk
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.model.humanoid import Humanoid
+from handover_humanoid.model.kinematics import BASE_VELOCITIES
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.lead import hand_force
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE, SimulatedRobot
 
 COMAN = humanoid("coman")
 

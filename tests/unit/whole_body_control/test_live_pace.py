@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from services.whole_body_control.running.inputs import PersonInputs, PoseMessage
-from services.whole_body_control.running.live_pace import FOLLOWS_FROM_HZ, Pace
+from handover_humanoid.running.inputs import PersonInputs, PoseMessage
+from handover_humanoid.running.live_pace import FOLLOWS_FROM_HZ, Pace
 
 HOUR_S = 3600.0
 WITHIN_S = 60.0

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.whole_body_control.running.inputs import (
+from handover_humanoid.running.inputs import (
     HandPose,
     HandPoses,
     PersonInputs,
     PoseMessage,
     PullMessage,
 )
-from services.whole_body_control.sessions.plausible import (
+from handover_humanoid.sessions.plausible import (
     MAX_AWAY_M,
     MAX_FORCE_N,
     MAX_HAND_MPS,
@@ -31,7 +31,7 @@ WITHIN = st.floats(-2.0, 2.0)
 @pytest.fixture(autouse=True)
 def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no time pass, however slow the machine is."""
-    monkeypatch.setattr("services.whole_body_control.running.inputs.time.monotonic", lambda: NOW_S)
+    monkeypatch.setattr("handover_humanoid.running.inputs.time.monotonic", lambda: NOW_S)
 
 
 def pose(hand: tuple[float, float, float], **more: object) -> PoseMessage:

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.cycle.ports import VALUES_AT, PortReader, PortWriter
-from services.whole_body_control.cycle.timing import CAUSES, Timing
+from handover_humanoid.cycle.ports import VALUES_AT, PortReader, PortWriter
+from handover_humanoid.cycle.timing import CAUSES, Timing
 
 NAMES = ("first", "second", "third")
 WRITE_FOREVER = """
 import sys
 from pathlib import Path
 import numpy as np
-from services.whole_body_control.cycle.ports import PortWriter
+from handover_humanoid.cycle.ports import PortWriter
 port = PortWriter(Path(sys.argv[1]), ["first", "second", "third"])
 number = 0
 while True:

@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.engines.choice import EngineName
-from services.whole_body_control.engines.projection_engine import ProjectionEngine
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Kinematics
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.patterns.throwing import ThrowPlanner
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.ball import build_with_ball
-from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
-from services.whole_body_control.tasks.constraints import Contact, JointLimits
-from services.whole_body_control.tasks.tasks import CentreOfMassTask, posture
+from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.engines.choice import EngineName
+from handover_humanoid.engines.projection_engine import ProjectionEngine
+from handover_humanoid.model.kinematics import BASE_VELOCITIES, Kinematics
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.throwing import ThrowPlanner
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.ball import build_with_ball
+from handover_humanoid.simulation.simulated_robot import SimulatedRobot
+from handover_humanoid.tasks.constraints import Contact, JointLimits
+from handover_humanoid.tasks.tasks import CentreOfMassTask, posture
 
 COMAN = humanoid("coman")
 ENGINES: tuple[EngineName, ...] = ("stack", "projections")

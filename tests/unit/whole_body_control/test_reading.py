@@ -7,12 +7,12 @@ from shutil import copytree
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.model.reading import read_folder
-from services.whole_body_control.robots import COMAN, HUMANOIDS, humanoid
-from services.whole_body_control.simulation.body_model import build
-from services.whole_body_control.tasks.self_collision import SelfCollision
+from handover_humanoid.model.humanoid import Humanoid
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.model.reading import read_folder
+from handover_humanoid.robots import COMAN, HUMANOIDS, humanoid
+from handover_humanoid.simulation.body_model import build
+from handover_humanoid.tasks.self_collision import SelfCollision
 
 Change = Callable[[str, str, str], None]
 LINE = "[0.1, 0, 0], [0, 0, 0], [-0.05, 0, 0], [-0.1, 0, 0]"

@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 
 from handover.errors import Problem
-from services.whole_body_control.behaviours.humanoid_component import Behaviour
-from services.whole_body_control.behaviours.rehearsal import (
+from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.rehearsal import (
     DIRECTIONS_RAD,
     FILE,
     read_rehearsals,
     write_rehearsals,
 )
-from services.whole_body_control.behaviours.rehearsal import TARGET as REHEARSAL_TARGET
-from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.throwing import Practice
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.patterns.throwing import ThrowPlanner
-from services.whole_body_control.robots import folder, humanoid
-from services.whole_body_control.running.motion import Motion
-from services.whole_body_control.running.rehearsals import Rehearsals
-from services.whole_body_control.running.throws import Throws
-from services.whole_body_control.simulation.ball import build_with_ball
-from services.whole_body_control.solvers.compiled import fastest_solver
+from handover_humanoid.behaviours.rehearsal import TARGET as REHEARSAL_TARGET
+from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
+from handover_humanoid.behaviours.throwing import Practice
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.patterns.throwing import ThrowPlanner
+from handover_humanoid.robots import folder, humanoid
+from handover_humanoid.running.motion import Motion
+from handover_humanoid.running.rehearsals import Rehearsals
+from handover_humanoid.running.throws import Throws
+from handover_humanoid.simulation.ball import build_with_ball
+from handover_humanoid.solvers.compiled import fastest_solver
 from tests.kit.waiting import until
 
 COMAN = humanoid("coman")

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.hierarchical import Hierarchical
-from services.whole_body_control.solvers.problem import Solver
-from services.whole_body_control.tasks.base import NO_BOUND, Constraint
-from services.whole_body_control.tasks.constraints import JointLimits
-from services.whole_body_control.tasks.self_collision import ROW_BLOCK, SelfCollision
-from services.whole_body_control.tasks.tasks import PoseTask, posture
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.hierarchical import Hierarchical
+from handover_humanoid.solvers.problem import Solver
+from handover_humanoid.tasks.base import NO_BOUND, Constraint
+from handover_humanoid.tasks.constraints import JointLimits
+from handover_humanoid.tasks.self_collision import ROW_BLOCK, SelfCollision
+from handover_humanoid.tasks.tasks import PoseTask, posture
 
 COMAN = humanoid("coman")
 DT_S = 0.01

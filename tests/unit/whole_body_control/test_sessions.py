@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.whole_body_control.model.kinematics import Array
-from services.whole_body_control.patterns.ballistics import position_after, release_velocity
-from services.whole_body_control.patterns.regions import Side
-from services.whole_body_control.sessions.catching import CatchDetector, CatchRules, HandSample, Outcome
-from services.whole_body_control.sessions.difficulty import CatchingSpace, Difficulty, DifficultyRules
-from services.whole_body_control.sessions.exercise import (
+from handover_humanoid.model.kinematics import Array
+from handover_humanoid.patterns.ballistics import position_after, release_velocity
+from handover_humanoid.patterns.regions import Side
+from handover_humanoid.sessions.catching import CatchDetector, CatchRules, HandSample, Outcome
+from handover_humanoid.sessions.difficulty import CatchingSpace, Difficulty, DifficultyRules
+from handover_humanoid.sessions.exercise import (
     EndReason,
     Exercise,
     Goal,
@@ -21,8 +21,8 @@ from services.whole_body_control.sessions.exercise import (
     SessionError,
     State,
 )
-from services.whole_body_control.sessions.report import SessionFigures, juggling_report, progress
-from services.whole_body_control.sessions.walking import WalkFigures
+from handover_humanoid.sessions.report import SessionFigures, juggling_report, progress
+from handover_humanoid.sessions.walking import WalkFigures
 
 START, FLIGHT_S = np.array([0.1, 0.0, 0.7]), 0.5
 CAUGHT = Outcome("caught", 0.5, "left", 0.02, 0.2)

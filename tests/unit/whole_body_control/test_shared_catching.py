@@ -6,7 +6,7 @@ import numpy as np
 import orjson
 import pytest
 
-from services.whole_body_control.sessions.catching import CatchDetector, CatchRules, HandSample
+from handover_humanoid.sessions.catching import CatchDetector, CatchRules, HandSample
 from tests.kit.paths import REPOSITORY
 
 SHARED = orjson.loads((REPOSITORY / "webui/app/src/humanoid/vr/catching.fixture.json").read_bytes())

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array, Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.body_model import STEP_S, build
-from services.whole_body_control.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.tasks.constraints import JointLimits
-from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.model.kinematics import GRAVITY_MPS2, Array, Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.body_model import STEP_S, build
+from handover_humanoid.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.tasks.constraints import JointLimits
+from handover_humanoid.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
 
 COMAN = humanoid("coman")
 KINEMATICS = Kinematics(COMAN)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.hierarchical import Hierarchical
-from services.whole_body_control.solvers.problem import Problem, Solver, Unsolvable
-from services.whole_body_control.solvers.weighted import Weighted
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.hierarchical import Hierarchical
+from handover_humanoid.solvers.problem import Problem, Solver, Unsolvable
+from handover_humanoid.solvers.weighted import Weighted
 
 N = 12
 HIERARCHICAL: tuple[Solver, ...] = (Cascade(), Hierarchical())

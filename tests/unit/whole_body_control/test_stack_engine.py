@@ -4,15 +4,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.solvers.cascade import Cascade
-from services.whole_body_control.solvers.hierarchical import Hierarchical
-from services.whole_body_control.solvers.problem import Solver
-from services.whole_body_control.tasks.base import Stack, Task
-from services.whole_body_control.tasks.constraints import Contact, JointLimits, SupportPolygon
-from services.whole_body_control.tasks.tasks import (
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.solvers.cascade import Cascade
+from handover_humanoid.solvers.hierarchical import Hierarchical
+from handover_humanoid.solvers.problem import Solver
+from handover_humanoid.tasks.base import Stack, Task
+from handover_humanoid.tasks.constraints import Contact, JointLimits, SupportPolygon
+from handover_humanoid.tasks.tasks import (
     AngularMomentumTask,
     CentreOfMassTask,
     GazeTask,

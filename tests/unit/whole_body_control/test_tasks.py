@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.tasks.base import Task
-from services.whole_body_control.tasks.constraints import Contact, JointLimits, SupportPolygon
-from services.whole_body_control.tasks.tasks import (
+from handover_humanoid.engines.stack_engine import StackEngine
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.tasks.base import Task
+from handover_humanoid.tasks.constraints import Contact, JointLimits, SupportPolygon
+from handover_humanoid.tasks.tasks import (
     CentreOfMassTask,
     JointTask,
     OrientationTask,

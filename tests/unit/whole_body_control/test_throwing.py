@@ -7,17 +7,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.behaviours.rehearsal import FILE, read_rehearsals
-from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController, aimed_throw
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
-from services.whole_body_control.patterns import ballistics
-from services.whole_body_control.patterns.throwing import OutOfReach, Throw, ThrowPlanner
-from services.whole_body_control.robots import folder, humanoid
-from services.whole_body_control.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
-from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
-from services.whole_body_control.tasks.self_collision import SelfCollision
+from handover_humanoid.behaviours.rehearsal import FILE, read_rehearsals
+from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
+from handover_humanoid.behaviours.throwing import Phase, Practice, ThrowingController, aimed_throw
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
+from handover_humanoid.patterns import ballistics
+from handover_humanoid.patterns.throwing import OutOfReach, Throw, ThrowPlanner
+from handover_humanoid.robots import folder, humanoid
+from handover_humanoid.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
+from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE
+from handover_humanoid.tasks.self_collision import SelfCollision
 
 COMAN = humanoid("coman")
 KINEMATICS = Kinematics(COMAN)

@@ -9,14 +9,14 @@ import pytest
 from handover.control.limit_link import LimitLink
 from handover.database import connect
 from handover.errors import Problem
-from services.whole_body_control.behaviours.humanoid_component import Behaviour
-from services.whole_body_control.running.humanoid_control import HumanoidControl
-from services.whole_body_control.running.inputs import SILENT_S, PoseMessage, PullMessage
-from services.whole_body_control.running.session_store import SessionStore
-from services.whole_body_control.running.signals import PatientSignals
-from services.whole_body_control.running.store import Store
-from services.whole_body_control.running.training import GRACE_S, Plan, Session, Training
-from services.whole_body_control.sessions.exercise import (
+from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.running.humanoid_control import HumanoidControl
+from handover_humanoid.running.inputs import SILENT_S, PoseMessage, PullMessage
+from handover_humanoid.running.session_store import SessionStore
+from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.store import Store
+from handover_humanoid.running.training import GRACE_S, Plan, Session, Training
+from handover_humanoid.sessions.exercise import (
     CAUSES,
     EndReason,
     Goal,
@@ -24,11 +24,11 @@ from services.whole_body_control.sessions.exercise import (
     SessionError,
     State,
 )
-from services.whole_body_control.sessions.plausible import RELEASE_S
-from services.whole_body_control.settings import WholeBodySettings
+from handover_humanoid.sessions.plausible import RELEASE_S
+from handover_humanoid.settings import WholeBodySettings
 
 HAND = (0.5, -0.1, 0.6)
-CLOCK = "services.whole_body_control.running.inputs.time.monotonic"
+CLOCK = "handover_humanoid.running.inputs.time.monotonic"
 
 
 class Exercises:

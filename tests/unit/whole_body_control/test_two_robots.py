@@ -10,29 +10,29 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.components.robot import JointCommand, Robot, RobotSensors
-from services.whole_body_control.cycle.robot_link import Driver, PortRobot
-from services.whole_body_control.cycle.watchdog import Safety
-from services.whole_body_control.drivers import DriverContext
-from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.model.packaged import adapted, packaged_file
-from services.whole_body_control.model.reading import read_folder
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.patterns.intention import (
+from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.components.robot import JointCommand, Robot, RobotSensors
+from handover_humanoid.cycle.robot_link import Driver, PortRobot
+from handover_humanoid.cycle.watchdog import Safety
+from handover_humanoid.drivers import DriverContext
+from handover_humanoid.model.humanoid import Humanoid
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.model.packaged import adapted, packaged_file
+from handover_humanoid.model.reading import read_folder
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.intention import (
     ArmState,
     IntentionLimits,
     IntentionReference,
     arm_state,
     hand_place,
 )
-from services.whole_body_control.patterns.throwing import ThrowPlanner
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.ball import RADIUS_M, build_with_ball
-from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from handover_humanoid.patterns.throwing import ThrowPlanner
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.ball import RADIUS_M, build_with_ball
+from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 ROBOTS = ("coman", "talos")
 GUIDE = Path(__file__).parents[3] / "docs/how-to/humanoids.md"

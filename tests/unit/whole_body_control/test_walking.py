@@ -8,15 +8,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk, WalkRecord
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.model.kinematics import Array, Kinematics
-from services.whole_body_control.patterns.footsteps import Wish
-from services.whole_body_control.patterns.zmp_control import MARGIN_M
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.body_model import build
-from services.whole_body_control.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
-from services.whole_body_control.solvers.hierarchical import Hierarchical
+from handover_humanoid.behaviours.simulated_walk import SimulatedWalk, WalkRecord
+from handover_humanoid.behaviours.walking import WalkingController
+from handover_humanoid.model.kinematics import Array, Kinematics
+from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.zmp_control import MARGIN_M
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.body_model import build
+from handover_humanoid.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
+from handover_humanoid.solvers.hierarchical import Hierarchical
 
 COMAN = humanoid("coman")
 MODEL = build(COMAN)

@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.whole_body_control.balance.contact_forces import nearest_in_sole
-from services.whole_body_control.model.kinematics import Array
-from services.whole_body_control.patterns.footsteps import (
+from handover_humanoid.balance.contact_forces import nearest_in_sole
+from handover_humanoid.model.kinematics import Array
+from handover_humanoid.patterns.footsteps import (
     Footsteps,
     Stance,
     StepLimits,
     Wish,
     swing_position,
 )
-from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
-from services.whole_body_control.patterns.regions import Footprint, Region, turn
-from services.whole_body_control.patterns.walking import TOLERATED_M, WalkingPattern
-from services.whole_body_control.patterns.zmp_control import MARGIN_M, PERIOD_S, Unplannable, ZmpControl
+from handover_humanoid.patterns.pendulum import Pendulum, PendulumState
+from handover_humanoid.patterns.regions import Footprint, Region, turn
+from handover_humanoid.patterns.walking import TOLERATED_M, WalkingPattern
+from handover_humanoid.patterns.zmp_control import MARGIN_M, PERIOD_S, Unplannable, ZmpControl
 
 SOLE = np.array([[0.13, 0.05], [0.13, -0.05], [-0.07, -0.05], [-0.07, 0.05]])
 LIMITS = StepLimits(width_m=0.15, min_width_m=0.12, max_width_m=0.22, max_length_m=0.1)

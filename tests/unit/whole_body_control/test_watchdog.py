@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.cycle.ports import PortReader
-from services.whole_body_control.cycle.robot_link import SENSORS, Driver, PortRobot
-from services.whole_body_control.cycle.watchdog import Safety
-from services.whole_body_control.model.kinematics import Kinematics
-from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from handover_humanoid.components.robot import JointCommand, RobotSensors
+from handover_humanoid.cycle.ports import PortReader
+from handover_humanoid.cycle.robot_link import SENSORS, Driver, PortRobot
+from handover_humanoid.cycle.watchdog import Safety
+from handover_humanoid.model.kinematics import Kinematics
+from handover_humanoid.robots import humanoid
+from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 from tests.kit.waiting import Bound, wait_for
 
 COMAN = humanoid("coman")
@@ -82,7 +82,7 @@ def test_a_control_process_that_stalls_is_noticed_by_the_process_of_the_robot(tm
     with ExitStack() as stack:
 
         def started(module: str) -> subprocess.Popen[bytes]:
-            package = "services.whole_body_control"
+            package = "handover_humanoid"
             process = subprocess.Popen([sys.executable, "-m", f"{package}.{module}", str(file)])
             stack.callback(process.wait)
             stack.callback(process.kill)

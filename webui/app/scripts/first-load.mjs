@@ -5,7 +5,7 @@ import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
 const LIMIT_KB = 250;
-const page = join(import.meta.dirname, "../../page");
+const page = join(import.meta.dirname, "../../handover_web/page");
 const manifest = JSON.parse(readFileSync(join(page, ".vite/manifest.json"), "utf8"));
 
 const files = new Set(["index.html", "theme.js", "favicon.svg"]);

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
 from tests.kit.waiting import Bound
 
 TWO = ["Thumbs up", "Horns"]

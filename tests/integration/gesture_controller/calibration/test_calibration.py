@@ -9,7 +9,7 @@ from sqlalchemy import text
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
 from handover.database import connect
-from services.gesture_controller.calibration.drift_persistence import MIN_SAVED_CHANGE
+from handover_gloves.calibration.drift_persistence import MIN_SAVED_CHANGE
 from tests.kit.databases import default_url
 from tests.kit.waiting import until
 

@@ -58,7 +58,7 @@ async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_go
 def handover(cell: Cell, *words: str) -> "subprocess.CompletedProcess[str]":
     """Run the command line."""
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", *words],
+        [sys.executable, "-m", "handover_cell", *words],
         env=cell.environment,
         capture_output=True,
         text=True,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from handover.cli.main import app
+from handover_cell.main import app
 from tests.integration.gesture_controller.people.test_people import asked, ends
 from tests.kit.waiting import until
 

@@ -32,7 +32,7 @@ pytestmark = [
 
 def handover(cell: Cell, *arguments: str | Path, **settings: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", *map(str, arguments)],
+        [sys.executable, "-m", "handover_cell", *map(str, arguments)],
         env={**cell.environment, **settings},
         cwd=cell.data_dir.parent,
         capture_output=True,

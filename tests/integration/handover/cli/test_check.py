@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from handover.database import connect
-from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries
-from services.context_broker.storage.history_archive import HistoryRow
-from services.context_broker.storage.journal import Journal
+from handover_broker.storage.database import SqliteDatabase
+from handover_broker.storage.entries import EntityRow, Entries
+from handover_broker.storage.history_archive import HistoryRow
+from handover_broker.storage.journal import Journal
 
 
 def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(folder), *options],
+        [sys.executable, "-m", "handover_cell", "check", "--data-dir", str(folder), *options],
         cwd=folder,
         capture_output=True,
         text=True,

@@ -39,7 +39,7 @@ Handover = Callable[..., subprocess.CompletedProcess[str]]
 def handover(cell: Any) -> Handover:
     def command(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "handover.cli", *words],
+            [sys.executable, "-m", "handover_cell", *words],
             env=cell.environment,
             cwd=cell.data_dir,
             stdin=subprocess.DEVNULL,

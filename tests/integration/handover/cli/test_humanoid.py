@@ -3,8 +3,8 @@
 import pytest
 from typer.testing import CliRunner
 
-from handover.cli.humanoid import app
 from handover.errors import UsageError
+from handover_cell.humanoid import app
 
 
 def said(*words: str) -> str:

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 def inspect(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "handover.cli", "broker", "inspect", "--data-dir", str(folder), *options],
+        [sys.executable, "-m", "handover_cell", "broker", "inspect", "--data-dir", str(folder), *options],
         cwd=folder,
         capture_output=True,
         text=True,

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.graph.port import RosGraph
+from handover_ros.types.type_store import TypeStore
 from tests.kit.skipping import ROS_TYPES
 from tests.kit.waiting import scaled, until
 

@@ -7,8 +7,8 @@ import asyncio
 import sys
 from pathlib import Path
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 
 TYPES = Path(__file__).parent / "types"
 

@@ -7,9 +7,9 @@ import asyncio
 import json
 import sys
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.qos import LATCHED
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.graph.qos import LATCHED
+from handover_ros.types.type_store import TypeStore
 
 
 async def main() -> None:

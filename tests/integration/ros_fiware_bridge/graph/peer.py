@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ros_fiware_bridge.errors import GraphError
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, ServedGoal
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import GraphError
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.graph.port import GoalEnded, GoalStatus, ServedGoal
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA, Qos
+from handover_ros.types.type_store import TypeStore
 
 TYPES = Path(__file__).parent / "types"
 

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, ServedGoal
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.graph.port import GoalEnded, GoalStatus, ServedGoal
+from handover_ros.types.type_store import TypeStore
 
 TYPES = Path(__file__).parent / "types"
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import repeated, running_peer, true
 from tests.kit.skipping import NO_ROS
 from tests.kit.waiting import scaled

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.errors import GraphError, UnknownType
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.inspection import definition_retrieval
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import GraphError, UnknownType
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.inspection import definition_retrieval
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script
 from tests.kit.skipping import NO_ROS
 from tests.kit.waiting import scaled

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros_fiware_bridge.errors import (
+from handover_ros.errors import (
     BadMessage,
     BadName,
     GraphClosed,
@@ -19,9 +19,9 @@ from ros_fiware_bridge.errors import (
     TypeHashDiffers,
     UnknownType,
 )
-from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.graph.qos import SENSOR_DATA, History, Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.port import RosGraph
+from handover_ros.graph.qos import SENSOR_DATA, History, Qos
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import (
     Joined,
     part,

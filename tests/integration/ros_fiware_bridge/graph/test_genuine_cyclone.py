@@ -8,10 +8,10 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from ros_fiware_bridge.errors import TypeHashDiffers
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import TypeHashDiffers
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.graph.port import GoalStatus, RosGraph
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
 from tests.kit.waiting import scaled
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.errors import IncompatibleQos, VendorNotShared
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
-from ros_fiware_bridge.inspection import description
-from ros_fiware_bridge.mapping import parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import IncompatibleQos, VendorNotShared
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.graph.port import RosGraph
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA
+from handover_ros.inspection import description
+from handover_ros.mapping import parse
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
 from tests.kit.skipping import NO_ROS
 from tests.kit.waiting import scaled

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from ros_fiware_bridge.errors import CallTimeout, OutcomeUnknown, ServerLost, ServiceUnavailable
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import CallTimeout, OutcomeUnknown, ServerLost, ServiceUnavailable
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.graph.port import RosGraph
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import Joined, running_script, true
 from tests.kit.skipping import NO_ROS
 from tests.kit.waiting import scaled

@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
-from services.human_state.formats import ros
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
+from handover_body.formats import ros
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import ClockKind, Samples, SignalInfo, SignalKind
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script
 from tests.kit.waiting import scaled
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.errors import UnsupportedType
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import UnsupportedType
+from handover_ros.types.type_store import TypeStore
 from tests.kit.skipping import NO_ROS
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
-from ros_fiware_bridge.graph.mixed import MixedGraph
-from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, installed, join
+from handover_ros.graph.mixed import MixedGraph
+from handover_ros.graph.port import GoalStatus, RosGraph
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import repeated, running_peer, true
 from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import TRIGGER, genuine
 from tests.kit.skipping import NO_ROS

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
-from ros_fiware_bridge.errors import (
+from handover_ros.errors import (
     AdapterUnavailable,
     BadMessage,
     CallTimeout,
@@ -23,10 +23,10 @@ from ros_fiware_bridge.errors import (
     ServerLost,
     ServiceUnavailable,
 )
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
-from ros_fiware_bridge.graph.qos import LATCHED
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import Adapter, JoinSettings, join
+from handover_ros.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
+from handover_ros.graph.qos import LATCHED
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import true
 from tests.integration.ros_fiware_bridge.graph.rosbridge_server import RosbridgeServer, running
 from tests.kit.waiting import scaled

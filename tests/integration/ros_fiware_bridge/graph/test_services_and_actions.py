@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.errors import (
+from handover_ros.errors import (
     BadMessage,
     CallTimeout,
     GoalRefused,
     ServerLost,
     ServiceUnavailable,
 )
-from ros_fiware_bridge.graph.joining import Adapter
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
+from handover_ros.graph.joining import Adapter
+from handover_ros.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
 from tests.integration.ros_fiware_bridge.graph.conftest import (
     REPEAT,
     Joined,

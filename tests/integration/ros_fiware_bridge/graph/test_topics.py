@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros_fiware_bridge.errors import (
+from handover_ros.errors import (
     IncompatibleQos,
 )
-from ros_fiware_bridge.graph.port import Publisher, RosGraph
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, History, Qos
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.port import Publisher, RosGraph
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA, History, Qos
+from handover_ros.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import (
     REPEAT,
     Joined,

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from services.trajectory_tool.driver_contract import context_of
-from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.universal_robots.driver import UniversalRobot
-from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
+from handover_robots.driver_contract import context_of
+from handover_robots.drivers import RobotContext
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.universal_robots.driver import UniversalRobot
+from handover_robots.universal_robots.simulator.controller import SimulatedController
 from tests.kit.ur_controllers import RunningController, running_controller
 from tests.kit.waiting import until
 

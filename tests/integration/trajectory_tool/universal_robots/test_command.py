@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from handover.cli.main import app
 from handover.errors import UsageError
-from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.universal_robots.driver import UniversalRobot
+from handover_cell.main import app
+from handover_robots.drivers import RobotContext
+from handover_robots.universal_robots.driver import UniversalRobot
 from tests.kit.ports import next_free_port
 from tests.kit.ur_controllers import HOST
 from tests.kit.waiting import scaled, until
@@ -26,7 +26,7 @@ async def test_the_command_serves_a_driver_and_lines_of_input_are_acts_at_the_ar
     ports = {name: next_free_port() for name in NAMES}
     options = [word for name, port in ports.items() for word in (f"--{name}-port", str(port))]
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "handover.cli", "robot", "simulate-ur", "--host", HOST, *options,
+        sys.executable, "-m", "handover_cell", "robot", "simulate-ur", "--host", HOST, *options,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip
     assert process.stdin is not None

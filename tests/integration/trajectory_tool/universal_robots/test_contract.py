@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.trajectory_tool.driver_contract import RobotContract
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.robots.ur10 import ROBOT
+from handover_robots.driver_contract import RobotContract
+from handover_robots.robot import Joints
+from handover_robots.robots.ur10 import ROBOT
 from tests.integration.trajectory_tool.universal_robots.conftest import HOME
 from tests.kit.ur_controllers import RunningController
 

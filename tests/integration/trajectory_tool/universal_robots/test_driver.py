@@ -16,18 +16,18 @@ from handover.errors import UsageError
 from handover.security.guard import Guard
 from handover.service import create_app
 from handover.settings import Settings
-from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.robot import RobotFault
-from services.trajectory_tool.robots.panda import ROBOT as PANDA
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.universal_robots import rtde
-from services.trajectory_tool.universal_robots.arm_model import expected_model, other_series
-from services.trajectory_tool.universal_robots.driver import UniversalRobot
-from services.trajectory_tool.universal_robots.exchange import INPUTS
-from services.trajectory_tool.universal_robots.options import UrOptions, with_environment
-from services.trajectory_tool.universal_robots.routes import view_of
-from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
-from services.trajectory_tool.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
+from handover_robots.drivers import RobotContext
+from handover_robots.robot import RobotFault
+from handover_robots.robots.panda import ROBOT as PANDA
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.universal_robots import rtde
+from handover_robots.universal_robots.arm_model import expected_model, other_series
+from handover_robots.universal_robots.driver import UniversalRobot
+from handover_robots.universal_robots.exchange import INPUTS
+from handover_robots.universal_robots.options import UrOptions, with_environment
+from handover_robots.universal_robots.routes import view_of
+from handover_robots.universal_robots.simulator.controller import SimulatedController
+from handover_robots.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
 from tests.integration.trajectory_tool.universal_robots.conftest import HOME, NewRobot
 from tests.kit.ur_controllers import RunningController
 from tests.kit.waiting import until, wait_for

@@ -6,8 +6,8 @@ from typing import Any
 import httpx
 import pytest
 
-from datamodels.entities import TaskStatus
-from services.trajectory_tool.universal_robots.states import RuntimeState, SafetyStatus
+from handover_datamodels.entities import TaskStatus
+from handover_robots.universal_robots.states import RuntimeState, SafetyStatus
 from tests.integration.trajectory_tool.test_tasks import AWAY, HOME, Shop, at_work
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController

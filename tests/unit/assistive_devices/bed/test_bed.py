@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.assistive_devices.machines.bed.controller import Bed, Parameters, Signals
+from handover_cases.machines.bed.controller import Bed, Parameters, Signals
 
 DT_S = 0.05
 GIVEN = Parameters()

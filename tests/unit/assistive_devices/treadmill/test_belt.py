@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.assistive_devices.machines.treadmill.belt import (
+from handover_cases.machines.treadmill.belt import (
     LOST_S,
     MAX_PAUSE_S,
     Belt,
@@ -17,7 +17,7 @@ from services.assistive_devices.machines.treadmill.belt import (
     BeltState,
     StopReason,
 )
-from services.assistive_devices.machines.treadmill.simulation import Habits, SimulatedWalker
+from handover_cases.machines.treadmill.simulation import Habits, SimulatedWalker
 
 STEP_S = 0.05
 SETTINGS = BeltSettings()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.assistive_devices.machines.treadmill.coach import (
+from handover_cases.machines.treadmill.coach import (
     ZONES,
     Advice,
     Coach,

@@ -15,13 +15,13 @@ from sqlalchemy import Engine
 from handover.control.speed_limits import Allowed
 from handover.database import connect
 from handover.errors import Problem, UsageError
-from services.assistive_devices.machine import MachineContext, Seen
-from services.assistive_devices.machines.treadmill.case import CASE, TreadmillMachine
-from services.assistive_devices.machines.treadmill.coach import Advice, Decision, Reason
-from services.assistive_devices.machines.treadmill.session_log import SessionLog
-from services.assistive_devices.machines.treadmill.wording import LANGUAGES, request_of
-from services.assistive_devices.model.body import Body, Reading
-from services.assistive_devices.settings import AssistiveSettings
+from handover_cases.machine import MachineContext, Seen
+from handover_cases.machines.treadmill.case import CASE, TreadmillMachine
+from handover_cases.machines.treadmill.coach import Advice, Decision, Reason
+from handover_cases.machines.treadmill.session_log import SessionLog
+from handover_cases.machines.treadmill.wording import LANGUAGES, request_of
+from handover_cases.model.body import Body, Reading
+from handover_cases.settings import AssistiveSettings
 from tests.kit.waiting import until
 from tests.unit.assistive_devices.treadmill.completions import Completions, obedient, serving
 
@@ -187,7 +187,7 @@ async def test_a_heart_rate_that_ends_and_a_limit_of_nothing_stop_the_belt(engin
 
 
 def test_the_person_of_the_case_is_the_one_of_the_study() -> None:
-    from services.human_state.model.cardiovascular import Physiology
+    from handover_body.model.cardiovascular import Physiology
 
     body = Physiology.of_age(55)
     assert CASE.sensors[0].settings["max_bpm"] == pytest.approx(body.max_bpm)

@@ -12,10 +12,10 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.settings import Settings
-from services.assistive_devices.machines.treadmill import session_log
-from services.assistive_devices.machines.treadmill.coach import Advice, Decision, Intensity, Reason
-from services.assistive_devices.machines.treadmill.session_log import INTERRUPTED, SessionLog, SessionRow
-from services.assistive_devices.machines.treadmill.wording import Words
+from handover_cases.machines.treadmill import session_log
+from handover_cases.machines.treadmill.coach import Advice, Decision, Intensity, Reason
+from handover_cases.machines.treadmill.session_log import INTERRUPTED, SessionLog, SessionRow
+from handover_cases.machines.treadmill.wording import Words
 
 DAY_US = 86_400_000_000
 FASTER = Decision(Advice.FASTER, Reason.BELOW, 30.0)

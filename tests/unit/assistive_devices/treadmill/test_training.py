@@ -4,15 +4,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover.cli.case import print_study
 from handover.errors import UsageError
-from services.assistive_devices.machines.treadmill.belt import BeltState, StopReason
-from services.assistive_devices.machines.treadmill.coach import Advice, Intensity, Reason
-from services.assistive_devices.machines.treadmill.figures import figures_of
-from services.assistive_devices.machines.treadmill.report import compare
-from services.assistive_devices.machines.treadmill.simulation import Habits, SimulatedWalker
-from services.assistive_devices.machines.treadmill.training import Plan, Training
-from services.assistive_devices.trial import Trial
+from handover_cases.machines.treadmill.belt import BeltState, StopReason
+from handover_cases.machines.treadmill.coach import Advice, Intensity, Reason
+from handover_cases.machines.treadmill.figures import figures_of
+from handover_cases.machines.treadmill.report import compare
+from handover_cases.machines.treadmill.simulation import Habits, SimulatedWalker
+from handover_cases.machines.treadmill.training import Plan, Training
+from handover_cases.trial import Trial
+from handover_cell.case import print_study
 
 STEP_S = 0.05
 FREE = 1.3

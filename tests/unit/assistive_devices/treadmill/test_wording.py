@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.assistive_devices.machines.treadmill.coach import Advice, Decision, Reason
-from services.assistive_devices.machines.treadmill.wording import (
+from handover_cases.machines.treadmill.coach import Advice, Decision, Reason
+from handover_cases.machines.treadmill.wording import (
     LANGUAGES,
     MAX_LETTERS,
     ModelWording,

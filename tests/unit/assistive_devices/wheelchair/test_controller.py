@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.assistive_devices.machines.wheelchair.case import vmax_of
-from services.assistive_devices.machines.wheelchair.controller import Centre, Parameters, Wheelchair
-from services.assistive_devices.model.smoothing import Smoothed
-from services.human_state.limits.curve import LimitCurve
+from handover_body.limits.curve import LimitCurve
+from handover_cases.machines.wheelchair.case import vmax_of
+from handover_cases.machines.wheelchair.controller import Centre, Parameters, Wheelchair
+from handover_cases.model.smoothing import Smoothed
 
 DT_S = 0.05
 GIVEN = Parameters()

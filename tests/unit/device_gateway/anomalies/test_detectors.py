@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from services.device_gateway.anomalies.backtest import findings
-from services.device_gateway.anomalies.detectors import (
+from handover_devices.anomalies.backtest import findings
+from handover_devices.anomalies.detectors import (
     MAX_SAMPLES,
     Alarm,
     Baseline,
@@ -19,7 +19,7 @@ from services.device_gateway.anomalies.detectors import (
     Rate,
     detector_of,
 )
-from services.device_gateway.anomalies.rules import Rule
+from handover_devices.anomalies.rules import Rule
 
 NORMAL, BETWEEN, ABNORMAL = Judgement.NORMAL, Judgement.BETWEEN, Judgement.ABNORMAL
 

@@ -7,12 +7,12 @@ import pytest
 
 from handover.database import connect
 from handover.errors import UsageError
-from services.device_gateway.anomalies import monitor as monitors
-from services.device_gateway.anomalies.baseline import baseline_of
-from services.device_gateway.anomalies.monitor import Monitor, WatchKey
-from services.device_gateway.anomalies.rules import Rule, SeasonalCheck, read_rules
-from services.device_gateway.storage import history, schema
-from services.device_gateway.storage.history_writer import HistoryWriter
+from handover_devices.anomalies import monitor as monitors
+from handover_devices.anomalies.baseline import baseline_of
+from handover_devices.anomalies.monitor import Monitor, WatchKey
+from handover_devices.anomalies.rules import Rule, SeasonalCheck, read_rules
+from handover_devices.storage import history, schema
+from handover_devices.storage.history_writer import HistoryWriter
 
 HOT = Rule.model_validate(
     {"device": "hall-*", "value": "temperature", "check": {"type": "limits", "maximum": 30}}

@@ -5,7 +5,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.device_gateway.commands.command import (
+from handover_devices.commands.command import (
     Command,
     CommandState,
     Sent,
@@ -13,8 +13,8 @@ from services.device_gateway.commands.command import (
     answered,
     next_step,
 )
-from services.device_gateway.model.description import CommandKind
-from services.device_gateway.protocol.messages import AnswerState, CommandAnswer
+from handover_devices.model.description import CommandKind
+from handover_devices.protocol.messages import AnswerState, CommandAnswer
 
 ACK_S = 2.0
 

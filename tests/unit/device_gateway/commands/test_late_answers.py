@@ -5,9 +5,9 @@ from collections.abc import Callable
 import pytest
 
 from handover.database import connect
-from services.device_gateway.commands.command import CommandState
-from services.device_gateway.protocol.messages import AnswerState, CommandAnswer
-from services.device_gateway.settings import GatewaySettings
+from handover_devices.commands.command import CommandState
+from handover_devices.protocol.messages import AnswerState, CommandAnswer
+from handover_devices.settings import GatewaySettings
 from tests.kit.device_gateways import SENSOR, running_gateway
 from tests.kit.waiting import until
 from tests.unit.device_gateway.commands.test_leader_change import Link

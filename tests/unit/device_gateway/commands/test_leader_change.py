@@ -9,9 +9,9 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem
-from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage import device_store, leader_store
-from services.device_gateway.storage.leader_store import Leader
+from handover_devices.settings import GatewaySettings
+from handover_devices.storage import device_store, leader_store
+from handover_devices.storage.leader_store import Leader
 from tests.kit.device_gateways import SENSOR, running_gateway
 from tests.kit.waiting import until
 

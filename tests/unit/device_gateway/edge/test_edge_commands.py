@@ -8,15 +8,15 @@ from typing import Any
 import pytest
 
 from handover.database import connect
-from services.device_gateway.edge.commands import EdgeCommands, EdgeDispatcher
-from services.device_gateway.edge.edge_app import NoReports
-from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.protocol.messages import AnswerState, CommandAnswer, parse_message
-from services.device_gateway.protocol.times import TimeRule
-from services.device_gateway.storage import schema
-from services.device_gateway.storage.device_store import StoredDevice
-from services.device_gateway.storage.history_writer import HistoryWriter
-from services.device_gateway.storage.outbox import Outbox
+from handover_devices.edge.commands import EdgeCommands, EdgeDispatcher
+from handover_devices.edge.edge_app import NoReports
+from handover_devices.gateway import DeviceGateway
+from handover_devices.protocol.messages import AnswerState, CommandAnswer, parse_message
+from handover_devices.protocol.times import TimeRule
+from handover_devices.storage import schema
+from handover_devices.storage.device_store import StoredDevice
+from handover_devices.storage.history_writer import HistoryWriter
+from handover_devices.storage.outbox import Outbox
 from tests.kit.device_gateways import SENSOR, background
 from tests.kit.waiting import until
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from services.device_gateway.protocol.live import live_message
-from services.device_gateway.protocol.messages import (
+from handover_devices.protocol.live import live_message
+from handover_devices.protocol.messages import (
     MAX_LINE_BYTES,
     MAX_VALUES,
     BadMessage,
@@ -20,7 +20,7 @@ from services.device_gateway.protocol.messages import (
     parse_hello,
     parse_message,
 )
-from services.device_gateway.protocol.relaying import parse_relayed, parse_replica_hello
+from handover_devices.protocol.relaying import parse_relayed, parse_replica_hello
 
 HELLO = {"type": "hello", "version": 1, "device": "hall-1", "token": "secret"}
 JSON = st.recursive(

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.device_gateway.protocol.lines import LineBuffer
-from services.device_gateway.protocol.messages import BadMessage
-from services.device_gateway.protocol.rates import TokenBucket
-from services.device_gateway.protocol.times import TimeRule
+from handover_devices.protocol.lines import LineBuffer
+from handover_devices.protocol.messages import BadMessage
+from handover_devices.protocol.rates import TokenBucket
+from handover_devices.protocol.times import TimeRule
 
 
 @given(st.lists(st.binary(max_size=12), max_size=12), st.lists(st.integers(0, 200), max_size=8))

@@ -12,10 +12,10 @@ from sqlalchemy import Engine, func, select
 
 from handover.database import connect
 from handover.errors import Problem
-from services.device_gateway.storage import history, parquet, schema, tables
-from services.device_gateway.storage.history_writer import CommandRow, HistoryWriter, MessageRow
-from services.device_gateway.storage.retention import HOUR_US, MINUTE_US, RetentionRule, summarize
-from services.device_gateway.upkeep import apply_retention
+from handover_devices.storage import history, parquet, schema, tables
+from handover_devices.storage.history_writer import CommandRow, HistoryWriter, MessageRow
+from handover_devices.storage.retention import HOUR_US, MINUTE_US, RetentionRule, summarize
+from handover_devices.upkeep import apply_retention
 from tests.kit import databases
 
 T0_US = 1_767_225_600_000_000

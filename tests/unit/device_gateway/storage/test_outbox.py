@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from sqlalchemy import Engine
 
 from handover.database import connect
-from services.device_gateway.storage import schema
-from services.device_gateway.storage.outbox import ROW_BYTES, Outbox, RelayRow
+from handover_devices.storage import schema
+from handover_devices.storage.outbox import ROW_BYTES, Outbox, RelayRow
 from tests.kit import databases
 
 BODY = "x" * (1000 - ROW_BYTES)

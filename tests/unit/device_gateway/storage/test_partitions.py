@@ -8,11 +8,11 @@ import pytest
 from sqlalchemy import Engine, inspect
 
 from handover.database import connect
-from services.device_gateway.storage import history, partitions, schema, tables
-from services.device_gateway.storage.history_writer import HistoryWriter
-from services.device_gateway.storage.partitions import DAY_US, DAYS_AHEAD, Partition
-from services.device_gateway.storage.retention import RetentionRule, old_partitions
-from services.device_gateway.upkeep import apply_retention
+from handover_devices.storage import history, partitions, schema, tables
+from handover_devices.storage.history_writer import HistoryWriter
+from handover_devices.storage.partitions import DAY_US, DAYS_AHEAD, Partition
+from handover_devices.storage.retention import RetentionRule, old_partitions
+from handover_devices.upkeep import apply_retention
 
 DAY = 20_454
 T0_US = DAY * DAY_US  # 2026-01-01

@@ -4,15 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.accuracy_tests.report import (
+from handover_gloves.accuracy_tests.report import (
     NO_GESTURE,
     NOTHING,
     quantile,
     report_of,
     wilson,
 )
-from services.gesture_controller.accuracy_tests.trials import Attempt, Outcome, Plan, Trial, draw_order
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.accuracy_tests.trials import Attempt, Outcome, Plan, Trial, draw_order
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
 
 
 def trial(number: int, asked: str, *tries: tuple[str | None, float]) -> Trial:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.accuracy_tests.trials import (
+from handover_gloves.accuracy_tests.trials import (
     FIST,
     OPEN_HAND,
     REST_MS,
@@ -19,7 +19,7 @@ from services.gesture_controller.accuracy_tests.trials import (
     Trial,
     draw_order,
 )
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
 
 NAMES = {code: name for name, code in M2O2P_GESTURES.items()}
 THREE = {name: M2O2P_GESTURES[name] for name in ("Thumbs up", "Horns", "Ring straight")}

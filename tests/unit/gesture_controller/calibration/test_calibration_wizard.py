@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
-from services.gesture_controller.calibration.calibration_wizard import (
+from handover_gloves.calibration.calibration_wizard import (
     CAPTURE_S,
     MAX_CAPTURE_S,
     MAX_UNCHANGED_S,
@@ -18,8 +18,8 @@ from services.gesture_controller.calibration.calibration_wizard import (
     Phase,
     Step,
 )
-from services.gesture_controller.calibration.sensor_diagnostics import find_sensor_faults
-from services.gesture_controller.recognition.levels import calibrate
+from handover_gloves.calibration.sensor_diagnostics import find_sensor_faults
+from handover_gloves.recognition.levels import calibrate
 
 Shown = tuple[Posture, float]
 

@@ -7,17 +7,17 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine
 
-from services.gesture_controller.calibration.calibration_store import CalibrationStore
-from services.gesture_controller.calibration.drift_persistence import MIN_SAVED_CHANGE, DriftPersistence
-from services.gesture_controller.calibration.glove_store import GloveStore
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.connection.admission import TokenStore
-from services.gesture_controller.connection.glove_registry import GloveRegistry
-from services.gesture_controller.people.people import People
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.people.study_condition_store import StudyConditionStore
-from services.gesture_controller.recognition.drift import Drift
-from services.gesture_controller.settings import ControllerSettings
+from handover_gloves.calibration.calibration_store import CalibrationStore
+from handover_gloves.calibration.drift_persistence import MIN_SAVED_CHANGE, DriftPersistence
+from handover_gloves.calibration.glove_store import GloveStore
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.connection.admission import TokenStore
+from handover_gloves.connection.glove_registry import GloveRegistry
+from handover_gloves.people.people import People
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.people.study_condition_store import StudyConditionStore
+from handover_gloves.recognition.drift import Drift
+from handover_gloves.settings import ControllerSettings
 
 FIST, OPEN = [[300.0] * 5] * 20, [[700.0] * 5] * 20
 Start = Callable[[], tuple[GloveRegistry, DriftPersistence]]

@@ -8,10 +8,10 @@ import pytest
 from sqlalchemy import Engine
 
 from handover.errors import UsageError
-from services.gesture_controller.calibration.glove_store import NOBODY, Fit, GloveStore, StoredGlove
-from services.gesture_controller.people.person import Person
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
+from handover_gloves.calibration.glove_store import NOBODY, Fit, GloveStore, StoredGlove
+from handover_gloves.people.person import Person
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS
 
 CHANGED = M2O2P_THRESHOLDS.with_changes({"ring": {"upper": 700, "lower": 600}})
 OLD = {

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from services.gesture_controller.calibration.sensor_diagnostics import find_lasting_faults, find_sensor_faults
-from services.gesture_controller.recognition.levels import calibrate
+from handover_gloves.calibration.sensor_diagnostics import find_lasting_faults, find_sensor_faults
+from handover_gloves.recognition.levels import calibrate
 
 FIST, OPEN = [300.0, 500, 500, 500, 450], [400.0, 700, 700, 690, 680]
 

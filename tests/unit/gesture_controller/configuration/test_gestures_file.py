@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from datamodels.states import Outcome
-from services.gesture_controller.configuration.gestures_file import (
+from handover_datamodels.states import Outcome
+from handover_gloves.configuration.gestures_file import (
     WrongConfiguration,
     built_in,
     load,
     parse,
 )
-from services.gesture_controller.recognition.gestures import SequenceGesture, TwoHandGesture
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS, Threshold
+from handover_gloves.recognition.gestures import SequenceGesture, TwoHandGesture
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Threshold
 
 WHOLE = """
 gestures:

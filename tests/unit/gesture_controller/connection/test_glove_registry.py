@@ -11,22 +11,22 @@ import pytest
 from sqlalchemy import Engine, select
 
 from handover.errors import Problem
-from services.gesture_controller import tables
-from services.gesture_controller.calibration.glove_store import Fit, GloveStore
-from services.gesture_controller.configuration.gestures_file import Configuration, built_in, parse
-from services.gesture_controller.connection.admission import TokenStore
-from services.gesture_controller.connection.glove_registry import GloveRegistry, TooManyGloves
-from services.gesture_controller.gloves.connection_state import ConnectionRefused
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.people.people import People
-from services.gesture_controller.people.person import OwnGesture, Person
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.people.study_condition_store import StudyConditionStore
-from services.gesture_controller.prompting.prompt import GesturePrompt, PromptSpec
-from services.gesture_controller.recognition.frames import Frame, Hello
-from services.gesture_controller.recognition.gestures import Shape
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS, Threshold
-from services.gesture_controller.settings import ControllerSettings
+from handover_gloves import tables
+from handover_gloves.calibration.glove_store import Fit, GloveStore
+from handover_gloves.configuration.gestures_file import Configuration, built_in, parse
+from handover_gloves.connection.admission import TokenStore
+from handover_gloves.connection.glove_registry import GloveRegistry, TooManyGloves
+from handover_gloves.gloves.connection_state import ConnectionRefused
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.people.people import People
+from handover_gloves.people.person import OwnGesture, Person
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.people.study_condition_store import StudyConditionStore
+from handover_gloves.prompting.prompt import GesturePrompt, PromptSpec
+from handover_gloves.recognition.frames import Frame, Hello
+from handover_gloves.recognition.gestures import Shape
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Threshold
+from handover_gloves.settings import ControllerSettings
 
 Open = Callable[..., GloveRegistry]
 

@@ -16,17 +16,17 @@ from handover.errors import UsageError
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.glove_token import GLOVE_TOKEN_FILE, make_glove_token, site_glove_token
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from services.gesture_controller.calibration.glove_store import GloveStore
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.connection.admission import TokenStore
-from services.gesture_controller.connection.glove_registry import GloveRegistry
-from services.gesture_controller.connection.glove_server import MAX_WAITING_FOR_HELLO, GloveServer
-from services.gesture_controller.gloves import connection_state
-from services.gesture_controller.people.people import People
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.people.study_condition_store import StudyConditionStore
-from services.gesture_controller.recognition.frames import MAX_LINE_BYTES
-from services.gesture_controller.settings import ControllerSettings
+from handover_gloves.calibration.glove_store import GloveStore
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.connection.admission import TokenStore
+from handover_gloves.connection.glove_registry import GloveRegistry
+from handover_gloves.connection.glove_server import MAX_WAITING_FOR_HELLO, GloveServer
+from handover_gloves.gloves import connection_state
+from handover_gloves.people.people import People
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.people.study_condition_store import StudyConditionStore
+from handover_gloves.recognition.frames import MAX_LINE_BYTES
+from handover_gloves.settings import ControllerSettings
 from tests.kit.waiting import until
 
 HELLO: dict[str, Any] = {"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from services.gesture_controller.configuration.gestures_file import parse
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.recognition.frames import Frame, Hello
-from services.gesture_controller.recognition.hold import HoldTiming
-from services.gesture_controller.recognition.pipeline import RecognitionConfig
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.configuration.gestures_file import parse
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.recognition.frames import Frame, Hello
+from handover_gloves.recognition.hold import HoldTiming
+from handover_gloves.recognition.pipeline import RecognitionConfig
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 SITE = parse(
     """

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from datamodels.states import Outcome
 from handover.job import RequestedAction
 from handover.security.pin_check import ProvenPin
-from services.gesture_controller.gloves.gesture_responder import Station
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.gloves.glove_view import view_of
-from services.gesture_controller.prompting.prompt import CannotComplete
-from services.gesture_controller.recognition.frames import Hello
+from handover_datamodels.states import Outcome
+from handover_gloves.gloves.gesture_responder import Station
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.gloves.glove_view import view_of
+from handover_gloves.prompting.prompt import CannotComplete
+from handover_gloves.recognition.frames import Hello
 
 Ask = Callable[..., Any]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from datamodels.states import Outcome
-from services.gesture_controller.gloves import operator_messages as wording
+from handover_datamodels.states import Outcome
+from handover_gloves.gloves import operator_messages as wording
 
 WORDS = Path(__file__).parents[4] / "webui/app/src/i18n"
 

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from handover.job import RequestedAction
-from services.gesture_controller.gloves.glove_view import view_of
-from services.gesture_controller.prompting.prompt import GesturePrompt
-from services.gesture_controller.prompting.prompt_resolver import resolve_prompt
-from services.gesture_controller.recognition.gestures import Shape
-from services.gesture_controller.specifications.definition import Definition
+from handover_gloves.gloves.glove_view import view_of
+from handover_gloves.prompting.prompt import GesturePrompt
+from handover_gloves.prompting.prompt_resolver import resolve_prompt
+from handover_gloves.recognition.gestures import Shape
+from handover_gloves.specifications.definition import Definition
 from tests.unit.gesture_controller.gloves.conftest import SITE, Pair
 
 OPEN, UP, HORNS, POINT, FIST = "00000", "02222", "20220", "20222", "22222"

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.people.nearness import Neighbour, find_rejection, neighbours
-from services.gesture_controller.people.person import Sample
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.people.nearness import Neighbour, find_rejection, neighbours
+from handover_gloves.people.person import Sample
+from handover_gloves.recognition.gestures import M2O2P_GESTURES
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 THRESHOLDS = Thresholds((Threshold(600, 400),) * 5)
 CODES = st.text("02", min_size=5, max_size=5)

@@ -8,13 +8,13 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem
-from services.gesture_controller.calibration.glove_store import Fit, GloveStore, StoredGlove
-from services.gesture_controller.configuration.gestures_file import built_in, parse
-from services.gesture_controller.people.people import People
-from services.gesture_controller.people.person import OwnGesture
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.recognition.gestures import Shape
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
+from handover_gloves.calibration.glove_store import Fit, GloveStore, StoredGlove
+from handover_gloves.configuration.gestures_file import built_in, parse
+from handover_gloves.people.people import People
+from handover_gloves.people.person import OwnGesture
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.recognition.gestures import Shape
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS
 
 Open = Callable[..., People]
 MINE = OwnGesture(Shape("20000"))

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.calibration.glove_store import Fit
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.people.person import OwnGesture, Person, Sample
-from services.gesture_controller.people.profile_file import Profile, WrongProfile, read, written
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Shape
-from services.gesture_controller.recognition.thresholds import FINGERS, M2O2P_THRESHOLDS
+from handover_gloves.calibration.glove_store import Fit
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.people.person import OwnGesture, Person, Sample
+from handover_gloves.people.profile_file import Profile, WrongProfile, read, written
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Shape
+from handover_gloves.recognition.thresholds import FINGERS, M2O2P_THRESHOLDS
 
 SITE = built_in()
 FREE = sorted({f"{n:05b}".replace("1", "2") for n in range(32)} - set(M2O2P_GESTURES.values()))

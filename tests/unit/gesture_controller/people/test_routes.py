@@ -9,16 +9,16 @@ from sqlalchemy import Engine
 
 from handover.security.guard import Guard
 from handover.service import create_app
-from services.gesture_controller.calibration.glove_store import GloveStore
-from services.gesture_controller.configuration.gestures_file import built_in
-from services.gesture_controller.connection.admission import TokenStore
-from services.gesture_controller.connection.glove_registry import GloveRegistry
-from services.gesture_controller.people import profile_file
-from services.gesture_controller.people.people import People
-from services.gesture_controller.people.routes import add_people
-from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.people.study_condition_store import StudyConditionStore
-from services.gesture_controller.settings import ControllerSettings
+from handover_gloves.calibration.glove_store import GloveStore
+from handover_gloves.configuration.gestures_file import built_in
+from handover_gloves.connection.admission import TokenStore
+from handover_gloves.connection.glove_registry import GloveRegistry
+from handover_gloves.people import profile_file
+from handover_gloves.people.people import People
+from handover_gloves.people.routes import add_people
+from handover_gloves.people.store import PeopleStore
+from handover_gloves.people.study_condition_store import StudyConditionStore
+from handover_gloves.settings import ControllerSettings
 
 FIST, OPEN = [300.0] * 5, [700.0] * 5
 

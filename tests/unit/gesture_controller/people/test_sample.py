@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.people.sample import UnclearSample, read_sample
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.people.sample import UnclearSample, read_sample
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 THRESHOLDS = Thresholds((Threshold(600, 400),) * 5)
 RAW = {"0": 700.0, "1": 500.0, "2": 300.0}

@@ -14,12 +14,12 @@ from fastapi import FastAPI
 from handover.security.guard import Guard
 from handover.service import create_app
 from handover.settings import Settings
-from services.gesture_controller.pictures import hand
-from services.gesture_controller.pictures.gif import gif_of
-from services.gesture_controller.pictures.motion import Pose, moments, whole_s
-from services.gesture_controller.pictures.routes import add_pictures
-from services.gesture_controller.pictures.svg import svg_of
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures, Shape
+from handover_gloves.pictures import hand
+from handover_gloves.pictures.gif import gif_of
+from handover_gloves.pictures.motion import Pose, moments, whole_s
+from handover_gloves.pictures.routes import add_pictures
+from handover_gloves.pictures.svg import svg_of
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures, Shape
 
 REPOSITORY = Path(__file__).parents[4]
 STATES = ["".join(states) for states in itertools.product("012", repeat=5)]
@@ -48,7 +48,7 @@ async def browser(app: FastAPI):
 
 
 def test_the_page_draws_its_hands_from_the_same_proportions() -> None:
-    ours = REPOSITORY / "services/gesture_controller/pictures/hand.json"
+    ours = REPOSITORY / "services/gesture_controller/handover_gloves/pictures/hand.json"
     pages = REPOSITORY / "webui/app/src/hand/hand.json"
     assert ours.read_bytes() == pages.read_bytes(), "change both files, or neither"
 

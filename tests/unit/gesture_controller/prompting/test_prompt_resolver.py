@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 
-from datamodels.entities import Task
-from datamodels.states import Outcome
 from handover.job import TaskFailed
-from services.gesture_controller.prompting.prompt_resolver import resolve_prompt
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures, default_commands
-from services.gesture_controller.specifications.definition import Definition, needs_definition
+from handover_datamodels.entities import Task
+from handover_datamodels.states import Outcome
+from handover_gloves.prompting.prompt_resolver import resolve_prompt
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures, default_commands
+from handover_gloves.specifications.definition import Definition, needs_definition
 
 GESTURES = Gestures(M2O2P_GESTURES)
 COMMANDS = default_commands(GESTURES)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.prompting.sequence_gesture import SequenceProgress
-from services.gesture_controller.recognition.gestures import SequenceGesture
-from services.gesture_controller.recognition.hold import Hold, HoldEvent, HoldTiming
+from handover_gloves.prompting.sequence_gesture import SequenceProgress
+from handover_gloves.recognition.gestures import SequenceGesture
+from handover_gloves.recognition.hold import Hold, HoldEvent, HoldTiming
 
 TIMING = HoldTiming(500, 1500, 250, 100, within_ms=3000)
 A_B, A_A = SequenceGesture("A", "B"), SequenceGesture("A", "A")

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.prompting.two_hand_gesture import ShownHand, TwoHandProgress
-from services.gesture_controller.recognition.gestures import TwoHandGesture
-from services.gesture_controller.recognition.hold import Hold, HoldEvent, HoldTiming
+from handover_gloves.prompting.two_hand_gesture import ShownHand, TwoHandProgress
+from handover_gloves.recognition.gestures import TwoHandGesture
+from handover_gloves.recognition.hold import Hold, HoldEvent, HoldTiming
 
 TIMING = HoldTiming(500, 1500, 250, 100)
 ASKED = TwoHandGesture("A", "B")

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.gesture_controller.calibration.fitting import calibration_from, learnt_from
-from services.gesture_controller.calibration.samples import sample_of, with_sample
-from services.gesture_controller.recognition.drift import MAX_DRIFT, MAX_RATE_PER_S
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.levels import MAX_INVERTED, calibrate
-from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.calibration.fitting import calibration_from, learnt_from
+from handover_gloves.calibration.samples import sample_of, with_sample
+from handover_gloves.recognition.drift import MAX_DRIFT, MAX_RATE_PER_S
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.levels import MAX_INVERTED, calibrate
+from handover_gloves.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 FIST, OPEN = (300.0, 500, 500, 500, 450), (400.0, 700, 700, 690, 680)
 SPANS = tuple(high - low for low, high in zip(FIST, OPEN, strict=True))

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.recognition.finger_states import finger_states
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS, Threshold, Thresholds
+from handover_gloves.recognition.finger_states import finger_states
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Threshold, Thresholds
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
 

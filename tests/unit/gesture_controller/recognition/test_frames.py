@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.recognition.frames import (
+from handover_gloves.recognition.frames import (
     BadFrame,
     BadHello,
     Frame,

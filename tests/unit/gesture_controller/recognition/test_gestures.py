@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.gesture_controller.recognition.gestures import (
+from handover_gloves.recognition.gestures import (
     M2O2P_GESTURES,
     Commands,
     Gestures,

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.gesture_controller.recognition.hold import Hold, HoldEvent, HoldTiming
+from handover_gloves.recognition.hold import Hold, HoldEvent, HoldTiming
 
 TIMING = HoldTiming()
 UP, HORNS = "Thumbs up", "Horns"

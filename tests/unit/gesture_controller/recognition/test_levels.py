@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.recognition.finger_states import finger_states
-from services.gesture_controller.recognition.levels import MAX_INVERTED, CalibrationFailed, calibrate
+from handover_gloves.recognition.finger_states import finger_states
+from handover_gloves.recognition.levels import MAX_INVERTED, CalibrationFailed, calibrate
 
 FIST, OPEN = [300.0, 500, 500, 500, 450], [400.0, 700, 700, 690, 680]
 

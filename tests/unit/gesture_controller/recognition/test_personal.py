@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
-from services.gesture_controller.calibration.samples import sample_of, with_sample
-from services.gesture_controller.recognition.finger_states import BENT, BETWEEN, STRAIGHT
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.levels import Calibration, calibrate
-from services.gesture_controller.recognition.personal import PersonalRecognizer
-from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
+from handover_gloves.calibration.samples import sample_of, with_sample
+from handover_gloves.recognition.finger_states import BENT, BETWEEN, STRAIGHT
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.levels import Calibration, calibrate
+from handover_gloves.recognition.personal import PersonalRecognizer
+from handover_gloves.recognition.recognizer import CannotRecognize, HandContext, Recognition
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS
 
 GESTURES = Gestures({**M2O2P_GESTURES, "Four fingers": "20000", "Fist": "22222", "Open hand": "00000"})
 HALF_BENT = 0.6

@@ -2,10 +2,10 @@
 
 import pytest
 
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Commands, Gestures
-from services.gesture_controller.recognition.hold import Hold, HoldEvent
-from services.gesture_controller.recognition.pipeline import (
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Commands, Gestures
+from handover_gloves.recognition.hold import Hold, HoldEvent
+from handover_gloves.recognition.pipeline import (
     PipelineState,
     RecognitionConfig,
     Rules,
@@ -13,7 +13,7 @@ from services.gesture_controller.recognition.pipeline import (
     judge,
     process_frame,
 )
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 CONFIG = RecognitionConfig(Thresholds((Threshold(600, 400),) * 5), Gestures(M2O2P_GESTURES))
 COMMANDS = Commands({3: "Thumbs up", 8: "Horns"})

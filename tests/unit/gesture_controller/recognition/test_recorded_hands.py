@@ -24,9 +24,9 @@ from benchmarks.recorded_hands import (
     read,
     report,
 )
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.population import USUAL, learn
-from services.gesture_controller.recognition.registry import PERSONAL, THRESHOLDS
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.population import USUAL, learn
+from handover_gloves.recognition.registry import PERSONAL, THRESHOLDS
 
 FIST_LEVELS, OPEN_LEVELS = (300.0, 500, 500, 500, 450), (400.0, 700, 700, 690, 680)
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import pytest
 
-from services.gesture_controller.gloves.glove import Glove
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.levels import calibrate
-from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
-from services.gesture_controller.recognition.registry import (
+from handover_gloves.gloves.glove import Glove
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.levels import calibrate
+from handover_gloves.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
+from handover_gloves.recognition.registry import (
     PERSONAL,
     THRESHOLDS,
     UnknownRecognizer,
     factory_of,
     recognizers,
 )
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 from tests.kit.paths import REPOSITORY
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
@@ -85,7 +85,7 @@ def test_where_the_chosen_one_cannot_work_thresholds_do_and_it_is_said(name: str
 
 
 def test_a_controller_that_uses_thresholds_does_not_load_numpy() -> None:
-    code = "import sys, services.gesture_controller.app; sys.exit('numpy' in sys.modules)"
+    code = "import sys, handover_gloves.app; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0
 
 

@@ -11,18 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
-from services.gesture_controller.recognition.frames import Frame
-from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.recognition.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
-from services.gesture_controller.recognition.population import BEFOREHAND, Stand
-from services.gesture_controller.recognition.recognizer import HandContext, Recognition
-from services.gesture_controller.recognition.thresholded import (
+from handover_gloves.recognition.frames import Frame
+from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
+from handover_gloves.recognition.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
+from handover_gloves.recognition.population import BEFOREHAND, Stand
+from handover_gloves.recognition.recognizer import HandContext, Recognition
+from handover_gloves.recognition.thresholded import (
     GRIP_APART,
     LEEWAY,
     STEADY_S,
     ThresholdRecognizer,
 )
-from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
+from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 RECOGNIZER = ThresholdRecognizer.from_context(
     HandContext(Thresholds((Threshold(600, 400),) * 5), Gestures(M2O2P_GESTURES))

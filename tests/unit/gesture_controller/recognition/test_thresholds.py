@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS, Threshold, WrongThreshold
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Threshold, WrongThreshold
 
 
 def test_the_fingers_named_change_and_the_others_stay() -> None:

@@ -10,9 +10,9 @@ from sqlalchemy import Engine
 from handover import specification_table as table
 from handover.database import connect
 from handover.specification import Specification
-from services.gesture_controller.specifications import file
-from services.gesture_controller.specifications.database import DatabaseState, SpecificationDatabase
-from services.gesture_controller.specifications.definition import Definition, needs_definition
+from handover_gloves.specifications import file
+from handover_gloves.specifications.database import DatabaseState, SpecificationDatabase
+from handover_gloves.specifications.definition import Definition, needs_definition
 
 URN = "urn:ngsi-ld:TaskDefinition:demo:confirm"
 GRIP = Definition("Confirm the grip", "Look whether it holds", None, 4)

@@ -14,10 +14,10 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from handover.cli.access import ask_service
-from handover.cli.main import app
 from handover.errors import UsageError
 from handover.settings import Settings
+from handover_cell.access import ask_service
+from handover_cell.main import app
 from tests.kit.certificates import Certificates
 
 OTHER_OPTIONS = {("glove",)}

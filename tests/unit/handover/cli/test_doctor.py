@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from handover import ports
-from handover.cli import services
-from handover.cli.doctor import examine
 from handover.settings import Settings
+from handover_cell import services
+from handover_cell.doctor import examine
 
 
 def finding(tmp_path: Path) -> tuple[bool, str]:

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import pytest
 
-from handover.cli.launcher import Launcher, require_space
-from handover.cli.services import SERVICES
 from handover.errors import UsageError
 from handover.extensions import Service
 from handover.settings import Settings
-from services.context_broker.settings import BrokerSettings
+from handover_broker.settings import BrokerSettings
+from handover_cell.launcher import Launcher, require_space
+from handover_cell.services import SERVICES
 
 
 class Usage(NamedTuple):

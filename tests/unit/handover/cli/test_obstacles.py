@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from handover.cli.obstacles import obstacle
+from handover_cell.obstacles import obstacle
 
 INCIDENT = {"token": "6", "element": "scan", "name": "Scan the bin", "reason": "there is no bin"}
 HELD = {"reason": "ur10-1 is held by other-1", "reasonParameters": {"process": "other-1"}}

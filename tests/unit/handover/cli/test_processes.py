@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from handover.cli.processes import ForkedProcess, Process, ProcessStarter
 from handover.python_processes import module_command
+from handover_cell.processes import ForkedProcess, Process, ProcessStarter
 from tests.kit.namesakes import leave_namesakes_in
 from tests.kit.processes import clean_environment
 from tests.kit.waiting import scaled, until
@@ -76,7 +76,7 @@ async def require_ended(process: int) -> None:
 
 def fork_servers() -> set[int]:
     """The fork servers of this process: that of the launcher under test, and that of the tests."""
-    return {one.pid for one in psutil.Process().children() if "handover.cli.fork_server" in one.cmdline()}
+    return {one.pid for one in psutil.Process().children() if "handover_cell.fork_server" in one.cmdline()}
 
 
 def shown(process: Process) -> Sequence[str]:

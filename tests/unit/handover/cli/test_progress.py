@@ -3,8 +3,8 @@
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from datamodels.entities import Task
-from handover.cli.progress import ProgressPrinter
+from handover_cell.progress import ProgressPrinter
+from handover_datamodels.entities import Task
 
 BEGAN = datetime(2026, 1, 1, 12, tzinfo=UTC)
 

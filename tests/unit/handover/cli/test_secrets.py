@@ -9,13 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from glove_sdk_bridge.command_line import parse
-from handover.cli.glove import bridge_arguments
-from handover.cli.main import app
-from handover.cli.secrets import RECORDING_KEY, SECRETS, wait_for_secrets, write_once
 from handover.errors import UsageError
 from handover.settings import Settings, origins
-from services.gesture_controller.settings import ControllerSettings
-from services.human_state.settings import HumanStateSettings
+from handover_body.settings import HumanStateSettings
+from handover_cell.glove import bridge_arguments
+from handover_cell.main import app
+from handover_cell.secrets import RECORDING_KEY, SECRETS, wait_for_secrets, write_once
+from handover_gloves.settings import ControllerSettings
 
 Run = Callable[..., str]
 TOKEN = "HANDOVER_GLOVE_TOKEN"

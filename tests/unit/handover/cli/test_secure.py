@@ -9,12 +9,12 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from handover.cli.main import app
-from handover.cli.secure import wait_for_security
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES
 from handover.errors import UsageError
 from handover.security.protection import require_protection
 from handover.settings import Settings
+from handover_cell.main import app
+from handover_cell.secure import wait_for_security
+from handover_cell.services import OPTIONAL_SERVICES, SERVICES
 
 REPOSITORY = Path(__file__).parents[4]
 Run = Callable[..., str]

@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from handover.cli.services import BROKER, SERVICES, let_broker_fetch_context, service_named, wanted
+from handover_cell.services import BROKER, SERVICES, let_broker_fetch_context, service_named, wanted
 
 
 def test_the_ros_bridge_belongs_to_a_cell_that_has_a_mapping_for_it(
@@ -13,7 +13,7 @@ def test_the_ros_bridge_belongs_to_a_cell_that_has_a_mapping_for_it(
 ) -> None:
     monkeypatch.chdir(str(tmp_path))
     monkeypatch.delenv("HANDOVER_ROS_MAPPING", raising=False)
-    monkeypatch.setattr("handover.cli.services.HUMAN_STATE_NEEDS", ("a_package_that_is_not_there",))
+    monkeypatch.setattr("handover_cell.services.HUMAN_STATE_NEEDS", ("a_package_that_is_not_there",))
     assert wanted() == SERVICES
     monkeypatch.setenv("HANDOVER_ROS_MAPPING", "arm")
     assert wanted() == (*SERVICES, service_named("ros-bridge"))
@@ -24,7 +24,7 @@ def test_human_state_belongs_to_a_cell_where_its_extra_is_installed(
 ) -> None:
     monkeypatch.chdir(str(tmp_path))
     monkeypatch.delenv("HANDOVER_ROS_MAPPING", raising=False)
-    monkeypatch.setattr("handover.cli.services.HUMAN_STATE_NEEDS", ("pydantic",))
+    monkeypatch.setattr("handover_cell.services.HUMAN_STATE_NEEDS", ("pydantic",))
     assert wanted() == (*SERVICES, service_named("human-state"))
 
 

@@ -10,7 +10,6 @@ from fastapi import FastAPI
 from sqlalchemy import Column, Engine, MetaData, String, Table, insert, select
 from typer.testing import CliRunner
 
-from handover.cli.main import app as command_line
 from handover.database import connect
 from handover.errors import Problem
 from handover.migrations import migrate
@@ -24,6 +23,7 @@ from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.service import create_app
 from handover.settings import Settings
+from handover_cell.main import app as command_line
 from tests.kit.waiting import until
 from tests.unit.handover.security.test_guard import KEY, UR10, bearer, set_up_accounts
 

@@ -10,10 +10,10 @@ from handover.security.authentication import Guard
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.protection import require_protection
 from handover.settings import Settings
-from services.device_gateway.connection.device_server import DeviceServer
-from services.device_gateway.settings import GatewaySettings
-from services.gesture_controller.app import make_app
-from services.gesture_controller.settings import ControllerSettings
+from handover_devices.connection.device_server import DeviceServer
+from handover_devices.settings import GatewaySettings
+from handover_gloves.app import make_app
+from handover_gloves.settings import ControllerSettings
 
 BEYOND_LOOPBACK = ["0.0.0.0", "::", "192.168.1.4", "cell-3.example", ""]
 CERTIFICATE = {"tls_certificate": "certificate.pem"}

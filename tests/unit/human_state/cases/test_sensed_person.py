@@ -2,12 +2,12 @@
 
 import pytest
 
-from services.human_state.cases.sensed_person import SensedPerson
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.drivers.simulated.person import SimulatedPerson
-from services.human_state.limits.curve import LimitCurve
-from services.human_state.model.cardiovascular import Physiology
-from services.human_state.model.features import FeatureName, Status
+from handover_body.cases.sensed_person import SensedPerson
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.drivers.simulated.person import SimulatedPerson
+from handover_body.limits.curve import LimitCurve
+from handover_body.model.cardiovascular import Physiology
+from handover_body.model.features import FeatureName, Status
 
 
 def sensed(seed: int = 1, *, age: float = 55, **settings: object) -> SensedPerson:

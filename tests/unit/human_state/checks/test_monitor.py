@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.checks.monitor import MAX_AHEAD_S, Checked, SignalMonitor
-from services.human_state.model.signals import (
+from handover_body.checks.monitor import MAX_AHEAD_S, Checked, SignalMonitor
+from handover_body.model.signals import (
     ClockKind,
     Samples,
     SensorFault,

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.drivers.runner import WATCH_S
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import (
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.drivers.runner import WATCH_S
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import (
     ClockKind,
     Samples,
     SensorFault,
@@ -22,8 +22,8 @@ from services.human_state.model.signals import (
     SignalInfo,
     SignalKind,
 )
-from services.human_state.processing.pipeline import SignalPipeline, pipeline_for, processors_for
-from services.human_state.processing.synthesis import (
+from handover_body.processing.pipeline import SignalPipeline, pipeline_for, processors_for
+from handover_body.processing.synthesis import (
     FAULTS,
     FaultName,
     Faulty,
@@ -248,8 +248,8 @@ def test_a_processor_that_fails_is_dropped_by_name() -> None:
 
 
 PACKAGE = """
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import SignalKind
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import SignalKind
 
 
 class Blinks:

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.checks.timing import WINDOW_S, ClockMap
+from handover_body.checks.timing import WINDOW_S, ClockMap
 
 LATENCY_S = 0.1
 

@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.human_state.drivers.bluetooth import BluetoothDriver
-from services.human_state.drivers.corsano import protocol as corsano
-from services.human_state.drivers.corsano.driver import CorsanoDriver, CorsanoSettings
-from services.human_state.drivers.heart_rate_strap import protocol as strap
-from services.human_state.drivers.heart_rate_strap.driver import (
+from handover_body.drivers.bluetooth import BluetoothDriver
+from handover_body.drivers.corsano import protocol as corsano
+from handover_body.drivers.corsano.driver import CorsanoDriver, CorsanoSettings
+from handover_body.drivers.heart_rate_strap import protocol as strap
+from handover_body.drivers.heart_rate_strap.driver import (
     HEART_RATE_MEASUREMENT,
     HEART_RATE_SERVICE,
     HeartRateStrapDriver,
 )
-from services.human_state.drivers.metamotion import protocol as metamotion
-from services.human_state.drivers.metamotion.driver import MetaMotionDriver, MetaMotionSettings
-from services.human_state.drivers.polar_h10 import protocol as h10
-from services.human_state.drivers.polar_h10.driver import PolarH10Driver, PolarH10Settings
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.drivers.sensomative import protocol as mat
-from services.human_state.drivers.sensomative.driver import SensomativeDriver, SensomativeSettings
-from services.human_state.model.signals import (
+from handover_body.drivers.metamotion import protocol as metamotion
+from handover_body.drivers.metamotion.driver import MetaMotionDriver, MetaMotionSettings
+from handover_body.drivers.polar_h10 import protocol as h10
+from handover_body.drivers.polar_h10.driver import PolarH10Driver, PolarH10Settings
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.drivers.sensomative import protocol as mat
+from handover_body.drivers.sensomative.driver import SensomativeDriver, SensomativeSettings
+from handover_body.model.signals import (
     LinkState,
     Samples,
     SensorFault,
@@ -188,7 +188,7 @@ async def test_an_h10_that_was_taken_off_has_no_contact_though_its_ecg_continues
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     at_s = [time.time() - 60]
-    monkeypatch.setattr("services.human_state.drivers.polar_h10.driver.now_s", lambda: at_s[0])
+    monkeypatch.setattr("handover_body.drivers.polar_h10.driver.now_s", lambda: at_s[0])
     one = an_h10()
     async with serving(PolarH10Driver, one, acceleration_hz=None) as received:
         await until(lambda: len(one.written) == 1)

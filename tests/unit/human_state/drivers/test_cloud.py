@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from handover.outbound_policy import OutboundPolicy
-from services.human_state.drivers.base import PacketError
-from services.human_state.drivers.cloud.driver import CloudSettings
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.drivers.vivalink.driver import VivalinkDriver
-from services.human_state.model.signals import LinkState, Samples, SensorReport, SignalKind
+from handover_body.drivers.base import PacketError
+from handover_body.drivers.cloud.driver import CloudSettings
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.drivers.vivalink.driver import VivalinkDriver
+from handover_body.model.signals import LinkState, Samples, SensorReport, SignalKind
 from tests.kit.waiting import until
 
 

@@ -13,26 +13,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.human_state.driver_contract import Device, SensorDriverContract
-from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
-from services.human_state.drivers.brainflow.driver import BrainFlowDriver, BrainFlowSettings
-from services.human_state.drivers.heart_rate_strap import protocol as strap
-from services.human_state.drivers.heart_rate_strap.driver import (
+from handover_body.driver_contract import Device, SensorDriverContract
+from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
+from handover_body.drivers.brainflow.driver import BrainFlowDriver, BrainFlowSettings
+from handover_body.drivers.heart_rate_strap import protocol as strap
+from handover_body.drivers.heart_rate_strap.driver import (
     HEART_RATE_MEASUREMENT,
     HEART_RATE_SERVICE,
     HeartRateStrapDriver,
 )
-from services.human_state.drivers.max30100.driver import Max30100Driver, Max30100Settings
-from services.human_state.drivers.metamotion import protocol as metamotion
-from services.human_state.drivers.metamotion.driver import MetaMotionDriver
-from services.human_state.drivers.polar_h10 import protocol as h10
-from services.human_state.drivers.polar_h10.driver import PolarH10Driver
-from services.human_state.drivers.recording.driver import RecordingDriver, RecordingSettings
-from services.human_state.drivers.seeed_radar import protocol as radar
-from services.human_state.drivers.seeed_radar.driver import RadarDriver, RadarSettings
-from services.human_state.drivers.sensomative import protocol as mat
-from services.human_state.drivers.sensomative.driver import SensomativeDriver
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.drivers.max30100.driver import Max30100Driver, Max30100Settings
+from handover_body.drivers.metamotion import protocol as metamotion
+from handover_body.drivers.metamotion.driver import MetaMotionDriver
+from handover_body.drivers.polar_h10 import protocol as h10
+from handover_body.drivers.polar_h10.driver import PolarH10Driver
+from handover_body.drivers.recording.driver import RecordingDriver, RecordingSettings
+from handover_body.drivers.seeed_radar import protocol as radar
+from handover_body.drivers.seeed_radar.driver import RadarDriver, RadarSettings
+from handover_body.drivers.sensomative import protocol as mat
+from handover_body.drivers.sensomative.driver import SensomativeDriver
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
 from tests.kit.bluetooth import Peripheral
 
 Y2000_S = 946_684_800

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.human_state.driver_contract import Device, SensorDriverContract
-from services.human_state.drivers.cloud.driver import CloudSettings
-from services.human_state.drivers.corsano import protocol as corsano
-from services.human_state.drivers.corsano.driver import CorsanoDriver, CorsanoSettings
-from services.human_state.drivers.lsl.driver import LslDriver, LslSettings
-from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
-from services.human_state.drivers.ros_topic.messages import type_of
-from services.human_state.drivers.vivalink.driver import VivalinkDriver
-from services.human_state.formats.ros import messages_of
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.driver_contract import Device, SensorDriverContract
+from handover_body.drivers.cloud.driver import CloudSettings
+from handover_body.drivers.corsano import protocol as corsano
+from handover_body.drivers.corsano.driver import CorsanoDriver, CorsanoSettings
+from handover_body.drivers.lsl.driver import LslDriver, LslSettings
+from handover_body.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
+from handover_body.drivers.ros_topic.messages import type_of
+from handover_body.drivers.vivalink.driver import VivalinkDriver
+from handover_body.formats.ros import messages_of
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.bluetooth import Peripheral
 from tests.kit.ros_domains import ros_domain
 from tests.unit.human_state.drivers.test_cloud import Vendor

@@ -7,9 +7,9 @@ import uuid
 
 import pytest
 
-from services.human_state.drivers.lsl.driver import LslDriver, LslSettings
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.model.signals import LinkState, Samples, SensorReport, SignalKind
+from handover_body.drivers.lsl.driver import LslDriver, LslSettings
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.model.signals import LinkState, Samples, SensorReport, SignalKind
 from tests.kit.waiting import until
 
 pytest.importorskip("pylsl", reason="the extra human-state is not installed", exc_type=ImportError)

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.drivers.base import PacketError
-from services.human_state.drivers.beats import REMOVED_S, BeatClock, ContactWatch
-from services.human_state.drivers.corsano import protocol as corsano
-from services.human_state.drivers.heart_rate_strap import protocol as strap
-from services.human_state.drivers.metamotion import protocol as metamotion
-from services.human_state.drivers.polar_h10 import protocol as h10
-from services.human_state.drivers.sensomative import protocol as mat
+from handover_body.drivers.base import PacketError
+from handover_body.drivers.beats import REMOVED_S, BeatClock, ContactWatch
+from handover_body.drivers.corsano import protocol as corsano
+from handover_body.drivers.heart_rate_strap import protocol as strap
+from handover_body.drivers.metamotion import protocol as metamotion
+from handover_body.drivers.polar_h10 import protocol as h10
+from handover_body.drivers.sensomative import protocol as mat
 
 PARSERS: dict[str, Callable[[bytes], Any]] = {
     "strap": strap.parse,

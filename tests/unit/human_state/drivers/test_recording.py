@@ -9,17 +9,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.human_state.drivers.recording.channels import (
+from handover_body.drivers.recording.channels import (
     Meaning,
     RecordingError,
     kind_of,
     plausible_rates_hz,
 )
-from services.human_state.drivers.recording.driver import RecordingDriver, RecordingSettings
-from services.human_state.drivers.recording.tracks import read
-from services.human_state.drivers.runner import SensorRunner
-from services.human_state.exchange.mcap import McapWriter
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_body.drivers.recording.driver import RecordingDriver, RecordingSettings
+from handover_body.drivers.recording.tracks import read
+from handover_body.drivers.runner import SensorRunner
+from handover_body.exchange.mcap import McapWriter
+from handover_body.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 from tests.kit.paths import REPOSITORY
 
 PHYSIOLOGY = REPOSITORY.parent / "shared" / "data" / "physiology"

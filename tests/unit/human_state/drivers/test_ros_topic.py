@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from handover.ros_dds import TopicEndpoints, struct_of
-from services.human_state.drivers.base import PacketError
-from services.human_state.drivers.ros_topic import ros4hc
-from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
-from services.human_state.drivers.ros_topic.messages import INFO, SAMPLES, fields_of, type_of
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.formats.ros import messages_of
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from handover_body.drivers.base import PacketError
+from handover_body.drivers.ros_topic import ros4hc
+from handover_body.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
+from handover_body.drivers.ros_topic.messages import INFO, SAMPLES, fields_of, type_of
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.formats.ros import messages_of
+from handover_body.model.signals import Samples, SensorReport, SignalInfo, SignalKind
 from tests.kit.paths import REPOSITORY
 from tests.kit.ros_domains import ros_domain
 from tests.kit.waiting import until
 
-MESSAGES = REPOSITORY / "ros_fiware_bridge" / "messages" / "handover_human_msgs" / "msg"
+MESSAGES = REPOSITORY / "ros_fiware_bridge/handover_ros/messages" / "handover_human_msgs" / "msg"
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",))
 
 
@@ -151,7 +151,7 @@ def test_another_signal_on_the_same_topic_is_ignored() -> None:
     assert driver.read(name, message) is None
 
 
-ROS4HC = REPOSITORY / "ros_fiware_bridge" / "types" / "definitions" / "ros2_hc_msgs" / "msg"
+ROS4HC = REPOSITORY / "ros_fiware_bridge/handover_ros/types" / "definitions" / "ros2_hc_msgs" / "msg"
 EYES = sorted(ros4hc.SIGNALS)
 
 

@@ -8,9 +8,9 @@ from contextlib import asynccontextmanager, suppress
 import numpy as np
 import pytest
 
-from services.human_state.drivers.base import DriverSettings, LinkLost, SensorDriver, Sink
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.model.signals import (
+from handover_body.drivers.base import DriverSettings, LinkLost, SensorDriver, Sink
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.model.signals import (
     ClockKind,
     LinkState,
     Samples,

@@ -16,16 +16,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.drivers.base import PacketError, SensorDriver
-from services.human_state.drivers.brainflow.driver import BrainFlowDriver, BrainFlowSettings
-from services.human_state.drivers.lsl.driver import LslDriver, LslSettings
-from services.human_state.drivers.max30100 import protocol as oximeter
-from services.human_state.drivers.max30100.driver import Max30100Driver, Max30100Settings
-from services.human_state.drivers.runner import RunnerTiming, SensorRunner
-from services.human_state.drivers.seeed_radar import protocol as radar
-from services.human_state.drivers.seeed_radar.driver import RadarDriver, RadarSettings
-from services.human_state.model.signals import (
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.drivers.base import PacketError, SensorDriver
+from handover_body.drivers.brainflow.driver import BrainFlowDriver, BrainFlowSettings
+from handover_body.drivers.lsl.driver import LslDriver, LslSettings
+from handover_body.drivers.max30100 import protocol as oximeter
+from handover_body.drivers.max30100.driver import Max30100Driver, Max30100Settings
+from handover_body.drivers.runner import RunnerTiming, SensorRunner
+from handover_body.drivers.seeed_radar import protocol as radar
+from handover_body.drivers.seeed_radar.driver import RadarDriver, RadarSettings
+from handover_body.model.signals import (
     LinkState,
     Samples,
     SensorFault,

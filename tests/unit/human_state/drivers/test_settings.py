@@ -2,7 +2,7 @@
 
 from pydantic import SecretStr
 
-from services.human_state.drivers.base import HIDDEN, DriverSettings
+from handover_body.drivers.base import HIDDEN, DriverSettings
 
 
 class CloudSettings(DriverSettings):

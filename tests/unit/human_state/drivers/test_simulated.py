@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.human_state.drivers.runner import SensorRunner
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.drivers.simulated.person import SimulatedPerson
-from services.human_state.drivers.simulated.waveforms import EVENTS, WAVES
-from services.human_state.model.cardiovascular import Physiology
-from services.human_state.model.signals import (
+from handover_body.drivers.runner import SensorRunner
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.drivers.simulated.person import SimulatedPerson
+from handover_body.drivers.simulated.waveforms import EVENTS, WAVES
+from handover_body.model.cardiovascular import Physiology
+from handover_body.model.signals import (
     ClockKind,
     LinkState,
     Samples,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from services.human_state.drivers.runner import SensorRunner
-from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.drivers.simulated.person import SimulatedPerson
-from services.human_state.model.cardiovascular import cadence_hz, speed_mps_of_cadence
-from services.human_state.model.signals import GAIT_CHANNELS, Samples, SensorFault, SensorReport, SignalKind
+from handover_body.drivers.runner import SensorRunner
+from handover_body.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from handover_body.drivers.simulated.person import SimulatedPerson
+from handover_body.model.cardiovascular import cadence_hz, speed_mps_of_cadence
+from handover_body.model.signals import GAIT_CHANNELS, Samples, SensorFault, SensorReport, SignalKind
 
 START_S = 1_700_000_000.0
 WALK = [{"at_s": 0.5, "effort": 0.2, "posture": "standing"}]

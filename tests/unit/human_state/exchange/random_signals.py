@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import ClockKind, Samples, SignalInfo, SignalKind
 
 UNITS = {
     SignalKind.HEART_RATE: "BPM",

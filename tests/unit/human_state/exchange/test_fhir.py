@@ -13,11 +13,11 @@ pytest.importorskip("fhir.resources", reason="the extra [human-state] is not ins
 from fhir.resources.bundle import Bundle
 from fhir.resources.observation import Observation
 
-from services.human_state.exchange import fhir
-from services.human_state.formats.errors import ExchangeError
-from services.human_state.formats.json_messages import Marker
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from handover_body.exchange import fhir
+from handover_body.formats.errors import ExchangeError
+from handover_body.formats.json_messages import Marker
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import Samples, SensorReport, SignalInfo, SignalKind
 from tests.unit.human_state.exchange.random_signals import features, same_values
 
 RATE = Feature(FeatureName.HEART_RATE, "h10", 92.5, 1_770_000_000.25, 0.9, method="ecg 1.0")

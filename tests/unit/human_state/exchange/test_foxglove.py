@@ -14,16 +14,16 @@ pytest.importorskip("foxglove", reason="the extra [human-state] is not installed
 
 import foxglove as sdk
 
-from services.human_state.exchange.foxglove import (
+from handover_body.exchange.foxglove import (
     LAYOUT,
     MAX_WAITING,
     FoxgloveStream,
     layout,
     shipped_layout,
 )
-from services.human_state.formats.json_messages import SCHEMAS, time_of, to_json
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.formats.json_messages import SCHEMAS, time_of, to_json
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.waiting import scaled
 
 SUBPROTOCOLS: Any = ["foxglove.sdk.v1"]

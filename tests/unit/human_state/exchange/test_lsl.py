@@ -12,11 +12,11 @@ pytest.importorskip("pylsl", reason="the extra [human-state] is not installed")
 
 import pylsl
 
-from services.human_state.exchange.lsl import LslInlet, LslOutlets
-from services.human_state.formats.errors import ExchangeError
-from services.human_state.formats.lsl import signal_info
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.exchange.lsl import LslInlet, LslOutlets
+from handover_body.formats.errors import ExchangeError
+from handover_body.formats.lsl import signal_info
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.waiting import scaled
 
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I", "II"), method="patch")

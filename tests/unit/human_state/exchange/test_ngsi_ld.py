@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels import HumanState
-from services.human_state.exchange.ngsi_ld import (
+from handover_body.exchange.ngsi_ld import (
     FUSED,
     OF_PERSON,
     EntityThrottle,
@@ -19,9 +18,10 @@ from services.human_state.exchange.ngsi_ld import (
     read_human_state,
     session,
 )
-from services.human_state.formats.errors import ExchangeError
-from services.human_state.fusion.person_state import FusedValue, fused
-from services.human_state.model.features import Feature, FeatureName, Status
+from handover_body.formats.errors import ExchangeError
+from handover_body.fusion.person_state import FusedValue, fused
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_datamodels import HumanState
 
 STATE, PERSON = "urn:ngsi-ld:HumanState:demo:p1", "urn:ngsi-ld:Person:demo:p1"
 TEXTS = {

@@ -15,10 +15,10 @@ pytest.importorskip("mcap", reason="the extra [human-state] is not installed")
 
 import pyxdf
 
-from services.human_state.drivers.recording import tracks
-from services.human_state.exchange import mcap, xdf
-from services.human_state.formats.errors import ExchangeError
-from services.human_state.formats.json_messages import (
+from handover_body.drivers.recording import tracks
+from handover_body.exchange import mcap, xdf
+from handover_body.formats.errors import ExchangeError
+from handover_body.formats.json_messages import (
     SCHEMAS,
     Marker,
     Recorded,
@@ -27,8 +27,8 @@ from services.human_state.formats.json_messages import (
     time_of,
     to_json,
 )
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import (
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import (
     LinkState,
     Samples,
     SensorFault,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[4]
 MANUAL = REPOSITORY / "docs" / "how-to" / "human-state-exchange.md"
-FOLDER = REPOSITORY / "ros_fiware_bridge" / "messages" / "handover_human_msgs" / "msg"
+FOLDER = REPOSITORY / "ros_fiware_bridge/handover_ros/messages" / "handover_human_msgs" / "msg"
 
 
 def table(after: str) -> list[list[str]]:

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
-from ros_fiware_bridge.types.type_store import TypeStore
-from services.human_state.formats import ros
-from services.human_state.formats.errors import ExchangeError
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_body.formats import ros
+from handover_body.formats.errors import ExchangeError
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from handover_ros.types.type_store import TypeStore
 from tests.unit.human_state.exchange.random_signals import features, same_values, samples
 
 TYPES = TypeStore()
-FOLDER = Path(__file__).parents[4] / "ros_fiware_bridge" / "messages" / "handover_human_msgs"
+FOLDER = Path(__file__).parents[4] / "ros_fiware_bridge/handover_ros/messages" / "handover_human_msgs"
 OURS = sorted(name for name in TYPES.type_names() if name.startswith(ros.PACKAGE))
 
 

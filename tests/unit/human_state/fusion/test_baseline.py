@@ -2,14 +2,14 @@
 
 import pytest
 
-from services.human_state.fusion.baseline import (
+from handover_body.fusion.baseline import (
     Baseline,
     NoBaseline,
     by_age,
     measured_maximum_bpm,
     measured_rest_bpm,
 )
-from services.human_state.model.features import Feature, FeatureName, Status
+from handover_body.model.features import Feature, FeatureName, Status
 
 
 def beats(bpm: float, from_s: int, to_s: int, status: Status = Status.VALID) -> list[Feature]:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.fusion.person_state import MAX_SOURCES, PersonState
-from services.human_state.fusion.plausibility import MIN_QUALITY, stale_after_s
-from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import LinkState, SensorFault, SensorReport
+from handover_body.fusion.person_state import MAX_SOURCES, PersonState
+from handover_body.fusion.plausibility import MIN_QUALITY, stale_after_s
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import LinkState, SensorFault, SensorReport
 
 HEART = FeatureName.HEART_RATE
 

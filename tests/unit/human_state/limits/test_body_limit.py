@@ -6,18 +6,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.human_state.fusion.baseline import by_age
-from services.human_state.fusion.person_state import PersonState
-from services.human_state.limits.body_limit import (
+from handover_body.fusion.baseline import by_age
+from handover_body.fusion.person_state import PersonState
+from handover_body.limits.body_limit import (
     RADAR_TIMEOUT_S,
     BodyLimit,
     HeartRate,
     RefusedReset,
 )
-from services.human_state.limits.curve import LimitCurve, of_baseline
-from services.human_state.limits.strain import Strain
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import SensorFault, SensorReport
+from handover_body.limits.curve import LimitCurve, of_baseline
+from handover_body.limits.strain import Strain
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import SensorFault, SensorReport
 
 CURVE = LimitCurve()
 STEP_S = 0.05

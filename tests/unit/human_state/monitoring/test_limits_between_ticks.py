@@ -11,15 +11,15 @@ import orjson
 from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.security.service_access import ServiceAccess
-from services.human_state.fusion.baseline import Baseline
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
-from services.human_state.monitoring.monitoring import Monitoring
-from services.human_state.monitoring.processors import pipeline_of
-from services.human_state.people.consent import Purpose
-from services.human_state.people.people import People, now_us
-from services.human_state.settings import HumanStateSettings
-from services.human_state.storage import tables
-from services.human_state.storage.store import SensorRow, Store
+from handover_body.fusion.baseline import Baseline
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.monitoring.monitoring import Monitoring
+from handover_body.monitoring.processors import pipeline_of
+from handover_body.people.consent import Purpose
+from handover_body.people.people import People, now_us
+from handover_body.settings import HumanStateSettings
+from handover_body.storage import tables
+from handover_body.storage.store import SensorRow, Store
 
 RATE = SignalInfo(SignalKind.HEART_RATE, "BPM", None, method="chest strap")
 SENSOR = SensorRow("strap", "max30100", {"port": 0}, "aino")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from handover.cli.body import app
-from services.human_state.drivers.recording.tracks import read
+from handover_body.drivers.recording.tracks import read
+from handover_cell.body import app
 from tests.unit.human_state.hearts import Heart, heart
 
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from handover.messages import Message
-from services.human_state.checks.monitor import SignalMonitor
-from services.human_state.model.features import FeatureName, Status
-from services.human_state.model.signals import (
+from handover_body.checks.monitor import SignalMonitor
+from handover_body.model.features import FeatureName, Status
+from handover_body.model.signals import (
     LinkState,
     Samples,
     SensorFault,
@@ -16,12 +16,12 @@ from services.human_state.model.signals import (
     SignalInfo,
     SignalKind,
 )
-from services.human_state.monitoring.person_monitor import PersonMonitor
-from services.human_state.monitoring.processors import pipeline_of
-from services.human_state.people.consent import Consent
-from services.human_state.people.people import Person
-from services.human_state.processing.adl.classifier import AdlClassifier
-from services.human_state.storage.store import ConsentRow, LimitRow, PersonRow, SensorRow
+from handover_body.monitoring.person_monitor import PersonMonitor
+from handover_body.monitoring.processors import pipeline_of
+from handover_body.people.consent import Consent
+from handover_body.people.people import Person
+from handover_body.processing.adl.classifier import AdlClassifier
+from handover_body.storage.store import ConsentRow, LimitRow, PersonRow, SensorRow
 
 YEAR_US = int(365 * 86400e6)
 WRIST = SignalInfo(SignalKind.ACCELERATION, "MSK", 50.0, ("x", "y", "z"), method="wrist")

@@ -11,12 +11,12 @@ import pytest
 
 pytest.importorskip("mcap", reason="the extra [human-state] is not installed")
 
-from services.human_state.exchange.mcap import read_stream
-from services.human_state.formats.json_messages import Marker, Recorded
-from services.human_state.model.features import Feature, FeatureName
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
-from services.human_state.recording.archive import JOURNAL, SUFFIX, Archive
-from services.human_state.recording.sealed import SealError
+from handover_body.exchange.mcap import read_stream
+from handover_body.formats.json_messages import Marker, Recorded
+from handover_body.model.features import Feature, FeatureName
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
+from handover_body.recording.archive import JOURNAL, SUFFIX, Archive
+from handover_body.recording.sealed import SealError
 
 KEY = bytes(range(32))
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0)

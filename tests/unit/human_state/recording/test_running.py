@@ -12,18 +12,18 @@ from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.errors import Problem
 from handover.security.service_access import ServiceAccess
-from services.human_state.formats.json_messages import Marker
-from services.human_state.fusion.baseline import Baseline
-from services.human_state.monitoring.monitoring import Monitoring
-from services.human_state.monitoring.processors import pipeline_of
-from services.human_state.people.consent import Purpose
-from services.human_state.people.people import People, now_us
-from services.human_state.recording import recordings as module
-from services.human_state.recording.archive import Archive
-from services.human_state.recording.recordings import Recordings
-from services.human_state.settings import HumanStateSettings
-from services.human_state.storage import tables
-from services.human_state.storage.store import RecordingRow, Store
+from handover_body.formats.json_messages import Marker
+from handover_body.fusion.baseline import Baseline
+from handover_body.monitoring.monitoring import Monitoring
+from handover_body.monitoring.processors import pipeline_of
+from handover_body.people.consent import Purpose
+from handover_body.people.people import People, now_us
+from handover_body.recording import recordings as module
+from handover_body.recording.archive import Archive
+from handover_body.recording.recordings import Recordings
+from handover_body.settings import HumanStateSettings
+from handover_body.storage import tables
+from handover_body.storage.store import RecordingRow, Store
 from tests.kit.waiting import until
 
 ALLOWED = frozenset({Purpose.LIVE, Purpose.RECORDING})

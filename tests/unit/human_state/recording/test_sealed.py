@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.recording.sealed import SealedReader, SealedWriter, SealError, chunks_of
+from handover_body.recording.sealed import SealedReader, SealedWriter, SealError, chunks_of
 
 KEY = bytes(range(32))
 HEADER_BYTES = 48

@@ -6,8 +6,8 @@ from sqlalchemy import MetaData
 
 from handover.database import connect
 from handover.migrations import migrate
-from services.human_state.storage import tables
-from services.human_state.storage.store import LimitRow, PersonRow, RecordingRow, Store, ValueRow
+from handover_body.storage import tables
+from handover_body.storage.store import LimitRow, PersonRow, RecordingRow, Store, ValueRow
 from tests.kit.databases import default_url
 
 

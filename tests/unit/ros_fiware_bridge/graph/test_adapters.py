@@ -5,16 +5,16 @@ from pathlib import Path
 import pytest
 
 from handover.extensions import UnknownExtension
-from ros_fiware_bridge.graph.joining import ADAPTERS, Adapter, JoinSettings, installed, join, load_adapter
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.joining import ADAPTERS, Adapter, JoinSettings, installed, join, load_adapter
+from handover_ros.types.type_store import TypeStore
 
 pytest.importorskip("cyclonedds")
 
 ACME = """
 from dataclasses import replace
 
-from ros_fiware_bridge.graph.joining import Adapter
-from ros_fiware_bridge.graph.joining import join as join_ours
+from handover_ros.graph.joining import Adapter
+from handover_ros.graph.joining import join as join_ours
 
 
 async def join(store, settings):

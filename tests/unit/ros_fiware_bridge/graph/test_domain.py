@@ -1,10 +1,10 @@
 import pytest
 
-from ros_fiware_bridge.errors import AdapterUnavailable, BadName
-from ros_fiware_bridge.graph.cyclone import domain
-from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
-from ros_fiware_bridge.graph.joining import JoinSettings, join
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import AdapterUnavailable, BadName
+from handover_ros.graph.cyclone import domain
+from handover_ros.graph.cyclone.domain import DomainSettings
+from handover_ros.graph.joining import JoinSettings, join
+from handover_ros.types.type_store import TypeStore
 
 pytest.importorskip("cyclonedds")
 

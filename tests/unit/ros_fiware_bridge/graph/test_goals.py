@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge.graph.goals import MAX_RESULT_CHARS, result_text
+from handover_ros.graph.goals import MAX_RESULT_CHARS, result_text
 
 
 @pytest.mark.parametrize(

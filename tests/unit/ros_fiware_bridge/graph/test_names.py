@@ -2,9 +2,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.errors import BadName
-from ros_fiware_bridge.graph import names
-from ros_fiware_bridge.graph.cyclone import dds_names
+from handover_ros.errors import BadName
+from handover_ros.graph import names
+from handover_ros.graph.cyclone import dds_names
 
 part = st.from_regex(r"[a-zA-Z][a-zA-Z0-9]{0,8}", fullmatch=True)
 full = st.lists(part, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))

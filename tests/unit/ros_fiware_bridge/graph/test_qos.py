@@ -1,7 +1,7 @@
 import pytest
 
-from ros_fiware_bridge.errors import UnknownQos
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
+from handover_ros.errors import UnknownQos
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
 
 
 def test_profiles_have_the_names_of_ros() -> None:

@@ -1,7 +1,7 @@
-from ros_fiware_bridge.errors import IncompatibleQos, TypeHashDiffers, VendorNotShared
-from ros_fiware_bridge.graph.cyclone import view
-from ros_fiware_bridge.graph.cyclone.discovery import DiscoveredEndpoint, GraphSnapshot
-from ros_fiware_bridge.graph.qos import SENSOR_DATA, Qos
+from handover_ros.errors import IncompatibleQos, TypeHashDiffers, VendorNotShared
+from handover_ros.graph.cyclone import view
+from handover_ros.graph.cyclone.discovery import DiscoveredEndpoint, GraphSnapshot
+from handover_ros.graph.qos import SENSOR_DATA, Qos
 
 OURS = bytes.fromhex("0110") + bytes(14)
 CYCLONE = bytes.fromhex("0110") + b"\1" + bytes(13)

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from ros_fiware_bridge.inspection import description
-from ros_fiware_bridge.mapping import load
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.inspection import description
+from handover_ros.mapping import load
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 

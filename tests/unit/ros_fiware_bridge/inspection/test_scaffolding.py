@@ -2,11 +2,11 @@
 
 import pytest
 
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
-from ros_fiware_bridge.inspection.scaffolding import mapping_for
-from ros_fiware_bridge.mapping import parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
+from handover_ros.inspection.scaffolding import mapping_for
+from handover_ros.mapping import parse
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 MESSAGES = [name for name in TYPES.type_names() if "/msg/" in name]

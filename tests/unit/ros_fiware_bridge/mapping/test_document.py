@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from ros_fiware_bridge.mapping import InvalidMapping, load, parse
-from ros_fiware_bridge.mapping.document import Fault
+from handover_ros.mapping import InvalidMapping, load, parse
+from handover_ros.mapping.document import Fault
 
 BATTERY = """\
 ros_to_ngsild:

@@ -1,9 +1,9 @@
 import pytest
 
-from ros_fiware_bridge.mapping import names, parse
-from ros_fiware_bridge.mapping.document import InvalidMapping
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.mapping import names, parse
+from handover_ros.mapping.document import InvalidMapping
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 
 
 def test_a_placeholder_matches_one_part_of_a_topic() -> None:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping import paths
-from ros_fiware_bridge.mapping.paths import Each, Field, Index, InvalidPath, MissingValue, Path, Where
+from handover_ros.mapping import paths
+from handover_ros.mapping.paths import Each, Field, Index, InvalidPath, MissingValue, Path, Where
 
 JOINTS = {
     "header": {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "base"},

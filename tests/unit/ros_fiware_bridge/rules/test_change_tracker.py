@@ -5,8 +5,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.rules import origin
-from ros_fiware_bridge.rules.change_tracker import MISSED_AFTER_S, ChangeTracker
+from handover_ros.rules import origin
+from handover_ros.rules.change_tracker import MISSED_AFTER_S, ChangeTracker
 
 
 def entity(value: Any, at: str | None = None, **more: Any) -> dict[str, Any]:

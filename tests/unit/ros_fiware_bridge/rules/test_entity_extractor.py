@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping import parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.entity_extractor import EntityExtractor, Extraction
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.mapping import parse
+from handover_ros.rules import plan
+from handover_ros.rules.entity_extractor import EntityExtractor, Extraction
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 RECEIVED_S = 1_770_000_000.5

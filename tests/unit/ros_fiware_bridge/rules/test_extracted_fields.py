@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping import load, parse
-from ros_fiware_bridge.mapping.document import SHIPPED
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.entity_extractor import EntityExtractor
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.mapping import load, parse
+from handover_ros.mapping.document import SHIPPED
+from handover_ros.rules import plan
+from handover_ros.rules.entity_extractor import EntityExtractor
+from handover_ros.types.type_store import TypeStore
 from tests.unit.ros_fiware_bridge.types.random_messages import message_of
 
 TYPES = TypeStore()

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import HandoverError
-from ros_fiware_bridge.mapping import parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.change_tracker import scope_of
-from ros_fiware_bridge.rules.message_builder import Incomplete, MessageBuilder, Scope
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.mapping import parse
+from handover_ros.rules import plan
+from handover_ros.rules.change_tracker import scope_of
+from handover_ros.rules.message_builder import Incomplete, MessageBuilder, Scope
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 

@@ -6,7 +6,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from ros_fiware_bridge.rules.outbox import Batch, Outbox, Update
+from handover_ros.rules.outbox import Batch, Outbox, Update
 
 
 def update(rule: str, entity: str, value: Any, keep: int = 1) -> Update:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping import InvalidMapping, parse
-from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.mapping import InvalidMapping, parse
+from handover_ros.rules import plan
+from handover_ros.types.type_store import TypeStore
 
 TYPES = TypeStore()
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping.values import DeadBand
-from ros_fiware_bridge.rules.update_filter import UpdateFilter, differs
+from handover_ros.mapping.values import DeadBand
+from handover_ros.rules.update_filter import UpdateFilter, differs
 
 ONE = DeadBand(absolute=1.0)
 TENTH = DeadBand(relative=0.1)

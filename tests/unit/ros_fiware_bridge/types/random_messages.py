@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.types.definition import FLOATS, INTEGER_RANGES, FieldType, Many
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.types.definition import FLOATS, INTEGER_RANGES, FieldType, Many
+from handover_ros.types.type_store import TypeStore
 
 
 def one(store: TypeStore, kind: FieldType) -> st.SearchStrategy[Any]:

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.errors import BadMessage
-from ros_fiware_bridge.types.definition import Many
-from ros_fiware_bridge.types.excerpt import FieldNames, wanted
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import BadMessage
+from handover_ros.types.definition import Many
+from handover_ros.types.excerpt import FieldNames, wanted
+from handover_ros.types.type_store import TypeStore
 from tests.unit.ros_fiware_bridge.types.random_messages import listed, message_of
 
 pytest.importorskip("rosbags")

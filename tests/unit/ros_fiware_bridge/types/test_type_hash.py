@@ -1,6 +1,6 @@
 import pytest
 
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.types.type_store import TypeStore
 
 pytest.importorskip("rosbags")
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.errors import BadDefinition, BadMessage, UnknownType, UnsupportedType
-from ros_fiware_bridge.types.type_store import TypeStore
+from handover_ros.errors import BadDefinition, BadMessage, UnknownType, UnsupportedType
+from handover_ros.types.type_store import TypeStore
 from tests.unit.ros_fiware_bridge.types.random_messages import listed, message_of
 
 pytest.importorskip("rosbags")

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.allocation.agents import Agent, Position, Skill, read_agents
-from services.task_orchestrator.allocation.choice import ChooseByRules, Request, WaitingRequest
+from handover_processes.allocation.agents import Agent, Position, Skill, read_agents
+from handover_processes.allocation.choice import ChooseByRules, Request, WaitingRequest
 
 MONDAY = datetime(2026, 5, 4, 10, 0, tzinfo=UTC)
 

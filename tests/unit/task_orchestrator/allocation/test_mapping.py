@@ -6,19 +6,19 @@ import pytest
 from pydantic import ValidationError
 
 from handover.errors import UsageError
-from services.task_orchestrator.allocation.agents import Agent, Agents, Skill
-from services.task_orchestrator.allocation.assignment import AssignmentRules
-from services.task_orchestrator.allocation.hints import follow_up_of
-from services.task_orchestrator.allocation.mapping import (
+from handover_processes.allocation.agents import Agent, Agents, Skill
+from handover_processes.allocation.assignment import AssignmentRules
+from handover_processes.allocation.hints import follow_up_of
+from handover_processes.allocation.mapping import (
     MappingEntry,
     MappingRequest,
     MappingTable,
     read_mapping_file,
 )
-from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Activity, Value
-from services.task_orchestrator.settings import OrchestratorSettings
+from handover_processes.languages import native
+from handover_processes.languages.base import ExpressionError
+from handover_processes.model import Activity, Value
+from handover_processes.settings import OrchestratorSettings
 
 GRIP = {"kind": "class", "name": "com.example.Grip", "resource": "Device:ur10-1"}
 

@@ -5,11 +5,11 @@ from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Library, RunFailed
-from services.task_orchestrator.languages.native import read, read_script
-from services.task_orchestrator.model import (
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import Library, RunFailed
+from handover_processes.languages.native import read, read_script
+from handover_processes.model import (
     Activity,
     Assignment,
     Call,

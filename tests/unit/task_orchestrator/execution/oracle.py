@@ -22,9 +22,9 @@ from SpiffWorkflow.bpmn.workflow import BpmnWorkflow
 from SpiffWorkflow.task import Task
 from SpiffWorkflow.util.task import TaskState
 
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.model import ErrorEvent, Flow, Kind, Node, Scope, StandardLoop
-from services.task_orchestrator.timers import due_at
+from handover_processes.languages.native import read
+from handover_processes.model import ErrorEvent, Flow, Kind, Node, Scope, StandardLoop
+from handover_processes.timers import due_at
 from tests.unit.task_orchestrator.execution.build import (
     after,
     boundary,

@@ -7,10 +7,10 @@ from typing import Any
 from hypothesis import event
 from hypothesis import strategies as st
 
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Frame, RunFailed, State, Token, TokenState
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.model import (
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import Frame, RunFailed, State, Token, TokenState
+from handover_processes.languages.native import read
+from handover_processes.model import (
     CompensateEvent,
     Kind,
     LinkEvent,

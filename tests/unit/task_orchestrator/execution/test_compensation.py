@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.model import (
+from handover_processes.model import (
     Assignment,
     CompensateEvent,
     ErrorEvent,

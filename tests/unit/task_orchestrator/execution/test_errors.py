@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.task_orchestrator.model import ErrorEvent, Node, Scope
+from handover_processes.model import ErrorEvent, Node, Scope
 from tests.unit.task_orchestrator.execution.build import (
     Driver,
     boundary,

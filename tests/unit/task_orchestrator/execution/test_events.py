@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.execution.machine import ThrownMessage, ThrownSignal, UncaughtEscalation
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import RunFailed, WaitType
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.model import (
+from handover_processes.execution.machine import ThrownMessage, ThrownSignal, UncaughtEscalation
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import RunFailed, WaitType
+from handover_processes.languages.native import read
+from handover_processes.model import (
     Assignment,
     ConditionalEvent,
     EntityFilter,

@@ -6,11 +6,11 @@ from typing import Any
 import orjson
 import pytest
 
-from services.task_orchestrator.execution import advance, events, propagation
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import RunFailed, TokenState
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.model import Assignment, ConditionalEvent, Kind, Scope, TimerEvent, TimerType
+from handover_processes.execution import advance, events, propagation
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import RunFailed, TokenState
+from handover_processes.languages.native import read
+from handover_processes.model import Assignment, ConditionalEvent, Kind, Scope, TimerEvent, TimerType
 from tests.unit.task_orchestrator.execution.build import (
     NOW,
     Definitions,

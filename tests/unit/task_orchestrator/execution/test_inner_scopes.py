@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Library, RunFailed
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import Library, RunFailed
 from tests.unit.task_orchestrator.cell_driver import Definitions
 from tests.unit.task_orchestrator.drawing import NOW, activity, end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, file, read

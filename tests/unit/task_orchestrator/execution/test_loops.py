@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.model import (
+from handover_processes.languages.native import read
+from handover_processes.model import (
     Assignment,
     ErrorEvent,
     Kind,

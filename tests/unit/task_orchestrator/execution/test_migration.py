@@ -8,11 +8,11 @@ import orjson
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.migration import Finding
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Library
-from services.task_orchestrator.model import (
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.migration import Finding
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import Library
+from handover_processes.model import (
     CompensateEvent,
     Kind,
     Node,

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import RunFailed
-from services.task_orchestrator.languages.juel import read_juel
-from services.task_orchestrator.model import (
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.execution.state import RunFailed
+from handover_processes.languages.juel import read_juel
+from handover_processes.model import (
     Assignment,
     DataAssociation,
     ErrorEvent,

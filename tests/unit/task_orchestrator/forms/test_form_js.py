@@ -5,9 +5,9 @@ from typing import Any
 import orjson
 import pytest
 
-from services.task_orchestrator.forms import form_js
-from services.task_orchestrator.forms.fields import FieldKind
-from services.task_orchestrator.forms.form_js import BadForm
+from handover_processes.forms import form_js
+from handover_processes.forms.fields import FieldKind
+from handover_processes.forms.form_js import BadForm
 
 
 def form(*components: dict[str, Any]) -> dict[str, Any]:

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.forms import form, json_schema
-from services.task_orchestrator.forms.fields import FieldKind
+from handover_processes.forms import form, json_schema
+from handover_processes.forms.fields import FieldKind
 
 SCHEMA = {
     "type": "object",

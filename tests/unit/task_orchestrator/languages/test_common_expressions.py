@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import ExpressionError, quote_names
-from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.juel import read_juel
-from services.task_orchestrator.languages.native import read
+from handover_processes.languages.base import ExpressionError, quote_names
+from handover_processes.languages.feel import read_feel
+from handover_processes.languages.juel import read_juel
+from handover_processes.languages.native import read
 
 VARIABLES = {"a": 3, "b": -2, "c": 0.5, "s": "gear", "t": "shaft", "yes": True, "no": False}
 

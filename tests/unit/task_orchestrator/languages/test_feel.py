@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import NOW, ExpressionError, within_limits
-from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.feel_functions import FUNCTIONS
-from services.task_orchestrator.languages.tokens import MAX_CHARACTERS
+from handover_processes.languages.base import NOW, ExpressionError, within_limits
+from handover_processes.languages.feel import read_feel
+from handover_processes.languages.feel_functions import FUNCTIONS
+from handover_processes.languages.tokens import MAX_CHARACTERS
 from tests.unit.task_orchestrator.languages.values import JSON
 
 ORDER = {

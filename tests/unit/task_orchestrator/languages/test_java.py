@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import ExpressionError, within_limits
-from services.task_orchestrator.languages.java import read_java, read_java_assignment
+from handover_processes.languages.base import ExpressionError, within_limits
+from handover_processes.languages.java import read_java, read_java_assignment
 from tests.unit.task_orchestrator.languages.values import JSON
 
 ORDER = {

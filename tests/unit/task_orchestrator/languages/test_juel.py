@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import NOW, ExpressionError, within_limits
-from services.task_orchestrator.languages.juel import read_juel, read_set_variable, read_template
-from services.task_orchestrator.languages.tokens import MAX_CHARACTERS
+from handover_processes.languages.base import NOW, ExpressionError, within_limits
+from handover_processes.languages.juel import read_juel, read_set_variable, read_template
+from handover_processes.languages.tokens import MAX_CHARACTERS
 from tests.unit.task_orchestrator.languages.values import JSON
 
 ORDER = {

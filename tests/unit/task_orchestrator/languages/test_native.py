@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.base import MAX_CHARACTERS, within_limits
-from services.task_orchestrator.languages.native import ExpressionError, read, read_script
+from handover_processes.languages.base import MAX_CHARACTERS, within_limits
+from handover_processes.languages.native import ExpressionError, read, read_script
 
 SCAN = {
     "scan": {"found": True, "part": "gear", "pose": {"position": [1.5, -2, 0]}},

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from services.task_orchestrator.languages.base import Expression
-from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.feel_functions import FUNCTIONS
-from services.task_orchestrator.languages.juel import read_juel
-from services.task_orchestrator.languages.juel_methods import EXECUTION_PROPERTIES, METHODS
-from services.task_orchestrator.languages.native import read
-from services.task_orchestrator.timers import due_at, parse_cycle
+from handover_processes.languages.base import Expression
+from handover_processes.languages.feel import read_feel
+from handover_processes.languages.feel_functions import FUNCTIONS
+from handover_processes.languages.juel import read_juel
+from handover_processes.languages.juel_methods import EXECUTION_PROPERTIES, METHODS
+from handover_processes.languages.native import read
+from handover_processes.timers import due_at, parse_cycle
 from tests.kit.paths import REPOSITORY
 
 PAGE = (REPOSITORY / "docs/reference/expressions.md").read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.task_orchestrator.model import (
+from handover_processes.model import (
     ErrorEvent,
     EscalationEvent,
     FormBinding,
@@ -12,8 +12,8 @@ from services.task_orchestrator.model import (
     Node,
     TimerEvent,
 )
-from services.task_orchestrator.notation.dialects import camunda7
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.notation.dialects import camunda7
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, end, flow, gateway, path, start, timer
 from tests.unit.task_orchestrator.notation.reading import (
     between,

@@ -1,6 +1,6 @@
 """Which elements two BPMN files have in different form."""
 
-from services.task_orchestrator.notation.comparison import changed_elements
+from handover_processes.notation.comparison import changed_elements
 from tests.unit.task_orchestrator.drawing import activity, drawing, end, path, start
 
 

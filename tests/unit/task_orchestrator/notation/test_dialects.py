@@ -2,15 +2,15 @@
 
 import pytest
 
-from services.task_orchestrator.model import Kind, MessageEvent, MultiInstance
-from services.task_orchestrator.notation.dialects.camunda7 import Camunda7
-from services.task_orchestrator.notation.dialects.choice import Dialects
-from services.task_orchestrator.notation.dialects.handover import Handover
-from services.task_orchestrator.notation.dialects.jbpm import Jbpm
-from services.task_orchestrator.notation.dialects.zeebe import Zeebe
-from services.task_orchestrator.notation.document import parse
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.model import Kind, MessageEvent, MultiInstance
+from handover_processes.notation.dialects.camunda7 import Camunda7
+from handover_processes.notation.dialects.choice import Dialects
+from handover_processes.notation.dialects.handover import Handover
+from handover_processes.notation.dialects.jbpm import Jbpm
+from handover_processes.notation.dialects.zeebe import Zeebe
+from handover_processes.notation.document import parse
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import activity, end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, file, read, warnings
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from services.task_orchestrator.notation.document import MAX_BYTES, MAX_ELEMENTS
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.notation.document import MAX_BYTES, MAX_ELEMENTS
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing, start
 
 

@@ -1,7 +1,7 @@
 """Escalations of Tasks that have not ended in time."""
 
 from handover.durations import parse_duration
-from services.task_orchestrator.model import Escalation
+from handover_processes.model import Escalation
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.task_orchestrator.model import (
+from handover_processes.model import (
     CompensateEvent,
     ConditionalEvent,
     ErrorEvent,

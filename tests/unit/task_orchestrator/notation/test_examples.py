@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.notation.file import read_bpmn
 
 EXAMPLES = Path(
     os.environ.get("HANDOVER_BPMN_EXAMPLES", Path(__file__).parents[5] / "shared" / "data" / "bpmn_examples")

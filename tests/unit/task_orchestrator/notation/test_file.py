@@ -2,10 +2,10 @@
 
 import pytest
 
-from services.task_orchestrator.model import MessageEvent
-from services.task_orchestrator.notation.faults import MAX_FAULTS_LISTED, BadBpmn
-from services.task_orchestrator.notation.file import MAX_PROCESSES, BpmnFile, read_bpmn
-from services.task_orchestrator.notation.rules import MAX_NODES
+from handover_processes.model import MessageEvent
+from handover_processes.notation.faults import MAX_FAULTS_LISTED, BadBpmn
+from handover_processes.notation.file import MAX_PROCESSES, BpmnFile, read_bpmn
+from handover_processes.notation.rules import MAX_NODES
 from tests.unit.task_orchestrator.drawing import end, path, start
 from tests.unit.task_orchestrator.notation.reading import NAMESPACES, between, file
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-import services.task_orchestrator
-from services.task_orchestrator.model import (
+import handover_processes
+from handover_processes.model import (
     ConditionalEvent,
     EntityFilter,
     FormBinding,
@@ -15,19 +15,19 @@ from services.task_orchestrator.model import (
     MessageEvent,
     SignalEvent,
 )
-from services.task_orchestrator.notation.dialects.handover import (
+from handover_processes.notation.dialects.handover import (
     _ATTRIBUTES,
     _EVALUATED,
     NAMESPACE,
     _check_attributes,
 )
-from services.task_orchestrator.notation.faults import Findings
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.notation.faults import Findings
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import activity, end, parameters, path, start, timer
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node, read, warnings
 from tests.unit.task_orchestrator.process_driver import ProcessDriver
 
-SHIPPED = sorted((Path(services.task_orchestrator.__file__).parent / "processes").glob("*.bpmn"))
+SHIPPED = sorted((Path(handover_processes.__file__).parent / "processes").glob("*.bpmn"))
 
 
 @pytest.mark.parametrize("shipped", SHIPPED, ids=lambda shipped: shipped.stem)

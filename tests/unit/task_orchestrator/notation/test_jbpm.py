@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.task_orchestrator.model import Definition, MultiInstance, SignalEvent, TimerEvent
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
+from handover_processes.model import Definition, MultiInstance, SignalEvent, TimerEvent
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import BpmnFile, read_bpmn
 from tests.unit.task_orchestrator.drawing import end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between
 

@@ -5,8 +5,8 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.languages.native_grammar import is_variable_name
-from services.task_orchestrator.notation.names import (
+from handover_processes.languages.native_grammar import is_variable_name
+from handover_processes.notation.names import (
     MAX_IN_URN,
     MAX_NODE_ID,
     definition_of,

@@ -6,16 +6,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lxml import etree
 
-import services.task_orchestrator
-from services.task_orchestrator.model import Kind, Scope
-from services.task_orchestrator.notation.dialects import camunda7, handover, zeebe
-from services.task_orchestrator.notation.document import BPMN
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
+import handover_processes
+from handover_processes.model import Kind, Scope
+from handover_processes.notation.dialects import camunda7, handover, zeebe
+from handover_processes.notation.document import BPMN
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import extended, file
 
-SHIPPED = (Path(services.task_orchestrator.__file__).parent / "processes" / "bin_picking.bpmn").read_bytes()
+SHIPPED = (Path(handover_processes.__file__).parent / "processes" / "bin_picking.bpmn").read_bytes()
 
 CAMUNDA = file(
     start()

@@ -3,7 +3,7 @@
 import pytest
 
 from handover.durations import parse_duration
-from services.task_orchestrator.model import RetryPolicy, Value
+from handover_processes.model import RetryPolicy, Value
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node, warnings
 
 

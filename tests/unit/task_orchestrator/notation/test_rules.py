@@ -2,10 +2,10 @@
 
 import pytest
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.model import Kind
-from services.task_orchestrator.notation.rules import MAX_FLOWS, MAX_NODES
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.model import Kind
+from handover_processes.notation.rules import MAX_FLOWS, MAX_NODES
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,

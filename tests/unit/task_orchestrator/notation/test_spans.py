@@ -2,10 +2,10 @@
 
 import pytest
 
-from services.task_orchestrator.model import Definition, Span
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.spans import Need, evaluated_needs, find_unions, read_needs
+from handover_processes.model import Definition, Span
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
+from handover_processes.spans import Need, evaluated_needs, find_unions, read_needs
 from tests.unit.task_orchestrator.drawing import activity, drawing, end, gateway, path, start
 
 DI = 'xmlns:di="http://www.omg.org/spec/BPMN/20100524/DI" xmlns:dc="http://www.omg.org/spec/DD/20100524/DC"'

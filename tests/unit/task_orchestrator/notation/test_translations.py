@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.model import Definition
-from services.task_orchestrator.notation.dialects import translations
-from services.task_orchestrator.notation.faults import BadBpmn
-from services.task_orchestrator.notation.file import read_bpmn
+from handover_processes.model import Definition
+from handover_processes.notation.dialects import translations
+from handover_processes.notation.faults import BadBpmn
+from handover_processes.notation.file import read_bpmn
 
 SHIPPED = sorted(Path("services").glob("**/*.bpmn"))
 TEXTS = st.text(st.characters(exclude_categories=["C"]), min_size=1, max_size=50).filter(str.strip)

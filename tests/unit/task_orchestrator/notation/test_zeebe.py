@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.model import (
+from handover_processes.execution.graph import Plan
+from handover_processes.execution.run import Run
+from handover_processes.model import (
     FormBinding,
     FormReference,
     MessageEvent,

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.trajectory_tool.case_study import report, study
-from services.trajectory_tool.case_study.operators import DELAY_S, DeadManControl, Supervisor, View
-from services.trajectory_tool.case_study.trial import Mode, Outcome
-from services.trajectory_tool.control.recording import COLUMNS
-from services.trajectory_tool.poses import NO_TURN, Frame
+from handover_robots.case_study import report, study
+from handover_robots.case_study.operators import DELAY_S, DeadManControl, Supervisor, View
+from handover_robots.case_study.trial import Mode, Outcome
+from handover_robots.control.recording import COLUMNS
+from handover_robots.poses import NO_TURN, Frame
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.control.lease import Leases
-from services.trajectory_tool.control import tool_motion
-from services.trajectory_tool.control.intent import IntentPrediction
-from services.trajectory_tool.control.kinematics import Kinematics
-from services.trajectory_tool.control.shared_control import (
+from handover_robots.control import tool_motion
+from handover_robots.control.intent import IntentPrediction
+from handover_robots.control.kinematics import Kinematics
+from handover_robots.control.shared_control import (
     BESIDE_AT_M,
     DEEP_M,
     MAX_MIX_RATE,
@@ -24,10 +24,10 @@ from services.trajectory_tool.control.shared_control import (
     rotation_vector,
     steers_away,
 )
-from services.trajectory_tool.control.tool_motion import joint_velocities
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.control.tool_motion import joint_velocities
+from handover_robots.planning import is_available
+from handover_robots.poses import Pose, pointing_down
+from handover_robots.robots import ROBOTS
 
 UNIT = (0.0, 0.0, 0.0, 1.0)
 shares = st.floats(0, 1)

@@ -20,8 +20,8 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Guard
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
-from services.trajectory_tool.app import make_app
-from services.trajectory_tool.settings import TrajectorySettings
+from handover_robots.app import make_app
+from handover_robots.settings import TrajectorySettings
 from tests.kit.asgi_server import served
 from tests.kit.ports import next_free_port
 

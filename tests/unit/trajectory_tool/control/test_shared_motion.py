@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datamodels.streams import HumanInput
-from services.trajectory_tool.control.session import ControlSession
-from services.trajectory_tool.poses import Pose, Vector
-from services.trajectory_tool.robot import Joints
+from handover_datamodels.streams import HumanInput
+from handover_robots.control.session import ControlSession
+from handover_robots.poses import Pose, Vector
+from handover_robots.robot import Joints
 from tests.unit.trajectory_tool.conftest import Worker
 
 EVERY_S = 0.02

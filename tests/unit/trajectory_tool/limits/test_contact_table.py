@@ -10,20 +10,20 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datamodels.streams import PeopleReport
 from handover.errors import UsageError
 from handover.performer import TaskFailed
-from services.trajectory_tool.limits.contact_table import BodyRegion, ContactEntry, ContactSpeed, speed_mps
-from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.store import LimitStore
-from services.trajectory_tool.obstacles import Box
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.scene import Zone
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.trajectory import Setpoint
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_datamodels.streams import PeopleReport
+from handover_robots.limits.contact_table import BodyRegion, ContactEntry, ContactSpeed, speed_mps
+from handover_robots.limits.robot_limits import RobotLimits
+from handover_robots.limits.store import LimitStore
+from handover_robots.obstacles import Box
+from handover_robots.poses import Pose
+from handover_robots.robots import ROBOTS
+from handover_robots.scene import Zone
+from handover_robots.settings import TrajectorySettings
+from handover_robots.trajectory import Setpoint
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
 
 UR10 = ROBOTS.load("ur10")

@@ -9,20 +9,20 @@ from typing import Any
 
 import pytest
 
-from services.trajectory_tool.limits.guards import (
+from handover_robots.limits.guards import (
     CollisionGuard,
     ToolSpeedGuard,
     TorqueGuard,
     tool_speed_mps,
 )
-from services.trajectory_tool.limits.jog import Jog
-from services.trajectory_tool.limits.limiter import JointLimiter, WayToRest
-from services.trajectory_tool.obstacles import Box, Obstacle, World
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robot import Joints, RobotFault
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.trajectory import Course, Limits, Setpoint
+from handover_robots.limits.jog import Jog
+from handover_robots.limits.limiter import JointLimiter, WayToRest
+from handover_robots.obstacles import Box, Obstacle, World
+from handover_robots.planning import is_available
+from handover_robots.poses import Pose
+from handover_robots.robot import Joints, RobotFault
+from handover_robots.robots import ROBOTS
+from handover_robots.trajectory import Course, Limits, Setpoint
 
 CYCLE_S = 0.001
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -155,8 +155,8 @@ def test_the_tool_is_slow_in_reduced_mode(seed: int) -> None:
 def test_jogging_never_touches_the_table_or_the_robot(seed: int) -> None:
     import numpy as np
 
-    from services.trajectory_tool.planning.arm import Arm
-    from services.trajectory_tool.planning.collision import Collisions
+    from handover_robots.planning.arm import Arm
+    from handover_robots.planning.collision import Collisions
 
     world = World(
         (
@@ -231,8 +231,8 @@ def test_a_setpoint_beyond_a_limit_is_a_fault_and_the_joints_brake(setpoint: Set
 def efforts_of(setpoints: list[Setpoint], payload_kg: float) -> Any:
     import numpy as np
 
-    from services.trajectory_tool.planning.arm import Arm
-    from services.trajectory_tool.planning.torques import Torques
+    from handover_robots.planning.arm import Arm
+    from handover_robots.planning.torques import Torques
 
     torques = Torques(Arm(UR10), payload_kg)
     return np.array([torques.of(*map(np.array, each.derivatives)) / torques.limits for each in setpoints])

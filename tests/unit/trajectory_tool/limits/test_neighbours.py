@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.trajectory_tool.limits.jog import Jog
-from services.trajectory_tool.limits.limiter import JointLimiter
-from services.trajectory_tool.limits.neighbours import CLEARANCE_M, MovingRobots, NeighbourGuard
-from services.trajectory_tool.obstacles import Attached, Box, World
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.limits.jog import Jog
+from handover_robots.limits.limiter import JointLimiter
+from handover_robots.limits.neighbours import CLEARANCE_M, MovingRobots, NeighbourGuard
+from handover_robots.obstacles import Attached, Box, World
+from handover_robots.planning import is_available
+from handover_robots.poses import Pose
+from handover_robots.robot import Joints
+from handover_robots.robot_model import RobotModel
+from handover_robots.robots import ROBOTS
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 
@@ -48,9 +48,9 @@ class Pair:
 
     def distance_m(self) -> float:
         """Return the exact distance of the robots, from a model of its own."""
-        from services.trajectory_tool.planning.arm import Arm
-        from services.trajectory_tool.planning.collision import Collisions
-        from services.trajectory_tool.planning.volumes import occupied
+        from handover_robots.planning.arm import Arm
+        from handover_robots.planning.collision import Collisions
+        from handover_robots.planning.volumes import occupied
 
         self.arms = self.arms or [Arm(model) for model in self.models]
         other = tuple(occupied("other", self.arms[1], self.joints[1], (), 0.0))
@@ -119,7 +119,7 @@ def test_robots_that_cannot_reach_each_other_are_not_compared() -> None:
 def test_capsules_contain_the_links() -> None:
     import pinocchio as pin
 
-    from services.trajectory_tool.planning.capsules import LinkCapsules
+    from handover_robots.planning.capsules import LinkCapsules
 
     chance = np.random.default_rng(5)
     for name in ("ur10", "panda"):

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from datamodels.streams import PeopleReport
 from handover.control.speed_limits import RefusedReport
-from services.trajectory_tool.limits.separation import (
+from handover_datamodels.streams import PeopleReport
+from handover_robots.limits.separation import (
     Separation,
     SeparationRule,
     SeparationState,

@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 import yaml
 
-from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.limits.guards import tool_speed_mps
-from services.trajectory_tool.limits.store import MeasuredStop, SafeSpeed
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot import Velocity
-from services.trajectory_tool.scene import Zone
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_robot import SimulatedRobot
-from services.trajectory_tool.trajectory import Setpoint
-from services.trajectory_tool.work import Work
-from services.trajectory_tool.workcell import Workcell
+from handover_robots.cell import Cell
+from handover_robots.limits.guards import tool_speed_mps
+from handover_robots.limits.store import MeasuredStop, SafeSpeed
+from handover_robots.planning import is_available
+from handover_robots.robot import Velocity
+from handover_robots.scene import Zone
+from handover_robots.settings import TrajectorySettings
+from handover_robots.simulated_robot import SimulatedRobot
+from handover_robots.trajectory import Setpoint
+from handover_robots.work import Work
+from handover_robots.workcell import Workcell
 from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

@@ -13,28 +13,28 @@ from scipy.spatial import ConvexHull
 from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
-from handover.cli.main import app
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import Mesh, World
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot_model import read_model
-from services.trajectory_tool.robots import ROBOTS, ur5e
-from services.trajectory_tool.robots.folder import load_robot
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.workcell import Workcell
+from handover_cell.main import app
+from handover_robots.obstacles import Mesh, World
+from handover_robots.planning import is_available
+from handover_robots.robot_model import read_model
+from handover_robots.robots import ROBOTS, ur5e
+from handover_robots.robots.folder import load_robot
+from handover_robots.settings import TrajectorySettings
+from handover_robots.workcell import Workcell
 
 if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)
 
-from services.trajectory_tool.onboarding.add import Added, add_robot
-from services.trajectory_tool.onboarding.home import find_home
-from services.trajectory_tool.onboarding.hulls import MAX_CORNERS, MAX_PIECES, enclosing, pieces_of
-from services.trajectory_tool.onboarding.refinement import SEED
-from services.trajectory_tool.onboarding.shapes import Fitted, fit
-from services.trajectory_tool.planning.arm import Arm, corners_of
-from services.trajectory_tool.planning.collision import Collisions, geometry_of, link_of
-from services.trajectory_tool.planning.mesh_files import load_mesh
-from services.trajectory_tool.planning.planner import Planner
+from handover_robots.onboarding.add import Added, add_robot
+from handover_robots.onboarding.home import find_home
+from handover_robots.onboarding.hulls import MAX_CORNERS, MAX_PIECES, enclosing, pieces_of
+from handover_robots.onboarding.refinement import SEED
+from handover_robots.onboarding.shapes import Fitted, fit
+from handover_robots.planning.arm import Arm, corners_of
+from handover_robots.planning.collision import Collisions, geometry_of, link_of
+from handover_robots.planning.mesh_files import load_mesh
+from handover_robots.planning.planner import Planner
 
 UR5E = Path(ur5e.__file__).parent / "ur5e.urdf"
 

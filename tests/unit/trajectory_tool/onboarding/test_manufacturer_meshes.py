@@ -11,29 +11,29 @@ import pytest
 from lxml import etree
 from typer.testing import CliRunner
 
-from handover.cli.main import app
 from handover.errors import UsageError
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot_model import RobotModel, read_model
-from services.trajectory_tool.robots import ROBOTS
+from handover_cell.main import app
+from handover_robots.planning import is_available
+from handover_robots.robot_model import RobotModel, read_model
+from handover_robots.robots import ROBOTS
 
 if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)
 
 import pinocchio as pin
 
-from services.trajectory_tool.onboarding.add import _require_movable, add_robot
-from services.trajectory_tool.onboarding.comparison import (
+from handover_robots.onboarding.add import _require_movable, add_robot
+from handover_robots.onboarding.comparison import (
     CLEARANCE_M,
     MAX_FALSELY_REFUSED,
     Comparison,
     MeshPairs,
     PairShares,
 )
-from services.trajectory_tool.onboarding.enclosure import measure_shapes
-from services.trajectory_tool.onboarding.meshes import read_surfaces
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.planner import Planner
+from handover_robots.onboarding.enclosure import measure_shapes
+from handover_robots.onboarding.meshes import read_surfaces
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.planner import Planner
 from tests.unit.trajectory_tool.onboarding.test_add import arm, box_mesh, joint, link, robot, stl
 
 MANUFACTURERS = Path(

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datamodels.streams import DepthReport, PeopleReport, ScanReport
 from handover.control.speed_limits import RefusedReport
-from services.trajectory_tool.limits.separation import Separation, SeparationRule, distance_from
-from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, Sphere
-from services.trajectory_tool.people.measured import SceneSensors
-from services.trajectory_tool.people.simulation import SimulatedSensor
-from services.trajectory_tool.people.surroundings import Surroundings
-from services.trajectory_tool.people.tracking import Cluster, Tracker, clusters
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.scene import Scene
+from handover_datamodels.streams import DepthReport, PeopleReport, ScanReport
+from handover_robots.limits.separation import Separation, SeparationRule, distance_from
+from handover_robots.obstacles import Box, Cylinder, Obstacle, Sphere
+from handover_robots.people.measured import SceneSensors
+from handover_robots.people.simulation import SimulatedSensor
+from handover_robots.people.surroundings import Surroundings
+from handover_robots.people.tracking import Cluster, Tracker, clusters
+from handover_robots.poses import Pose
+from handover_robots.scene import Scene
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ARM = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.8), (0.6, 0.0, 0.8)]

@@ -5,8 +5,8 @@ import asyncio
 import pytest
 from pydantic import ValidationError
 
-from datamodels.streams import PeopleReport
-from services.trajectory_tool.people.scanner_fields import SafetyScanner, read_fields
+from handover_datamodels.streams import PeopleReport
+from handover_robots.people.scanner_fields import SafetyScanner, read_fields
 
 
 @pytest.mark.parametrize(

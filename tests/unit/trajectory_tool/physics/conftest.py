@@ -4,17 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from services.trajectory_tool.physics import is_available
-from services.trajectory_tool.planning import is_available as is_planning_available
+from handover_robots.physics import is_available
+from handover_robots.planning import is_available as is_planning_available
 
 if not is_available() or not is_planning_available():  # no wheels for this platform
     collect_ignore_glob = ["test_*.py"]
 else:
-    from services.trajectory_tool.physics.simulation import Simulation
-    from services.trajectory_tool.physics.world_model import build
+    from handover_robots.physics.simulation import Simulation
+    from handover_robots.physics.world_model import build
 
-from services.trajectory_tool.robots.ur10 import FOLDER, ROBOT
-from services.trajectory_tool.scene import Scene, load
+from handover_robots.robots.ur10 import FOLDER, ROBOT
+from handover_robots.scene import Scene, load
 
 
 @pytest.fixture(scope="session")

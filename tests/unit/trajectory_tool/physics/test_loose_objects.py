@@ -5,15 +5,15 @@ import math
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool.perception.heaps import find_things
-from services.trajectory_tool.physics.cameras import HAND_CAMERA, Cameras
-from services.trajectory_tool.physics.loose_objects import OBJECTS
-from services.trajectory_tool.physics.parts import Parts
-from services.trajectory_tool.physics.simulation import Simulation
-from services.trajectory_tool.physics.vision import inside_of
-from services.trajectory_tool.physics.world_model import build, fingers_of, objects_of
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.scene import Scene
+from handover_robots.perception.heaps import find_things
+from handover_robots.physics.cameras import HAND_CAMERA, Cameras
+from handover_robots.physics.loose_objects import OBJECTS
+from handover_robots.physics.parts import Parts
+from handover_robots.physics.simulation import Simulation
+from handover_robots.physics.vision import inside_of
+from handover_robots.physics.world_model import build, fingers_of, objects_of
+from handover_robots.robots import ROBOTS
+from handover_robots.scene import Scene
 
 PANDA = ROBOTS.load("panda")
 TRAY = {

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.trajectory_tool.perception.depth_image import Array
-from services.trajectory_tool.perception.grasps import Fingers
-from services.trajectory_tool.perception.pinches import CELL_M, best_pinch
+from handover_robots.perception.depth_image import Array
+from handover_robots.perception.grasps import Fingers
+from handover_robots.perception.pinches import CELL_M, best_pinch
 
 FINGERS = Fingers(opening=0.08, thickness=0.015, width=0.021, length=0.05, palm=(0.2, 0.07, 0.06))
 

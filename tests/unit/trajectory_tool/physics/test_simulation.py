@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.trajectory_tool.physics.parts import Parts
-from services.trajectory_tool.physics.simulation import Simulation
-from services.trajectory_tool.physics.world_model import GRAVITY_MPS2, STEP_S, build
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import Scene, Thing
-from services.trajectory_tool.trajectory import Course, Setpoint
+from handover_robots.physics.parts import Parts
+from handover_robots.physics.simulation import Simulation
+from handover_robots.physics.world_model import GRAVITY_MPS2, STEP_S, build
+from handover_robots.poses import Pose
+from handover_robots.robots.ur10 import ROBOT
+from handover_robots.scene import Scene, Thing
+from handover_robots.trajectory import Course, Setpoint
 
 NAME = "ur10-1"
 NEST = (-0.60, 0.40)

@@ -4,13 +4,13 @@ import math
 
 import pytest
 
-from services.trajectory_tool.planning import is_available
+from handover_robots.planning import is_available
 
 if not is_available():  # Windows, for which the libraries have no wheels
     collect_ignore_glob = ["test_*.py"]
 
-from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
-from services.trajectory_tool.poses import Pose
+from handover_robots.obstacles import Box, Cylinder, Obstacle, World
+from handover_robots.poses import Pose
 
 
 def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Pose:

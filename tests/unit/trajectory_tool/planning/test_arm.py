@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.planning.arm import Arm
+from handover_robots.robots import ROBOTS
 
 NAMES = ("ur10", "ur5e", "panda")
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import (
+from handover_robots.obstacles import (
     Attached,
     Box,
     Capsule,
@@ -20,12 +20,12 @@ from services.trajectory_tool.obstacles import (
     Sphere,
     World,
 )
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.collision import Collisions, geometry_of
-from services.trajectory_tool.planning.motions import Motions
-from services.trajectory_tool.planning.tracked_distances import HORIZON_M, SHARE, TrackedDistances
-from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.collision import Collisions, geometry_of
+from handover_robots.planning.motions import Motions
+from handover_robots.planning.tracked_distances import HORIZON_M, SHARE, TrackedDistances
+from handover_robots.poses import Pose
+from handover_robots.robots import ROBOTS
 
 MARGIN_M = 0.01
 GJK_TOLERANCE_M = 1e-5

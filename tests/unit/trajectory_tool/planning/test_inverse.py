@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.inverse import Inverse
-from services.trajectory_tool.poses import pointing_down
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.inverse import Inverse
+from handover_robots.poses import pointing_down
+from handover_robots.robots import ROBOTS
 
 
 @pytest.fixture(scope="module", params=["ur10", "ur10 without closed form", "ur5e", "panda"])

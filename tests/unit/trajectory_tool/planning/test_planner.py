@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import HandoverError
-from services.trajectory_tool.obstacles import Attached, Box, World
-from services.trajectory_tool.planning.planner import NoPath, Options, Plan, Planner, Tilt
-from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.robot import Unreachable
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.obstacles import Attached, Box, World
+from handover_robots.planning.planner import NoPath, Options, Plan, Planner, Tilt
+from handover_robots.poses import Pose, pointing_down
+from handover_robots.robot import Unreachable
+from handover_robots.robots import ROBOTS
 
 EVERY_S = 0.001
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.trajectory_tool.joint_trajectory import JointTrajectory
-from services.trajectory_tool.obstacles import World
-from services.trajectory_tool.planning import timing
-from services.trajectory_tool.planning.arm import Arm
-from services.trajectory_tool.planning.planner import Planner
-from services.trajectory_tool.planning.torques import Overload, Torques
-from services.trajectory_tool.robot import NoPath
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.joint_trajectory import JointTrajectory
+from handover_robots.obstacles import World
+from handover_robots.planning import timing
+from handover_robots.planning.arm import Arm
+from handover_robots.planning.planner import Planner
+from handover_robots.planning.torques import Overload, Torques
+from handover_robots.robot import NoPath
+from handover_robots.robot_model import RobotModel
+from handover_robots.robots import ROBOTS
 
 EVERY_S = 0.001
 NAMES = ("ur10", "ur5e", "panda")

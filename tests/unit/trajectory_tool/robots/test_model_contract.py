@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from services.trajectory_tool.model_contract import ModelContract
-from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
+from handover_robots.model_contract import ModelContract
+from handover_robots.planning import is_available
+from handover_robots.robot_model import RobotModel
+from handover_robots.robots import ROBOTS
 
 MANUFACTURERS = Path(
     os.environ.get("HANDOVER_ROBOT_MESHES", Path(__file__).parents[5] / "shared/data/robots")

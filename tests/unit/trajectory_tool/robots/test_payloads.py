@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import World
-from services.trajectory_tool.planning.planner import Planner
-from services.trajectory_tool.robot import NoPath
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.robots.folder import read_folder
-from services.trajectory_tool.scene import read_scene
+from handover_robots.obstacles import World
+from handover_robots.planning.planner import Planner
+from handover_robots.robot import NoPath
+from handover_robots.robots import ROBOTS
+from handover_robots.robots.folder import read_folder
+from handover_robots.scene import read_scene
 
 OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
 PLANNERS = {name: Planner(model) for name, model in OWN.items()}

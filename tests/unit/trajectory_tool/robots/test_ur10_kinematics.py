@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.trajectory_tool.poses import Frame, Pose, pointing_down
-from services.trajectory_tool.robot import Joints, Unreachable
-from services.trajectory_tool.robots.universal_robots import JOINT_LIMIT_RAD
-from services.trajectory_tool.robots.ur10 import KINEMATICS, ROBOT
+from handover_robots.poses import Frame, Pose, pointing_down
+from handover_robots.robot import Joints, Unreachable
+from handover_robots.robots.universal_robots import JOINT_LIMIT_RAD
+from handover_robots.robots.ur10 import KINEMATICS, ROBOT
 
 forward, inverse, nearest = KINEMATICS.forward, KINEMATICS.inverse, KINEMATICS.nearest
 

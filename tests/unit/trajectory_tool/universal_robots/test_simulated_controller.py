@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.trajectory_tool.universal_robots.program import Payload, ProgramParameters, program
-from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
-from services.trajectory_tool.universal_robots.simulator.urscript import Program, ScriptError
-from services.trajectory_tool.universal_robots.states import (
+from handover_robots.universal_robots.program import Payload, ProgramParameters, program
+from handover_robots.universal_robots.simulator.controller import SimulatedController
+from handover_robots.universal_robots.simulator.urscript import Program, ScriptError
+from handover_robots.universal_robots.states import (
     Mode,
     ProgramState,
     RobotMode,

@@ -5,7 +5,7 @@ import { describe, expect, test } from "vitest";
 import { bend, boxesOf, grip, InvalidDescription, parsed, release } from "./urdf";
 import known from "./ur10.poses.json";
 
-const urdf = readFileSync("../../services/trajectory_tool/robots/ur10/ur10.urdf", "utf8")
+const urdf = readFileSync("../../services/trajectory_tool/handover_robots/robots/ur10/ur10.urdf", "utf8")
 const fingers = ["left", "right"].map((side) => ({ joint: `finger_${side}_joint`, opened: 0.034, closed: 0, holding: 0.015 }));;
 
 /** The position of the gripper's tip for joint angles in rad, in the frame of the base. */

@@ -117,7 +117,7 @@ describe("the difference between marks", () => {
 });
 
 describe("a file without a drawing", () => {
-  const shipped = readFileSync("../../services/task_orchestrator/processes/bin_picking.bpmn", "utf-8");
+  const shipped = readFileSync("../../services/task_orchestrator/handover_processes/processes/bin_picking.bpmn", "utf-8");
   const bare = shipped.replace(/<bpmndi:BPMNDiagram[\s\S]*<\/bpmndi:BPMNDiagram>/, "");
 
   it("is distinguished from one with a layout, which is kept", async () => {
@@ -136,7 +136,7 @@ describe("a file without a drawing", () => {
 });
 
 describe("a file without incoming and outgoing", () => {
-  const shipped = readFileSync("../../services/task_orchestrator/processes/bin_picking.bpmn", "utf8");
+  const shipped = readFileSync("../../services/task_orchestrator/handover_processes/processes/bin_picking.bpmn", "utf8");
   const bare = shipped
     .replace(/<bpmndi:BPMNDiagram[\s\S]*<\/bpmndi:BPMNDiagram>/, "")
     .replace(/<(?:bpmn:)?(incoming|outgoing)>[^<]*<\/(?:bpmn:)?\1>/g, "");

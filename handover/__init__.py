@@ -1,4 +1,0 @@
-"""The kit of every component: NGSI-LD client, Performer, settings, telemetry, database and security.
-
-It does not know gloves, robots or processes. Only the command line, `handover.cli`, imports the services.
-"""

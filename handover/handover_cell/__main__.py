@@ -1,0 +1,5 @@
+"""`python -m handover_cell` is `handover`."""
+
+from handover_cell.main import main
+
+main()

@@ -1,0 +1,61 @@
+"""`handover robot case-study`: the case study of shared control in simulation."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handover.errors import UsageError
+
+
+def case_study(  # noqa: PLR0917 - options of a command
+    objects: Annotated[
+        str | None, typer.Option("--objects", help="Some of the eight objects, separated by commas.")
+    ] = None,
+    modes: Annotated[
+        str | None, typer.Option("--modes", help="Of autonomous, shared, teleoperation; separated by commas.")
+    ] = None,
+    trials: Annotated[int, typer.Option("--trials", min=1, max=1000, help="Trials of each object.")] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The seed of the first trial.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write trials.csv, results.json and recordings here.")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Trials at the same time.")] = 1,
+) -> None:
+    """Pick and place eight objects in simulation: autonomous, in shared control, and teleoperated.
+
+    A simulated person moves a Panda by the control loop of the tool; what lies in the box at the end counts.
+    Table I of the IoHRT paper is printed beside the result.
+    """
+    from handover_robots.physics import is_available  # noqa: PLC0415 - only this command needs them
+
+    if not is_available():
+        raise UsageError('this needs simulated physics: pip install "handover[physics]"')
+    from handover_robots.case_study import report, study  # noqa: PLC0415
+    from handover_robots.case_study.trial import Mode  # noqa: PLC0415
+
+    things = _chosen("object", objects, list(report.TABLE_1))
+    columns = [Mode(mode) for mode in _chosen("mode", modes, list(Mode))]
+    outcomes = []
+    for one in study.perform_all(things, columns, range(seed, seed + trials), out, jobs):
+        outcomes.append(one)
+        state = "ok" if one.is_success else "FAILED"
+        print(
+            f"{state:<7} {one.thing:<13} {one.mode:<14} seed {one.seed}: {one.time_s:6.1f} s, "
+            f"attempts {one.attempts}, {one.ended}",
+            flush=True,
+        )
+        if out is not None:
+            report.write(outcomes, out)
+    print()
+    print(report.text(outcomes))
+
+
+def _chosen(kind: str, given: str | None, known: list[str]) -> list[str]:
+    if given is None:
+        return known
+    names = [name.strip() for name in given.split(",")]
+    for name in names:
+        if name not in known:
+            raise UsageError(f'there is no {kind} "{name}"; there is {", ".join(known)}')
+    return names

@@ -1,0 +1,294 @@
+"""`handover secure`: TLS and accounts in one go, for this machine or for the containers of a cell.
+
+It makes what is missing and changes nothing that is valid: the local authority, certificates, secrets, keys
+and tokens of accounts, and the one-time link of the owner. The init container of `docker-compose.yml` runs it
+at each start.
+"""
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handover.errors import UsageError
+from handover.outbound_policy import address_of
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
+from handover.settings import Settings
+from handover.transport_security.local_authority import LocalAuthority, ServerFiles
+from handover_accounts.settings import AccountsSettings
+from handover_cell import secrets
+from handover_cell.accounts import service_names, set_up_accounts
+from handover_cell.compose_override import write_override
+from handover_web.settings import WebuiSettings
+
+READY_TIMEOUT_S = 60.0
+CHECK_EVERY_S = 0.1
+
+SERVICE_FILE = "service-token"
+"""The file of the token of a service, beside its certificate."""
+
+app = typer.Typer(help="Set up TLS and accounts; they are required beyond this machine.")
+
+Names = Annotated[
+    list[str] | None,
+    typer.Option("--name", help="A host name or address under which others reach the server; repeatable."),
+]
+Servers = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--server",
+        help="FOLDER=NAME,NAME: a certificate of its own in this folder for one server, and its token if the "
+        "first name is that of a service; repeatable.",
+    ),
+]
+Clients = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--client",
+        help="FOLDER=NAME: the certificate of the authority and the token of the service NAME in the folder "
+        "of a client; repeatable.",
+    ),
+]
+Trust = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--trust", help="A folder of clients, which gets the certificate of the authority; repeatable."
+    ),
+]
+Secrets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--secret",
+        help="FOLDER=NAME,NAME: a folder that gets a copy of these secrets of HANDOVER_SECRETS_DIR, for one "
+        "reader; repeatable.",
+    ),
+]
+Compose = Annotated[
+    Path | None,
+    typer.Option(
+        "--compose",
+        help="Make the files of the containers of this compose file in the data directory, and an override "
+        "that mounts them.",
+    ),
+]
+DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to make: folders with the names of their servers, clients by folder, folders that only trust."""
+
+    servers: tuple[tuple[Path, tuple[str, ...]], ...] = ()
+    clients: tuple[tuple[Path, str], ...] = ()
+    trusting: tuple[Path, ...] = ()
+    secrets: tuple[tuple[Path, tuple[str, ...]], ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        servers: Sequence[str] | None = None,
+        clients: Sequence[str] | None = None,
+        trusting: Sequence[str] | None = None,
+        secrets: Sequence[str] | None = None,
+    ) -> "Plan":
+        """Return the plan in the options of the command; raise `UsageError`."""
+        return cls(
+            tuple(_folder_and_names(one, "--server FOLDER=NAME,NAME") for one in servers or ()),
+            tuple(
+                (folder, names[0])
+                for folder, names in (_folder_and_names(one, "--client FOLDER=NAME") for one in clients or ())
+            ),
+            tuple(map(Path, trusting or ())),
+            tuple(_folder_and_names(one, "--secret FOLDER=NAME,NAME") for one in secrets or ()),
+        )
+
+    def token_files(self) -> dict[str, Path]:
+        """Return the files of the tokens of services that are beside their certificates."""
+        known = set(service_names())
+        if unknown := [name for _, name in self.clients if name not in known]:
+            raise UsageError(
+                f"{', '.join(unknown)} is no service of Handover, so `secure --client` makes no token for "
+                "it. For a component of your own: handover component add NAME --device ID"
+            )
+        named = ((names[0], folder) for folder, names in self.servers if names)
+        return {
+            name: folder / SERVICE_FILE
+            for name, folder in (*named, *((name, folder) for folder, name in self.clients))
+            if name in known
+        }
+
+
+@app.callback(invoke_without_command=True)
+def secure(  # noqa: PLR0917 - the options of the command
+    context: typer.Context,
+    name: Names = None,
+    server: Servers = None,
+    client: Clients = None,
+    trust: Trust = None,
+    secret: Secrets = None,
+    compose: Compose = None,
+    data_dir: DataDir = None,
+) -> None:
+    """Make what is missing, and print what to do next; valid certificates and tokens stay as they are."""
+    if context.invoked_subcommand is not None:
+        return
+    settings = _settings(data_dir)
+    if compose is not None:
+
+        def make_for_containers(words: Sequence[str], environment: Mapping[str, str]) -> None:
+            _make_for_containers(words, environment, name or ())
+
+        write_override(compose, settings.data_dir, name or (), make_for_containers)
+        return
+    authority = LocalAuthority(_authority_folder(settings))
+    plan = Plan.of(server, client, trust, secret)
+    if plan.servers:
+        make(authority, plan, settings)
+        return
+    folder = authority.folder / "server"
+    names = tuple(dict.fromkeys((*(name or authority.names_of(folder)), *settings.allowed_hosts)))
+    plan = replace(plan, servers=((folder, names),))
+    (one,) = make(authority, plan, settings, hosts=_host_names(names))
+    _print_next(one, _host_names(names))
+
+
+def make(
+    authority: LocalAuthority, plan: Plan, settings: AccountsSettings, hosts: Sequence[str] = ()
+) -> list[ServerFiles]:
+    """Make certificates, secrets and accounts; say what was made. `hosts` are names of the page."""
+    made = _certify(authority, plan)
+    if settings.secrets_dir is not None:
+        secrets.make_in(settings.secrets_dir)
+        secrets.give(settings.secrets_dir, plan.secrets)
+    # Last, since it ends local mode: a service that sees the keys needs its token.
+    page = WebuiSettings.load(
+        tls_certificate=settings.tls_certificate or made[0].certificate,
+        allowed_hosts=settings.allowed_hosts or tuple(hosts),
+    )
+    set_up_accounts(settings, page, token_files=plan.token_files() or None)
+    return made
+
+
+def _certify(authority: LocalAuthority, plan: Plan) -> list[ServerFiles]:
+    """Make the certificates of a plan, and say so."""
+    made = [authority.secure(folder, names) for folder, names in plan.servers]
+    for folder in (*plan.trusting, *(folder for folder, _ in plan.clients)):
+        authority.trust(folder)
+    _print_authority(authority)
+    for one in made:
+        _print_server(one)
+    return made
+
+
+def _make_for_containers(words: Sequence[str], environment: Mapping[str, str], names: Sequence[str]) -> None:
+    """Do what the init container does with the arguments `words`, with folders of this machine."""
+    options: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": [], "--secret": []}
+    for word in words:
+        option, _, value = word.partition("=")
+        if option in options:
+            options[option].append(value)
+    settings = AccountsSettings.load(
+        data_dir=Path(environment["HANDOVER_DATA_DIR"]),
+        security_dir=Path(environment["HANDOVER_SECURITY_DIR"]),
+        authority_dir=Path(environment["HANDOVER_AUTHORITY_DIR"]),
+        secrets_dir=Path(environment["HANDOVER_SECRETS_DIR"]),
+    )
+    plan = Plan.of(*options.values())
+    make(LocalAuthority(_authority_folder(settings)), plan, settings, hosts=_host_names(names))
+
+
+@app.command()
+def certificates(server: Servers = None, data_dir: DataDir = None) -> None:
+    """Make the authority and certificates alone, such as that of the database which accounts need."""
+    plan = Plan.of(server)
+    if not plan.servers:
+        raise UsageError("name the folder and the server of a certificate: --server FOLDER=NAME,NAME")
+    _certify(LocalAuthority(_authority_folder(_settings(data_dir))), plan)
+
+
+@app.command()
+def renew(data_dir: DataDir = None) -> None:
+    """Make all certificates again, with new keys; running servers load them within seconds."""
+    folder = _authority_folder(_settings(data_dir))
+    if not (folder / "authority.pem").exists():
+        raise UsageError(f"there is no authority in {folder}; make it with: handover secure --name HOST")
+    authority = LocalAuthority(folder)
+    made = authority.renew()
+    _print_authority(authority)
+    for one in made:
+        _print_server(one)
+
+
+def wait_for_security(*settings: str, timeout_s: float = READY_TIMEOUT_S) -> None:
+    """Wait until the files in these settings, authority, token and the keys of accounts exist.
+
+    It does not wait for a setting without a value. In containers `handover secure` may run at the same
+    time. Raises `UsageError` after the timeout.
+    """
+    names = (*settings, "HANDOVER_TLS_AUTHORITY", "HANDOVER_SERVICE_TOKEN_FILE")
+    files = {name: Path(value) for name in names if (value := os.environ.get(name))}
+    security = os.environ.get("HANDOVER_SECURITY_DIR")
+    if security:
+        files["HANDOVER_SECURITY_DIR"] = Path(security) / PUBLIC_KEYS_FILE
+    deadline_s = time.monotonic() + timeout_s
+    for name, file in files.items():
+        while not file.exists():
+            if time.monotonic() > deadline_s:
+                raise UsageError(
+                    f"{name} is {os.environ[name]}, and there is no file {file}; make it with: handover "
+                    "secure (containers: docker compose up init)"
+                )
+            time.sleep(CHECK_EVERY_S)
+
+
+def _settings(data_dir: Path | None) -> AccountsSettings:
+    return AccountsSettings.load(**({} if data_dir is None else {"data_dir": data_dir}))
+
+
+def _authority_folder(settings: Settings) -> Path:
+    return (settings.authority_dir or settings.data_dir / "tls").absolute()
+
+
+def _folder_and_names(text: str, form: str) -> tuple[Path, tuple[str, ...]]:
+    folder, _, names = text.partition("=")
+    found = tuple(name.strip() for name in names.split(",") if name.strip())
+    if not folder or not found:
+        raise UsageError(f'"{text}" names no folder with a name; write it as {form}')
+    return Path(folder), found
+
+
+def _host_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names that are no addresses: a server has to be given those."""
+    return tuple(name for name in names if address_of(name.strip("[]")) is None)
+
+
+def _print_authority(authority: LocalAuthority) -> None:
+    state = "created" if authority.is_new else "exists"
+    expires = authority.certificate.not_valid_after_utc
+    print(f"authority: {state} in {authority.path}, valid until {expires:%Y-%m-%d}")
+
+
+def _print_server(one: ServerFiles) -> None:
+    state = "created" if one.is_new else "exists"
+    names = ", ".join(one.names)
+    print(f"certificate: {state} in {one.certificate}, valid until {one.expires:%Y-%m-%d}, for {names}")
+
+
+def _print_next(one: ServerFiles, hosts: Sequence[str]) -> None:
+    known = f"\n   HANDOVER_ALLOWED_HOSTS={','.join(hosts)}" if hosts else ""
+    print(f"""
+Next:
+1. Set these for every service, for example in .env, and start the services again:
+
+   HANDOVER_TLS_CERTIFICATE={one.certificate}
+   HANDOVER_TLS_KEY={one.key}
+   HANDOVER_TLS_AUTHORITY={one.authority}{known}
+
+2. Give {one.authority} to the browsers and programs that connect, as a trusted
+   authority. Never give away a file that ends with .key, or key.pem.
+3. Open the link of the owner, choose a name and a password, and invite others on the page.
+4. Renew the certificates before they expire, with: handover secure renew""")

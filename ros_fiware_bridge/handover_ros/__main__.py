@@ -1,0 +1,8 @@
+"""Run the ROS bridge: `python -m handover_ros`."""
+
+from handover.serving import run
+from handover_ros.app import make_app
+from handover_ros.settings import BridgeSettings
+
+if __name__ == "__main__":
+    run("ros-bridge", make_app, BridgeSettings, port_field="bridge_port")

@@ -1,0 +1,56 @@
+"""Renders the graph: nodes, topics with types and endpoints, services and actions."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from handover_ros.graph.port import Endpoint, RosGraph
+
+
+def of(graph: RosGraph) -> dict[str, Any]:
+    """Return the present graph as JSON."""
+    return {
+        "node": graph.node_name,
+        "nodes": [
+            {"name": node.full_name, "middleware": node.vendor, "ours": node.ours} for node in graph.nodes()
+        ],
+        "topics": [
+            {
+                "name": topic.name,
+                "types": list(topic.type_names),
+                "publishers": list(_endpoints(topic.publishers)),
+                "subscribers": list(_endpoints(topic.subscribers)),
+            }
+            for topic in graph.topics()
+        ],
+        "services": [
+            {"name": one.name, "types": list(one.type_names), "servers": list(one.servers)}
+            for one in graph.services()
+        ],
+        "actions": [
+            {"name": one.name, "types": list(one.type_names), "servers": list(one.servers)}
+            for one in graph.actions()
+        ],
+        "problems": [str(problem) for problem in graph.problems()],
+    }
+
+
+def _endpoints(endpoints: Iterable[Endpoint]) -> Iterable[dict[str, Any]]:
+    for one in endpoints:
+        yield {"node": one.node, "qos": str(one.qos), "middleware": one.vendor, "ours": one.ours}
+
+
+def lines(view: dict[str, Any]) -> Iterable[str]:
+    """Yield the lines of a text rendering of `view`."""
+    for node in view["nodes"]:
+        yield f"node      {node['name']} ({node['middleware']}){' - the bridge' if node['ours'] else ''}"
+    for topic in view["topics"]:
+        yield f"topic     {topic['name']}  {', '.join(topic['types'])}"
+        for role, verb in (("publishers", "from"), ("subscribers", "to")):
+            for one in topic[role]:
+                yield f"            {verb} {one['node'] or 'a node without a name yet'} ({one['qos']})"
+    for kind in ("services", "actions"):
+        for one in view[kind]:
+            served = ", ".join(filter(None, one["servers"])) or "no node yet"
+            yield f"{kind[:-1]:<9} {one['name']}  {', '.join(one['types'])}, served by {served}"
+    for problem in view["problems"]:
+        yield f"problem   {problem}"

@@ -1,0 +1,8 @@
+"""Run assistive devices: `python -m handover_cases`."""
+
+from handover.serving import run
+from handover_cases.app import make_app
+from handover_cases.settings import AssistiveSettings
+
+if __name__ == "__main__":
+    run("assistive-devices", make_app, AssistiveSettings, port_field="assistive_port")

@@ -1,0 +1,8 @@
+"""Run the gesture controller: `python -m handover_gloves`."""
+
+from handover.serving import run
+from handover_gloves.app import make_app
+from handover_gloves.settings import ControllerSettings
+
+if __name__ == "__main__":
+    run("gesture-controller", make_app, ControllerSettings, port_field="controller_port")

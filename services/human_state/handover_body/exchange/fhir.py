@@ -1,0 +1,490 @@
+"""Features and waveforms as HL7 FHIR R5 Observations, sessions as a Bundle, and back.
+
+Codes were compared with public implementation guides (docs/how-to/human-state-exchange.md says which), not
+with the licensed tables: LOINC 8867-4 (heart rate), 9279-1 (respiratory rate),
+59408-5 and 2708-6 (oxygen saturation, the second is required by the vital-signs profile), 80404-7 (standard
+deviation of the intervals between beats, so SDNN only), 55423-8 (steps); ISO/IEEE 11073-10101 (MDC) 147842
+heart rate from the ECG, 149530 pulse rate, 151562 respiratory rate, 150456 SpO2, 150388 skin temperature.
+RMSSD and whatever else has no code there have one of our own system, which every Observation carries, so that
+reading is exact.
+
+The subject is a pseudonym, as an identifier: no name, no address. An Observation whose value is stale or
+implausible is `preliminary`, a valid one `final`.
+"""
+
+import math
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+
+from handover_body.formats.errors import ExchangeError
+from handover_body.formats.extra import required
+from handover_body.formats.json_messages import Recorded
+from handover_body.model.features import Feature, FeatureName, Status
+from handover_body.model.signals import Samples, SignalInfo, SignalKind
+
+LOINC: Final = "http://loinc.org"
+MDC: Final = "urn:iso:std:iso:11073:10101"
+LOCAL: Final = "https://w3id.org/handover/codes/human-state"
+UCUM: Final = "http://unitsofmeasure.org"
+PSEUDONYM: Final = "https://w3id.org/handover/pseudonym"
+SOURCE: Final = "https://w3id.org/handover/sensor"
+_CATEGORY: Final = "http://terminology.hl7.org/CodeSystem/observation-category"
+_NAMESPACE: Final = uuid.UUID("0d1c7c1e-5a1f-5d1b-9f0e-2f4f3a6b7c8d")
+MAX_ENTRIES: Final = 1_000_000
+MAX_WAVE_S: Final = 60.0
+
+_LOINC_OF: Final[Mapping[FeatureName, tuple[tuple[str, str], ...]]] = {
+    FeatureName.HEART_RATE: (("8867-4", "Heart rate"),),
+    FeatureName.BREATHING_RATE: (("9279-1", "Respiratory rate"),),
+    FeatureName.SPO2: (
+        ("2708-6", "Oxygen saturation in Arterial blood"),
+        ("59408-5", "Oxygen saturation in Arterial blood by Pulse oximetry"),
+    ),
+    FeatureName.HRV_SDNN: (("80404-7", "R-R interval.standard deviation (Heart rate variability)"),),
+    FeatureName.STEPS: (("55423-8", "Number of steps in unspecified time Pedometer"),),
+}
+_MDC_OF: Final[Mapping[FeatureName, tuple[str, str]]] = {
+    FeatureName.BREATHING_RATE: ("151562", "MDC_RESP_RATE"),
+    FeatureName.SPO2: ("150456", "MDC_PULS_OXIM_SAT_O2"),
+    FeatureName.SKIN_TEMPERATURE: ("150388", "MDC_TEMP_SKIN"),
+}
+_MDC_HEART_RATE: Final = ("147842", "MDC_ECG_HEART_RATE")
+_MDC_PULSE_RATE: Final = ("149530", "MDC_PULS_OXIM_PULS_RATE")
+_ACTIVITIES: Final = frozenset(
+    {
+        FeatureName.STEPS,
+        FeatureName.CADENCE,
+        FeatureName.ACTIVITY,
+        FeatureName.MOVEMENT,
+        FeatureName.BODY_MOVEMENT,
+    }
+)
+_UCUM_OF: Final[Mapping[FeatureName, str]] = {
+    FeatureName.HEART_RATE: "/min",
+    FeatureName.BREATHING_RATE: "/min",
+    FeatureName.CADENCE: "/min",
+    FeatureName.HRV_RMSSD: "ms",
+    FeatureName.HRV_SDNN: "ms",
+    FeatureName.SPO2: "%",
+    FeatureName.BODY_MOVEMENT: "%",
+    FeatureName.EDA_TONIC: "uS",
+    FeatureName.EDA_PHASIC: "uS",
+    FeatureName.EMG_ENVELOPE: "uV",
+    FeatureName.SKIN_TEMPERATURE: "Cel",
+    FeatureName.BLINK_RATE: "/min",
+    FeatureName.BLINK_DURATION: "ms",
+    FeatureName.FIXATION_DURATION: "ms",
+    FeatureName.SACCADE_RATE: "Hz",
+    FeatureName.SACCADE_AMPLITUDE: "deg",
+    FeatureName.PUPIL_DIAMETER: "mm",
+    FeatureName.CENTRE_OF_PRESSURE_X: "mm",
+    FeatureName.CENTRE_OF_PRESSURE_Y: "mm",
+}
+"""Others are fractions, counts and numbers of events: `1`."""
+_VITAL: Final = frozenset(
+    {FeatureName.HEART_RATE, FeatureName.BREATHING_RATE, FeatureName.SPO2, FeatureName.SKIN_TEMPERATURE}
+)
+_UCUM_OF_SIGNAL: Final = {
+    "D82": "uV",
+    "D80": "uS",
+    "CEL": "Cel",
+    "BPM": "/min",
+    "C94": "/min",
+    "C26": "ms",
+    "SEC": "s",
+    "P1": "%",
+    "MSK": "m/s2",
+    "K40": "[g]",
+    "MTR": "m",
+    "MMT": "mm",
+    "DD": "deg",
+    "HTZ": "Hz",
+    "OHM": "Ohm",
+    "NEW": "N",
+    "NU": "N.m",
+    "2A": "rad/s",
+    "D81": "uT",
+    "MLT": "mL",
+    "L2": "L/min",
+    "C62": "1",
+    "": "1",
+}
+_CODE_OF_UCUM: Final = {ucum: code for code, ucum in _UCUM_OF_SIGNAL.items() if ucum not in {"/min", "1"}} | {
+    "/min": "C94",
+    "1": "",
+}
+_NAME_OF: Final = (
+    {(LOINC, code): name for name, codings in _LOINC_OF.items() for code, _ in codings}
+    | {(MDC, code): name for name, (code, _) in _MDC_OF.items()}
+    | {
+        (MDC, _MDC_HEART_RATE[0]): FeatureName.HEART_RATE,
+        (MDC, _MDC_PULSE_RATE[0]): FeatureName.HEART_RATE,
+    }
+)
+
+
+def observation_of(feature: Feature, subject: str) -> dict[str, Any]:
+    """Return the Observation of a feature as JSON, checked by `fhir.resources`.
+
+    Raises `ExchangeError`, also for a number that is not finite: it has no place in FHIR.
+    """
+    if not isinstance(feature.value, str) and not math.isfinite(feature.value):
+        raise ExchangeError(f"{feature.name} of {feature.source} is {feature.value}; leave it out")
+    at = _time(feature.at_s)
+    when: dict[str, Any] = {"effectiveDateTime": at}
+    if feature.window_s > 0:
+        when = {"effectivePeriod": {"start": _time(feature.at_s - feature.window_s), "end": at}}
+    value: dict[str, Any]
+    if isinstance(feature.value, str):
+        value = {"valueString": feature.value}
+    else:
+        value = {"valueQuantity": _quantity(feature.value, _UCUM_OF.get(feature.name, "1"))}
+    written = {
+        "resourceType": "Observation",
+        "id": _id(subject, feature.source, feature.name.value, repr(feature.at_s)),
+        "status": "final" if feature.status is Status.VALID else "preliminary",
+        "category": [_category(feature.name)],
+        "code": {"coding": _codings(feature), "text": feature.name.value},
+        "subject": _reference("Patient", PSEUDONYM, subject),
+        **when,
+        **value,
+        "device": _reference("Device", SOURCE, feature.source),
+        "component": [
+            _component("quality", {"valueQuantity": _quantity(feature.quality, "1")}),
+            _component("status", {"valueString": feature.status.value}),
+            _component("calibrated", {"valueBoolean": feature.is_calibrated}),
+        ],
+    }
+    if feature.method:
+        written["method"] = {"text": feature.method}
+    return _checked(written)
+
+
+def feature_of(observation: Mapping[str, Any]) -> Feature:
+    """Return the feature of an Observation (JSON), ours or that of another system.
+
+    Of another system the status is `implausible` and the quality 0, since FHIR does not require them: such
+    a value raises no limit. Raises `ExchangeError` for an unknown code, another unit, and a missing value
+    or time.
+    """
+    given = _checked(observation)
+    name = _feature_name(given)
+    components = {
+        coding["code"]: component
+        for component in given.get("component", [])
+        for coding in component["code"].get("coding", [])
+        if coding.get("system") == LOCAL and "code" in coding
+    }
+    value = _value(given, name)
+    start_s, end_s = _effective(given)
+    quality = float(components.get("quality", {}).get("valueQuantity", {}).get("value", 0.0))
+    status = components.get("status", {}).get("valueString", Status.IMPLAUSIBLE.value)
+    if status not in set(Status) or not 0 <= quality <= 1:
+        raise ExchangeError(
+            f"an Observation has the status {status!r} and the quality {quality}; both are ours"
+        )
+    return Feature(
+        name=name,
+        source=_identified(given.get("device"), SOURCE),
+        value=value,
+        at_s=end_s,
+        quality=quality,
+        status=Status(status),
+        method=given.get("method", {}).get("text", ""),
+        window_s=end_s - start_s,
+        is_calibrated=bool(components.get("calibrated", {}).get("valueBoolean", True)),
+    )
+
+
+def waveform_of(samples: Samples, subject: str) -> dict[str, Any]:
+    """Return the Observation with the sampled data of a signal that has a rate, as JSON.
+
+    The samples of one time follow each other, as FHIR says; `E` is a sample that could not be measured.
+    Raises `ExchangeError` for a signal without a rate or in a unit that has no UCUM code here.
+    """
+    info = samples.info
+    if info.rate_hz is None:
+        raise ExchangeError(f"{info.kind} of {samples.source} has no rate, and sampled data needs one")
+    if info.unit not in _UCUM_OF_SIGNAL:
+        raise ExchangeError(f"{info.unit} of {info.kind} has no UCUM code here; convert it")
+    flat = samples.values.ravel().tolist()
+    sampled: dict[str, Any] = {
+        "origin": _quantity(0.0, _UCUM_OF_SIGNAL[info.unit]),
+        "interval": 1000.0 / info.rate_hz,
+        "intervalUnit": "ms",
+        "dimensions": len(info.channels),
+        "data": " ".join(repr(value) if math.isfinite(value) else "E" for value in flat),
+    }
+    code: dict[str, Any] = {"coding": [{"system": LOCAL, "code": f"signal-{info.kind.value}"}]}
+    code["text"] = ", ".join(info.channels) if any(info.channels) else info.kind.value
+    written = {
+        "resourceType": "Observation",
+        "id": _id(subject, samples.source, info.kind.value, repr(samples.start_s)),
+        "status": "final",
+        "category": [{"coding": [{"system": _CATEGORY, "code": "procedure"}]}],
+        "code": code,
+        "subject": _reference("Patient", PSEUDONYM, subject),
+        "effectivePeriod": {"start": _time(samples.start_s), "end": _time(samples.end_s)},
+        "valueSampledData": sampled,
+        "device": _reference("Device", SOURCE, samples.source),
+        "component": [
+            _component("quality", {"valueQuantity": _quantity(samples.quality, "1")}),
+            _component("unit", {"valueString": info.unit or "1"}),
+            *(_component("channel", {"valueString": label}) for label in info.channels if label),
+        ],
+    }
+    if info.method:
+        written["method"] = {"text": info.method}
+    return _checked(written)
+
+
+def samples_of(observation: Mapping[str, Any]) -> Samples:
+    """Return the samples of an Observation that `waveform_of` wrote. Raises `ExchangeError`."""
+    given = _checked(observation)
+    codes = [coding.get("code", "") for coding in given["code"].get("coding", [])]
+    kinds = [code.removeprefix("signal-") for code in codes if code.startswith("signal-")]
+    sampled = given.get("valueSampledData")
+    if not kinds or kinds[0] not in set(SignalKind) or sampled is None:
+        raise ExchangeError("an Observation is no waveform of a signal that is known here")
+    components = [
+        (component["code"]["coding"][0]["code"], component) for component in given.get("component", [])
+    ]
+    unit = next((part["valueString"] for name, part in components if name == "unit"), None)
+    dimensions = int(sampled["dimensions"])
+    labels = [part["valueString"] for name, part in components if name == "channel"]
+    quality = next((part["valueQuantity"]["value"] for name, part in components if name == "quality"), 0.0)
+    origin, factor = float(sampled["origin"].get("value", 0)), float(sampled.get("factor", 1))
+    try:
+        numbers = [
+            math.nan if word in {"E", "U", "L"} else origin + factor * float(word)
+            for word in sampled.get("data", "").split()
+        ]
+        values = np.array(numbers, np.float64).reshape(-1, dimensions)
+    except ValueError as error:
+        raise ExchangeError(f"the data of an Observation cannot be read: {error}") from None
+    milliseconds = {"ms": 1.0, "s": 1000.0, "us": 1e-3}.get(sampled["intervalUnit"])
+    if milliseconds is None or not sampled.get("interval"):
+        raise ExchangeError("sampled data needs an interval in s, ms or us")
+    written_unit = unit or _CODE_OF_UCUM.get(sampled["origin"].get("code", "1"), "")
+    info = SignalInfo(
+        SignalKind(kinds[0]),
+        "" if written_unit == "1" else written_unit,
+        1000.0 / (float(sampled["interval"]) * milliseconds),
+        tuple(labels) if len(labels) == dimensions else ("",) * dimensions,
+        method=given.get("method", {}).get("text", ""),
+    )
+    return Samples(
+        _identified(given.get("device"), SOURCE), info, _effective(given)[0], values, quality=float(quality)
+    )
+
+
+def bundle_of(observations: Iterable[Mapping[str, Any]], session: str, at_s: float) -> dict[str, Any]:
+    """Return a Bundle (a collection) of Observations of a session, checked by `fhir.resources`.
+
+    `session` is the id of the PhysiologicalSession, `at_s` the time of the export. An Observation that occurs
+    twice is there once. Raises `ExchangeError` beyond `MAX_ENTRIES`.
+    """
+    return _bundle((_checked(one) for one in observations), session, at_s)
+
+
+def _bundle(observations: Iterable[Mapping[str, Any]], session: str, at_s: float) -> dict[str, Any]:
+    """Return a Bundle of Observations that were checked; checking all of them again would double the cost."""
+    entries: dict[str, dict[str, Any]] = {}
+    for one in observations:
+        entries[str(one["id"])] = {"fullUrl": f"urn:uuid:{one['id']}", "resource": dict(one)}
+        if len(entries) > MAX_ENTRIES:
+            raise ExchangeError(f"a Bundle has at most {MAX_ENTRIES:,} entries; export a shorter time")
+    every = list(entries.values())
+    bundle = _checked({
+        "resourceType": "Bundle",
+        "identifier": {"system": "urn:ietf:rfc:3986", "value": session},
+        "type": "collection",
+        "timestamp": _time(at_s),
+        "entry": every[:1],
+    })  # fmt: skip
+    return bundle | {"entry": every}
+
+
+def session_bundle(
+    items: Iterable[Recorded], subject: str, session: str, at_s: float
+) -> tuple[dict[str, Any], int]:
+    """Return the Bundle of a recording, and how many of its signals and features FHIR cannot hold.
+
+    These are features that are not finite, and signals without a rate or with a unit without a UCUM code.
+    Reports of sensors and markers are no observations of the person and are not counted. The packets of a
+    signal become Observations of up to `MAX_WAVE_S` each.
+    """
+    observations: list[dict[str, Any]] = []
+    left_out = 0
+    for item in _joined(items):
+        if isinstance(item, Feature):
+            is_written = isinstance(item.value, str) or math.isfinite(item.value)
+            if is_written:
+                observations.append(observation_of(item, subject))
+        elif isinstance(item, Samples):
+            is_written = item.info.rate_hz is not None and item.info.unit in _UCUM_OF_SIGNAL
+            if is_written:
+                observations.append(waveform_of(item, subject))
+        else:
+            continue
+        left_out += not is_written
+    return _bundle(observations, session, at_s), left_out
+
+
+def _joined(items: Iterable[Recorded]) -> Iterator[Recorded]:
+    """Join packets of a signal that continue each other; samples stay within half a period of their times."""
+    waves: dict[tuple[str, SignalInfo], list[Samples]] = {}
+    counts: dict[tuple[str, SignalInfo], int] = {}
+    for item in items:
+        if not isinstance(item, Samples) or item.info.rate_hz is None:
+            yield item
+            continue
+        key = (item.source, item.info)
+        parts = waves.setdefault(key, [])
+        if parts and not _continues(parts[0], counts[key], item, item.info.rate_hz):
+            yield _one_of(parts)
+            parts.clear()
+        counts[key] = (counts[key] if parts else 0) + len(item.values)
+        parts.append(item)
+    for parts in waves.values():
+        yield _one_of(parts)
+
+
+def _continues(first: Samples, count: int, following: Samples, rate_hz: float) -> bool:
+    return (
+        abs(following.start_s - first.start_s - count / rate_hz) <= 0.5 / rate_hz
+        and count + len(following.values) <= MAX_WAVE_S * rate_hz
+        and (following.quality, following.has_contact) == (first.quality, first.has_contact)
+    )
+
+
+def _one_of(parts: list[Samples]) -> Samples:
+    return replace(parts[0], values=np.vstack([part.values for part in parts])) if parts[1:] else parts[0]
+
+
+def read_bundle(bundle: Mapping[str, Any]) -> tuple[list[Feature], list[Samples]]:
+    """Return features and waveforms of a Bundle (JSON), without other resources. Raises `ExchangeError`."""
+    features: list[Feature] = []
+    waves: list[Samples] = []
+    for entry in _checked(bundle).get("entry", []):
+        resource = entry.get("resource", {})
+        if resource.get("resourceType") != "Observation":
+            continue
+        if "valueSampledData" in resource:
+            waves.append(samples_of(resource))
+        else:
+            features.append(feature_of(resource))
+    return features, waves
+
+
+def _checked(resource: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the resource as `fhir.resources` (R5) reads and writes it."""
+    kind = resource.get("resourceType")
+    if kind not in {"Observation", "Bundle"}:
+        raise ExchangeError(f"a resource is a {kind}; it must be an Observation or a Bundle")
+    module: Any = required(f"fhir.resources.{kind.lower()}")
+    try:
+        checked: dict[str, Any] = getattr(module, kind).model_validate(resource).model_dump(mode="json")
+    except ValueError as error:  # the validation error of pydantic
+        raise ExchangeError(f"a resource is no {kind} of FHIR R5: {error}") from None
+    return checked
+
+
+def _codings(feature: Feature) -> list[dict[str, Any]]:
+    codings = [
+        {"system": LOINC, "code": code, "display": display}
+        for code, display in _LOINC_OF.get(feature.name, ())
+    ]
+    mdc = _MDC_OF.get(feature.name)
+    if feature.name is FeatureName.HEART_RATE:
+        is_ecg, is_ppg = "ecg" in feature.method.lower(), "ppg" in feature.method.lower()
+        if is_ecg is not is_ppg:  # of a mixture and of a radar there is no code of the method
+            mdc = _MDC_HEART_RATE if is_ecg else _MDC_PULSE_RATE
+    if mdc is not None:
+        codings.append({"system": MDC, "code": mdc[0], "display": mdc[1]})
+    return [*codings, {"system": LOCAL, "code": feature.name.value}]
+
+
+def _feature_name(given: Mapping[str, Any]) -> FeatureName:
+    codings = given["code"].get("coding", [])
+    for coding in codings:
+        if coding.get("system") == LOCAL and coding.get("code") in set(FeatureName):
+            return FeatureName(coding["code"])
+    for coding in codings:
+        name = _NAME_OF.get((coding.get("system", ""), coding.get("code", "")))
+        if name is not None:
+            return name
+    codes = ", ".join(f"{one.get('system')} {one.get('code')}" for one in codings) or "none"
+    raise ExchangeError(f"an Observation has the codes {codes}; none is a feature that is known here")
+
+
+def _value(given: Mapping[str, Any], name: FeatureName) -> float | str:
+    if "valueString" in given:
+        return str(given["valueString"])
+    quantity = given.get("valueQuantity")
+    if quantity is None or "value" not in quantity:
+        raise ExchangeError(f"the Observation of {name} has no valueQuantity and no valueString")
+    expected = _UCUM_OF.get(name, "1")
+    code = quantity.get("code", expected)
+    if code != expected and not (
+        code.startswith("{") and code.endswith(("}", "}/min")) and _same(code, expected)
+    ):
+        raise ExchangeError(f"{name} is in {code}, but must be in {expected}; convert it")
+    return float(quantity["value"])
+
+
+def _same(code: str, expected: str) -> bool:
+    """Return whether a unit differs by its annotation alone: `{beat}/min` is `/min`."""
+    return (code.partition("}")[2] or "1") == expected
+
+
+def _effective(given: Mapping[str, Any]) -> tuple[float, float]:
+    period = given.get("effectivePeriod")
+    moments = [given.get("effectiveDateTime")] * 2
+    if period is not None:
+        moments = [period.get("start") or period.get("end"), period.get("end") or period.get("start")]
+    if moments[0] is None:
+        raise ExchangeError("an Observation has no effective time, so its age is not known")
+    try:
+        start_s, end_s = (datetime.fromisoformat(str(one)).timestamp() for one in moments)
+    except ValueError as error:
+        raise ExchangeError(f"an Observation has the time {moments[1]}: {error}") from None
+    return start_s, end_s
+
+
+def _identified(reference: Mapping[str, Any] | None, system: str) -> str:
+    identifier = (reference or {}).get("identifier", {})
+    if identifier.get("system") == system:
+        return str(identifier.get("value", ""))
+    return str(identifier.get("value") or (reference or {}).get("reference") or "fhir")
+
+
+def _category(name: FeatureName) -> dict[str, Any]:
+    is_activity = name in _ACTIVITIES
+    code = "vital-signs" if name in _VITAL else "activity" if is_activity else "procedure"
+    return {"coding": [{"system": _CATEGORY, "code": code}]}
+
+
+def _component(code: str, value: dict[str, Any]) -> dict[str, Any]:
+    return {"code": {"coding": [{"system": LOCAL, "code": code}]}, **value}
+
+
+def _quantity(value: float, ucum: str) -> dict[str, Any]:
+    return {"value": value, "unit": ucum, "system": UCUM, "code": ucum}
+
+
+def _reference(kind: str, system: str, value: str) -> dict[str, Any]:
+    return {"type": kind, "identifier": {"system": system, "value": value}}
+
+
+def _id(*parts: str) -> str:
+    return str(uuid.uuid5(_NAMESPACE, "\0".join(parts)))
+
+
+def _time(at_s: float) -> str:
+    return datetime.fromtimestamp(at_s, UTC).isoformat(timespec="microseconds")

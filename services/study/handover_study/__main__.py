@@ -1,0 +1,8 @@
+"""Run the study service: `python -m handover_study`."""
+
+from handover.serving import run
+from handover_study.app import make_app
+from handover_study.settings import StudySettings
+
+if __name__ == "__main__":
+    run("study", make_app, StudySettings, port_field="study_port")

@@ -1,0 +1,251 @@
+"""Alerts about processes and Tasks; they are put into the outbox with the step that causes them."""
+
+from typing import Any
+
+from handover.alert_catalogue import (
+    PROCESS_FAILED,
+    PROCESS_INCIDENT,
+    TASK_LOST,
+    TASK_NOT_ACCEPTED,
+    TASK_PAST_DUE,
+    TASK_PERFORMER_LOST,
+    TASK_UNREADABLE,
+    AlertType,
+)
+from handover.alerts import unshown_key
+from handover.messages import message, with_code
+from handover_processes.model import Escalation
+from handover_processes.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
+
+
+def raise_overdue(step: Step, task: TaskRecord) -> None:
+    """Raise the Alert that no performer accepted the Task in time."""
+    involved = ", ".join(link["object"].rpartition(":")[2] for link in task.entity["involves"]["value"])
+    if involved:
+        description = message(
+            "alert.task_overdue",
+            'No performer has accepted the Task "{task}" ({involved})',
+            task=_name(task),
+            involved=involved,
+        )
+    else:
+        description = message(
+            "alert.task_unclaimed", 'Nobody has claimed the Task "{task}" in time', task=_name(task)
+        )
+    _raise(
+        step,
+        task.process,
+        TASK_NOT_ACCEPTED,
+        key=_overdue_key(task),
+        source=task.id,
+        description=description,
+    )
+
+
+def clear_overdue(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: a performer has accepted the Task, or it was cancelled."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _overdue_key(task)})
+
+
+def raise_past_due(step: Step, task: TaskRecord, level: int, escalation: Escalation | None) -> None:
+    """Raise the Alert that the Task has not ended in time; `level` 0 is the due date."""
+    if escalation is not None and escalation.group is not None:
+        description = message(
+            "alert.task_escalated_to",
+            'The Task "{task}" has not ended in time; it was escalated to {group}',
+            task=_name(task),
+            group=escalation.group,
+        )
+    elif escalation is not None:
+        description = message(
+            "alert.task_escalated",
+            'The Task "{task}" has not ended in time; the escalation "{code}" was thrown',
+            task=_name(task),
+            code=escalation.code,
+        )
+    else:
+        description = message(
+            "alert.task_past_due", 'The Task "{task}" has not ended in time', task=_name(task)
+        )
+    key = _past_due_key(task, level)
+    _raise(step, task.process, TASK_PAST_DUE, key=key, source=task.id, description=description)
+
+
+def clear_past_due(step: Step, task: TaskRecord) -> None:
+    """Clear the Alerts of all levels: the Task has ended."""
+    for level in range(task.escalated):
+        step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _past_due_key(task, level)})
+
+
+def raise_performer_lost(step: Step, task: TaskRecord, holder: str) -> None:
+    """Raise the Alert that the performer of an accepted Task has lost the lease of its Device."""
+    _raise(
+        step,
+        task.process,
+        TASK_PERFORMER_LOST,
+        key=_performer_lost_key(task),
+        source=task.id,
+        description=message(
+            "alert.task_performer_lost",
+            'The performer of the Task "{task}" ({holder}) does not answer any more; the Task is {status}',
+            task=_name(task),
+            holder=holder,
+            status=task.status.value,
+        ),
+    )
+
+
+def clear_performer_lost(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: a performer has the Device again, or the Task has moved."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _performer_lost_key(task)})
+
+
+def raise_lost(step: Step, task: TaskRecord) -> None:
+    """Raise the Alert that the broker no longer has a Task that was started."""
+    _raise(
+        step,
+        task.process,
+        TASK_LOST,
+        key=f"{_short(task)} lost",
+        source=task.id,
+        description=message(
+            "alert.task_lost",
+            'The broker no longer has the Task "{task}", which was {status}. Check the state of the work, '
+            "then cancel the process {process}",
+            task=_name(task),
+            status=task.status.value,
+            process=task.process,
+        ),
+    )
+
+
+def raise_unreadable(step: Step, task: TaskRecord, writer: str | None, rule: str) -> None:
+    """Raise the Alert that a program has written the Task against the data model."""
+    if writer is not None:
+        description = message(
+            "alert.task_unreadable",
+            'The Task "{task}" ({id}) waits: what {writer} has written breaks a rule: {rule}. Correct '
+            "{writer} and write the Task again, or cancel the process {process}",
+            task=_name(task),
+            id=task.id,
+            writer=writer,
+            rule=rule,
+            process=task.process,
+        )
+    else:
+        description = message(
+            "alert.task_unreadable_unknown",
+            'The Task "{task}" ({id}) waits: what a program without a lease has written breaks a rule: '
+            "{rule}. Correct the program and write the Task again, or cancel the process {process}",
+            task=_name(task),
+            id=task.id,
+            rule=rule,
+            process=task.process,
+        )
+    _raise(
+        step,
+        task.process,
+        TASK_UNREADABLE,
+        key=_unreadable_key(task),
+        source=task.id,
+        description=description,
+    )
+
+
+def clear_unreadable(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: the Task matches the data model again, or it has ended."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _unreadable_key(task)})
+
+
+def raise_failed(step: Step, process: ProcessRecord, urn: str) -> None:
+    """Raise the Alert that the process has failed."""
+    _raise(
+        step,
+        process.id,
+        PROCESS_FAILED,
+        key=_failed_key(process),
+        source=urn,
+        description=message(
+            "alert.process_failed",
+            "The process {process} has failed: {reason}",
+            process=process.id,
+            reason=process.reason,
+        ),
+    )
+
+
+def raise_incident(step: Step, process: ProcessRecord, urn: str, incident: IncidentRecord) -> None:
+    """Raise the Alert that a token of the process cannot continue."""
+    _raise(
+        step,
+        process.id,
+        PROCESS_INCIDENT,
+        key=_incident_key(process, incident),
+        source=urn,
+        description=message(
+            "alert.process_incident",
+            "The process {process} waits for help at {element}: {reason}",
+            process=process.id,
+            element=incident.name,
+            reason=incident.reason,
+        ),
+    )
+
+
+def clear_incident(step: Step, process: ProcessRecord, urn: str, incident: IncidentRecord) -> None:
+    """Clear the Alert, and that of a Task that could not be shown: the token continues, or has gone."""
+    step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _incident_key(process, incident)})
+    if incident.task is not None:
+        clear_unshown(step, process, incident.task)
+
+
+def clear_unshown(step: Step, process: ProcessRecord, task_id: str) -> None:
+    """Clear the Alert that the gesture of a Task cannot be shown: nobody has to deal with the Task."""
+    step.enqueue(process.id, MessageKind.CLEAR, task_id, {"key": unshown_key(task_id)})
+
+
+def _raise(
+    step: Step, stream: str, alert_type: AlertType, *, key: str, source: str, description: str
+) -> None:
+    # The outbox stores JSON, in which a message is its text, its code and its parameters.
+    body: dict[str, Any] = {
+        "key": key,
+        "source": source,
+        "category": alert_type.category,
+        "sub_category": alert_type.sub_category,
+        "severity": alert_type.severity.value,
+        **with_code("description", description),
+    }
+    step.enqueue(stream, MessageKind.RAISE, source, body)
+
+
+def _name(task: TaskRecord) -> str:
+    return task.name or task.element
+
+
+def _short(task: TaskRecord) -> str:
+    return task.id.rsplit(":", 1)[-1]
+
+
+def _overdue_key(task: TaskRecord) -> str:
+    return f"{_short(task)} not accepted"
+
+
+def _performer_lost_key(task: TaskRecord) -> str:
+    return f"{_short(task)} performer lost"
+
+
+def _unreadable_key(task: TaskRecord) -> str:
+    return f"{_short(task)} unreadable"
+
+
+def _past_due_key(task: TaskRecord, level: int) -> str:
+    return f"{_short(task)} past due {level}"
+
+
+def _incident_key(process: ProcessRecord, incident: IncidentRecord) -> str:
+    return f"{process.id} incident {incident.token}"
+
+
+def _failed_key(process: ProcessRecord) -> str:
+    return f"{process.id} failed"

@@ -1,0 +1,97 @@
+"""Routes: definitions of other systems, offered for deployment."""
+
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Query, Request, Response
+
+from handover.api_description import sends
+from handover.errors import Problem
+from handover.messages import message
+from handover.notifications import REQUIRES_NOTIFICATION_KEY
+from handover.security.guard import require
+from handover.security.permissions import Permission
+from handover_processes.components import Components
+from handover_processes.operations.offering import OfferReader
+from handover_processes.records import OfferStatus
+from handover_processes.requests import OfferRequest
+from handover_processes.responses import OfferView, json_response
+from handover_processes.routes.resources import acting_name
+
+OFFER: dict[int | str, dict[str, Any]] = {200: {"model": OfferView}}
+
+
+def add_offers(app: FastAPI, at: Components) -> None:
+    """Add the routes of offers."""
+    orchestrator = at.orchestrator
+    reader = OfferReader(orchestrator.state, orchestrator.offering)
+
+    @app.get(
+        "/offers",
+        tags=["offers"],
+        responses={200: {"model": list[OfferView]}},
+        dependencies=[require(Permission.READ)],
+    )
+    async def offers(
+        *,
+        status: OfferStatus | None = None,
+        entity: Annotated[str | None, Query(max_length=2000, description="the id of the entity")] = None,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    ) -> Response:
+        """Return definitions that other systems have written to the broker, the latest first."""
+        found = orchestrator.state.offers.listed(status, entity)[:limit]
+        return json_response([await reader.view(record) for record in found])
+
+    @app.get("/offers/{offer}", tags=["offers"], responses=OFFER, dependencies=[require(Permission.READ)])
+    async def offer(offer: str) -> Response:
+        """Return an offer with its faults, what its acceptance would change, and who would get the work."""
+        return json_response(await reader.view(orchestrator.offering.require(offer)))
+
+    @app.get(
+        "/offers/{offer}/bpmn",
+        tags=["offers"],
+        response_class=Response,
+        responses=sends("application/xml"),
+        dependencies=[require(Permission.READ)],
+    )
+    async def bpmn(offer: str) -> Response:
+        """Return the BPMN file of an offer, as it was read when the offer was made."""
+        orchestrator.offering.require(offer)
+        xml = await orchestrator.on_disk(orchestrator.store.offer_file, offer)
+        if xml is None:
+            raise Problem(404, "No file", message("offer.no_file", "the offer has no BPMN file"))
+        return Response(xml, media_type="application/xml")
+
+    @app.post(
+        "/offers/{offer}/accept",
+        tags=["offers"],
+        responses=OFFER,
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    )
+    async def accept(offer: str, body: OfferRequest) -> Response:
+        """Deploy what is offered; it takes effect for Tasks that are posted later."""
+        return json_response(
+            await reader.view(await at.offers.accept(offer, by=acting_name(body.by), why=body.why))
+        )
+
+    @app.post(
+        "/offers/{offer}/reject",
+        tags=["offers"],
+        responses=OFFER,
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    )
+    async def reject(offer: str, body: OfferRequest) -> Response:
+        """Reject an offer: the same content of the entity is not offered again."""
+        return json_response(
+            await reader.view(await at.offers.reject(offer, by=acting_name(body.by), why=body.why))
+        )
+
+    @app.post(
+        "/notifications/definitions",
+        status_code=204,
+        tags=["notifications"],
+        dependencies=[REQUIRES_NOTIFICATION_KEY],
+    )
+    async def notify(request: Request) -> Response:
+        """Read the definitions of a notification from the broker soon."""
+        await at.offers.receive_notification(request)
+        return Response(status_code=204)

@@ -1,0 +1,74 @@
+"""REST: recordings of the control of a robot."""
+
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.responses import FileResponse
+
+from handover.api_description import sends
+from handover.errors import Problem
+from handover.messages import message
+from handover.security.guard import in_path, require
+from handover.security.permissions import Permission
+from handover_datamodels.times import iso
+from handover_robots.control.recording import COLUMNS, file_of, stored
+
+_OF_ROBOT = in_path("Device", "robot")
+
+
+def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
+    """Add the routes."""
+    readers = [require(Permission.READ_STUDIES, _OF_ROBOT)]
+
+    @app.get("/robots/{robot}/control/recordings", tags=["control"], dependencies=readers)
+    async def recordings(robot: str) -> dict[str, Any]:
+        """Return the recordings of a robot, the newest first, and the columns that all of them have."""
+        _require_plain(robot)
+        found = stored(data_dir, robot)
+        return {
+            "columns": COLUMNS,
+            "recordings": [
+                {"name": one.name, "bytes": one.size, "begunAt": iso(one.begun_at)} for one in found
+            ],
+        }
+
+    @app.get(
+        "/robots/{robot}/control/recordings/{name}",
+        tags=["control"],
+        dependencies=readers,
+        response_class=FileResponse,
+        responses=sends("text/csv"),
+    )
+    async def recording(robot: str, name: str) -> FileResponse:
+        """Return a recording as CSV: both inputs, m, what was commanded, and times, one row a cycle."""
+        return FileResponse(_file(data_dir, robot, name), media_type="text/csv; charset=utf-8", filename=name)
+
+    @app.delete(
+        "/robots/{robot}/control/recordings/{name}",
+        tags=["control"],
+        status_code=204,
+        dependencies=[require(Permission.CONDUCT_STUDIES, _OF_ROBOT)],
+    )
+    async def delete_recording(robot: str, name: str) -> None:
+        """Delete a recording."""
+        _file(data_dir, robot, name).unlink()
+
+
+def _file(data_dir: Path, robot: str, name: str) -> Path:
+    _require_plain(robot)
+    file = file_of(data_dir, robot, name)
+    if file is None:
+        raise Problem(
+            404,
+            "No such recording",
+            message(
+                "robot.no_such_recording", 'there is no recording "{name}" of {robot}', name=name, robot=robot
+            ),
+        )
+    return file
+
+
+def _require_plain(robot: str) -> None:
+    if "/" in robot or robot in {".", ".."}:
+        raise Problem(404, "No such robot", f'"{robot[:64]}" is no name of a robot')

@@ -1,0 +1,8 @@
+"""Run the web UI server: `python -m handover_web`."""
+
+from handover.serving import run
+from handover_web.server import make_app
+from handover_web.settings import WebuiSettings
+
+if __name__ == "__main__":
+    run("webui", make_app, WebuiSettings, port_field="webui_port")

@@ -1,0 +1,109 @@
+"""The catalogue of the messages of all services, extracted from their source code.
+
+    python -m handover_web.messages          # write the English texts to app/src/i18n/en/server.json
+
+It consists of all calls `message("code", "template", …)`. The templates are the English texts. The German and
+Finnish texts are written by hand; a test of the page compares the languages.
+"""
+
+import ast
+import json
+import string
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+ROOT: Final = Path(__file__).parents[2]
+PACKAGES: Final = ("handover", "services", "ros_fiware_bridge", "webui", "datamodels")
+ENGLISH: Final = ROOT / "webui" / "app" / "src" / "i18n" / "en" / "server.json"
+
+
+@dataclass(frozen=True, slots=True)
+class FoundMessage:
+    """A call of `message` in the source, with the names of its parameters."""
+
+    code: str
+    template: str
+    parameters: frozenset[str]
+    location: str
+
+
+class InvalidMessage(ValueError):
+    """A call of `message` that cannot be translated; the text has the location and the reason."""
+
+
+def found_messages(root: Path = ROOT) -> Iterator[FoundMessage]:
+    """Yield every message in the source below `root`; raise `InvalidMessage` for invalid calls."""
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            if "node_modules" not in path.parts:
+                yield from _in_module(path.read_text(encoding="utf-8"), path.relative_to(root).as_posix())
+
+
+def english(found: Iterator[FoundMessage]) -> dict[str, Any]:
+    """Return the English texts in the format of i18next: nested by code, `{{x}}` for `{x}`."""
+    texts: dict[str, Any] = {}
+    seen: dict[str, FoundMessage] = {}
+    for one in found:
+        before = seen.setdefault(one.code, one)
+        if before.template != one.template:
+            raise InvalidMessage(
+                f"{one.location}: the code {one.code} has another text at {before.location}; use one"
+            )
+        *groups, last = one.code.split(".")
+        parent = texts
+        for group in groups:
+            parent = parent.setdefault(group, {})
+            if not isinstance(parent, dict):
+                raise InvalidMessage(
+                    f"{one.location}: {one.code} begins with a code that is a message itself"
+                )
+        parent[last] = _i18next_template(one.template)
+    return _sorted(texts)
+
+
+def _in_module(source: str, location: str) -> Iterator[FoundMessage]:
+    if "message(" not in source:
+        return
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "message":
+            yield _found(node, f"{location}:{node.lineno}")
+
+
+def _found(call: ast.Call, location: str) -> FoundMessage:
+    texts = [one.value for one in call.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+    if len(texts) != 2 or len(call.args) != 2:
+        raise InvalidMessage(
+            f"{location}: message takes a code and a template, both literal strings, and keyword arguments"
+        )
+    code, template = texts
+    names = {keyword.arg for keyword in call.keywords}
+    if None in names:
+        raise InvalidMessage(f"{location}: name the parameters of {code} one by one instead of with **")
+    for _, name, form, conversion in string.Formatter().parse(template):
+        if name is not None and (form or conversion or not name.isidentifier()):
+            raise InvalidMessage(
+                f"{location}: {{{name}}} in {code} must be a plain name; format the value before"
+            )
+        if name is not None and name not in names:
+            raise InvalidMessage(f"{location}: {code} has no parameter {name}")
+    return FoundMessage(code, template, frozenset(name for name in names if name is not None), location)
+
+
+def _i18next_template(template: str) -> str:
+    parts = string.Formatter().parse(template)
+    return "".join(text + ("" if name is None else f"{{{{{name}}}}}") for text, name, _, _ in parts)
+
+
+def _sorted(texts: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _sorted(text) if isinstance(text, dict) else text for name, text in sorted(texts.items())}
+
+
+def serialized(texts: Mapping[str, Any]) -> str:
+    """Return the content of the JSON file."""
+    return json.dumps(texts, ensure_ascii=False, indent=2) + "\n"
+
+
+if __name__ == "__main__":
+    ENGLISH.write_text(serialized(english(found_messages())), encoding="utf-8")
