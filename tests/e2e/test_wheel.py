@@ -66,7 +66,14 @@ def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
         assert needed in names
     licences = {Path(name).name for name in names if ".dist-info/licenses/" in name}
     assert licences == {"LICENSE", "NOTICE", "THIRD_PARTY.md"}
-    assert not any(name.startswith(("tests/", "examples/", "webui/app/")) for name in names)
+    packages = {name.partition("/")[0] for name in names if name.endswith(".py")}
+    assert all(name.startswith("handover") or name == "glove_sdk_bridge" for name in packages), packages
+    assert not any("/node_modules/" in name or "/app/src/" in name for name in names)
+
+
+def test_old_names_of_packages_work(environment: Path, tmp_path: Path) -> None:
+    code = "from datamodels import Task; from services.trajectory_tool.robots import ROBOTS"
+    run(environment / "bin" / "python", "-c", code, cwd=tmp_path)
 
 
 def test_demo_completes_in_an_empty_folder(environment: Path, cell: Cell, tmp_path: Path) -> None:

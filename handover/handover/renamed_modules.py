@@ -1,0 +1,149 @@
+"""Imports by the names that modules had before each part got an import package of its own, until 1.0.
+
+`handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
+a checkout, these would find the folders `datamodels` and `services` as namespace packages. Whatever else has
+such a name is preferred: a package or module of the user, and what a namespace package of the user contains.
+
+An old name is the module of the new name, the same object, so that its classes are the same too:
+
+    from datamodels import Task                         # handover_datamodels
+    from services.trajectory_tool.robots import ROBOTS  # handover_robots.robots
+
+Each renamed package raises one `DeprecationWarning`, at the first import by its old name.
+"""
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import InspectLoader
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec as find_module
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, Final
+
+RENAMED: Final = {
+    "datamodels": "handover_datamodels",
+    "handover.cli": "handover_cell",
+    "ros_fiware_bridge": "handover_ros",
+    "services.accounts": "handover_accounts",
+    "services.alert_router": "handover_alerts",
+    "services.assistive_devices": "handover_cases",
+    "services.context_broker": "handover_broker",
+    "services.device_gateway": "handover_devices",
+    "services.gesture_controller": "handover_gloves",
+    "services.human_state": "handover_body",
+    "services.study": "handover_study",
+    "services.task_orchestrator": "handover_processes",
+    "services.trajectory_tool": "handover_robots",
+    "services.whole_body_control": "handover_humanoid",
+    "webui": "handover_web",
+}
+"""The packages by their old names."""
+PARENT: Final = "services"
+"""The old package that had nothing but packages."""
+
+_warned: set[str] = set()
+
+
+def new_name(name: str) -> str | None:
+    """Return the new name of a module; None if `name` is no old name."""
+    package = name
+    while package:
+        if package in RENAMED:
+            return RENAMED[package] + name[len(package) :]
+        package = package.rpartition(".")[0]
+    return None
+
+
+def find_spec(
+    name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+) -> ModuleSpec | None:
+    """Return how to import a module by its old name; None if the name is not ours or nothing has it."""
+    new = new_name(name)
+    if new is None and name != PARENT:
+        return None
+    parent = name.rpartition(".")[0]
+    if not _is_renamed(parent):
+        other = _found_by_others(name, path, target)
+        if other is not None and not _is_checkout(other):
+            return other
+        if parent and not _may_have_ours(parent):
+            return None
+    if new is None:
+        return ModuleSpec(name, _Parent(), is_package=True)
+    found = find_module(new)
+    if found is None:
+        return None
+    is_package = found.submodule_search_locations is not None
+    return ModuleSpec(name, _Renamed(new), origin=found.origin, is_package=is_package)
+
+
+def _is_renamed(parent: str) -> bool:
+    """Return whether `parent` was imported by an old name: then its modules are not those of its folder."""
+    module, new = sys.modules.get(parent), new_name(parent)
+    return module is not None and new is not None and module is sys.modules.get(new)
+
+
+def _may_have_ours(parent: str) -> bool:
+    """Return whether our packages are beside those of the user: in the kit, and in namespace packages."""
+    return parent == "handover" or getattr(sys.modules.get(parent), "__file__", None) is None
+
+
+def _is_checkout(spec: ModuleSpec) -> bool:
+    """Return whether a namespace package is a folder of a checkout, which has the new packages in it."""
+    if spec.loader is not None or spec.submodule_search_locations is None:
+        return False
+    inside = RENAMED.get(spec.name, "*/handover_*")
+    return all(any(Path(folder).glob(f"{inside}/__init__.py")) for folder in spec.submodule_search_locations)
+
+
+def _found_by_others(name: str, path: Sequence[str] | None, target: ModuleType | None) -> ModuleSpec | None:
+    for finder in sys.meta_path:
+        if not getattr(finder, "finds_renamed_modules", False):
+            spec: ModuleSpec | None = finder.find_spec(name, path, target)
+            if spec is not None:
+                return spec
+    return None
+
+
+class _Parent(InspectLoader):
+    """Loads the package `services`, which is empty."""
+
+    def get_source(self, fullname: str) -> str:  # noqa: ARG002 - the interface of loaders
+        return ""
+
+    def is_package(self, fullname: str) -> bool:  # noqa: ARG002 - the interface of loaders
+        return True
+
+
+class _Renamed(InspectLoader):
+    """Loads a module by its old name: puts the module of the new name in its place."""
+
+    def __init__(self, new: str) -> None:
+        self._new = new
+
+    def exec_module(self, module: ModuleType) -> None:
+        name = module.__name__
+        package = next(old for old in RENAMED if name == old or name.startswith(f"{old}."))
+        if package not in _warned:
+            _warned.add(package)
+            warnings.warn(
+                f"{package} is now {RENAMED[package]}; import that, the old name works until Handover 1.0",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+        sys.modules[name] = import_module(self._new)
+
+    def get_code(self, fullname: str) -> CodeType | None:  # noqa: ARG002 - for `python -m`
+        loader = self._loader()
+        return loader.get_code(self._new) if isinstance(loader, InspectLoader) else None
+
+    def get_source(self, fullname: str) -> str | None:  # noqa: ARG002 - the interface of loaders
+        loader = self._loader()
+        return loader.get_source(self._new) if isinstance(loader, InspectLoader) else None
+
+    def _loader(self) -> Any:
+        spec = find_module(self._new)
+        return spec.loader if spec is not None else None

@@ -1,0 +1,107 @@
+"""Old names of packages work with one warning, and never in place of a package of the user."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from handover.renamed_modules import RENAMED
+from tests.kit.paths import REPOSITORY
+
+
+def run(code: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own, which imports from `folder` first."""
+    return subprocess.run(
+        [sys.executable, *flags, "-c", code], cwd=folder, capture_output=True, text=True, timeout=120
+    )
+
+
+def write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize("package", RENAMED)
+def test_every_new_name_exists(package: str) -> None:
+    assert find_spec(RENAMED[package]) is not None
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["elsewhere", "in a checkout"])
+def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: Path) -> None:
+    done = run(
+        "from datamodels import Task\n"
+        "from datamodels.states import TaskStatus\n"
+        "from services.trajectory_tool.poses import pointing_down\n"
+        "import services.trajectory_tool.poses\n"
+        "import ros_fiware_bridge.errors, webui.metrics\n"
+        "from handover.cli import output\n"
+        "import handover_cell.output, handover_datamodels, handover_robots.poses, handover_ros.errors\n"
+        "assert Task is handover_datamodels.Task\n"
+        "assert pointing_down is handover_robots.poses.pointing_down\n"
+        "assert services.trajectory_tool.poses is handover_robots.poses\n"
+        "assert ros_fiware_bridge.errors is handover_ros.errors\n"
+        "assert output is handover_cell.output\n"
+        "assert handover_robots.poses.__spec__.name == 'handover_robots.poses'\n",
+        REPOSITORY if inside else tmp_path,
+        "-W",
+        "always::DeprecationWarning",
+    )
+    assert done.returncode == 0, done.stderr
+    warnings = [line for line in done.stderr.splitlines() if "DeprecationWarning" in line]
+    assert warnings[0].startswith("<string>:1: DeprecationWarning: datamodels is now handover_datamodels;")
+    assert [line.split()[2] for line in warnings] == [
+        "datamodels",
+        "services.trajectory_tool",
+        "ros_fiware_bridge",
+        "webui",
+        "handover.cli",
+    ]
+
+
+def test_an_old_module_runs_as_a_program(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "handover.cli", "--version"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "handover"), done.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["datamodels.Nothing", "services.nothing", "services.study.nothing", "webui.nothing"]
+)
+def test_what_never_existed_is_not_found(name: str, tmp_path: Path) -> None:
+    done = run(f"import {name}", tmp_path)
+    assert "ModuleNotFoundError: No module named" in done.stderr
+
+
+def test_packages_of_the_user_are_preferred(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        {
+            "services/__init__.py": "",
+            "services/study.py": "NAME = 'mine'",
+            "webui.py": "NAME = 'mine'",
+            "datamodels/entities.py": "NAME = 'mine'",
+        },
+    )
+    done = run(
+        "import datamodels.entities, services.study, webui\n"
+        "assert datamodels.entities.NAME == services.study.NAME == webui.NAME == 'mine'\n"
+        "import services.accounts",
+        tmp_path,
+        "-W",
+        "error",
+    )
+    assert done.stderr.splitlines()[-1] == "ModuleNotFoundError: No module named 'services.accounts'"
+
+
+def test_a_folder_of_the_user_without_a_package_hides_nothing(tmp_path: Path) -> None:
+    write(tmp_path, {"services/compose.yaml": "", "services/mine.py": ""})
+    done = run("import services.mine\nfrom services.study.settings import StudySettings", tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_start_without_old_names_imports_nothing(tmp_path: Path) -> None:
+    code = "import sys; print([name for name in sys.modules if name.startswith('handover')])"
+    assert run(code, tmp_path).stdout == "[]\n"
