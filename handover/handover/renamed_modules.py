@@ -44,7 +44,30 @@ RENAMED: Final = {
 PARENT: Final = "services"
 """The old package that had nothing but packages."""
 
+FOLDERS: Final = {
+    name.replace(".", "/"): f"{'handover' if name == 'handover.cli' else name.replace('.', '/')}/{new}"
+    for name, new in RENAMED.items()
+}
+"""The folders of a checkout by their old names."""
+
 _warned: set[str] = set()
+
+
+def moved_file(path: Path) -> Path:
+    """Return the present place of a shipped file that is named by its old place; any other path as it is."""
+    if path.exists():
+        return path
+    for old, new in FOLDERS.items():
+        before, found, after = path.as_posix().rpartition(f"{old}/")
+        moved = Path(f"{before}{new}/{after}")
+        if found and before[-1:] in {"", "/"} and moved.exists():
+            warnings.warn(
+                f"{path} is now {moved}; set that, the old path works until Handover 1.0",
+                FutureWarning,  # shown to users, other than DeprecationWarning
+                stacklevel=2,
+            )
+            return moved
+    return path
 
 
 def new_name(name: str) -> str | None:

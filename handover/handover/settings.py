@@ -24,6 +24,7 @@ from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource
 
 from handover.errors import UsageError
 from handover.outbound_policy import OutboundPolicy, is_loopback
+from handover.renamed_modules import moved_file
 
 PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
@@ -313,6 +314,11 @@ class Settings(BaseSettings):
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     log_format: Literal["text", "json"] = Field("text", description="how log lines look")
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _at_its_present_place(cls, given: Any) -> Any:
+        return moved_file(given) if isinstance(given, Path) else given
 
     @field_validator("broker_url")
     @classmethod

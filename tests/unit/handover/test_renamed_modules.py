@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from handover.renamed_modules import RENAMED
+from handover.settings import Settings
 from tests.kit.paths import REPOSITORY
 
 
@@ -105,3 +107,30 @@ def test_a_folder_of_the_user_without_a_package_hides_nothing(tmp_path: Path) ->
 def test_a_start_without_old_names_imports_nothing(tmp_path: Path) -> None:
     code = "import sys; print([name for name in sys.modules if name.startswith('handover')])"
     assert run(code, tmp_path).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("services/study/wording/de.json", "services/study/handover_study/wording/de.json"),
+        ("services/trajectory_tool/robots/x.yaml", "services/trajectory_tool/handover_robots/robots/x.yaml"),
+        ("webui/page/index.html", "webui/handover_web/page/index.html"),
+        ("handover/cli/main.py", "handover/handover_cell/main.py"),
+    ],
+)
+def test_a_setting_with_the_old_path_of_a_shipped_file_finds_it(tmp_path: Path, old: str, new: str) -> None:
+    file = tmp_path / new
+    file.parent.mkdir(parents=True)
+    file.touch()
+    for given in (tmp_path / old, file):
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            settings = Settings(broker_token_file=given)
+        assert settings.broker_token_file == file
+        said = f"{given} is now {file}; set that, the old path works until Handover 1.0"
+        assert [str(each.message) for each in warned] == ([] if given == file else [said])
+
+
+def test_another_path_is_left_as_it_is(tmp_path: Path) -> None:
+    for given in (tmp_path / "services/study/mine.json", tmp_path / "my-services/study/mine.json"):
+        assert Settings(broker_token_file=given).broker_token_file == given
