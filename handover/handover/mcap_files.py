@@ -12,6 +12,7 @@ from typing import IO, Any, Final
 
 import orjson
 
+from handover.distribution import install_command
 from handover.errors import HandoverError, UsageError
 
 LIBRARY: Final = "handover"
@@ -28,7 +29,7 @@ def library(module: str) -> ModuleType:
         return importlib.import_module(f"mcap.{module}")
     except ImportError as error:
         raise UsageError(
-            f'mcap is not installed ({error}); pip install "handover[human-state]" or "handover[whole-body]"'
+            f"mcap is not installed ({error}); {install_command('human-state')}, or with the extra whole-body"
         ) from error
 
 

@@ -9,6 +9,7 @@ extra `ros`; everything here raises `UsageError` without it.
 from collections.abc import Iterable
 from typing import Any, Final
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 
 MAX_DOMAIN: Final = 232
@@ -118,4 +119,4 @@ def require_extra() -> None:
     try:
         import cyclonedds.core  # noqa: F401, PLC0415 - of the extra
     except ImportError:
-        raise UsageError('ROS topics need the extra: pip install "handover[ros]"') from None
+        raise UsageError(f"ROS topics need the extra: {install_command('ros')}") from None

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 import httpx
 import typer
 
+from handover.distribution import install_command
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover_body.settings import HumanStateSettings
@@ -137,7 +138,7 @@ def analyse(
         from handover_body.monitoring.offline import analyse as analysed  # noqa: PLC0415 - of an extra
     except ImportError as error:
         raise UsageError(
-            f'{error.name} is not installed; install the extra: pip install "handover[human-state]"'
+            f"{error.name} is not installed; install the extra: {install_command('human-state')}"
         ) from error
     meanings = {}
     for text in channel or []:

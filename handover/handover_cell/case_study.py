@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 
 
@@ -30,7 +31,7 @@ def case_study(  # noqa: PLR0917 - options of a command
     from handover_robots.physics import is_available  # noqa: PLC0415 - only this command needs them
 
     if not is_available():
-        raise UsageError('this needs simulated physics: pip install "handover[physics]"')
+        raise UsageError(f"this needs simulated physics: {install_command('physics')}")
     from handover_robots.case_study import report, study  # noqa: PLC0415
     from handover_robots.case_study.trial import Mode  # noqa: PLC0415
 

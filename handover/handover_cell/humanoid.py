@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_cell.output import AsJson, print_json
 
@@ -256,7 +257,7 @@ def _imported(*more: str, extra: str = "whole-body") -> Any:
     """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
     missing = [name for name in ("daqp", "mujoco", "pinocchio", *more) if find_spec(name) is None]
     if missing:
-        raise UsageError(f"this needs {', '.join(missing)}: pip install 'handover[{extra}]'")
+        raise UsageError(f"this needs {', '.join(missing)}: {install_command(extra)}")
     from handover_humanoid import robots  # noqa: PLC0415 - only these commands need it
 
     return robots

@@ -5,12 +5,12 @@ import os
 import runpy
 import sys
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from handover.distribution import version
 from handover.errors import HandoverError, Problem, UsageError
 from handover.private_files import faults_of as open_files
 from handover.private_files import owner_of
@@ -81,7 +81,7 @@ DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory 
 
 def _print_version(is_asked: bool) -> None:
     if is_asked:
-        say(f"handover {version('handover')}")
+        say(f"handover {version()}")
         raise typer.Exit
 
 

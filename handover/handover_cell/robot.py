@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover.settings import Settings
 from handover_cell import case_study, robot_limits, robot_simulation
@@ -173,4 +174,4 @@ def _require_planning() -> None:
     from handover_robots.planning import is_available  # noqa: PLC0415 - only this command needs it
 
     if not is_available():
-        raise UsageError('this needs motion planning: pip install "handover[motion]"')
+        raise UsageError(f"this needs motion planning: {install_command('motion')}")

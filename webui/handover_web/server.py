@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError
 from typing import Annotated
 from urllib.parse import quote
 
@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.distribution import version
 from handover.errors import Problem
 from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller, CallerKind
@@ -374,7 +375,7 @@ def _encoded_path(request: Request, service: str) -> str:
 
 def _version() -> str:
     try:
-        return version("handover")
+        return version()
     except PackageNotFoundError:
         return "0"
 

@@ -22,13 +22,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO, Final, cast
 
 import orjson
 
 from handover.backup.sealed_stream import CUT, SealedReader, SealedWriter, is_sealed
+from handover.distribution import version
 from handover.errors import UsageError
 
 HEAD: Final = "head.json"
@@ -240,7 +240,7 @@ def _extract(member: tarfile.TarInfo, content: IO[bytes], folder: Path | None) -
 
 def release() -> str:
     """Return the release of the installed Handover."""
-    return version("handover")
+    return version()
 
 
 def _numbers(of: str) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from enum import StrEnum
 from typing import TypeAlias
 
+from handover.distribution import install_command
 from handover.extensions import ExtensionPoint
 from handover_ros.errors import AdapterUnavailable
 from handover_ros.graph.join_settings import JoinSettings
@@ -53,9 +54,9 @@ _REQUIRED_MODULES: Mapping[str, tuple[str, ...]] = {
     Adapter.RCLPY: ("rclpy", "rosbags"),
     Adapter.ROSBRIDGE: ("rosbags",),
 }
-_INSTALL_EXTRA = "install the extra: pip install 'handover[ros]'"
+_INSTALL_EXTRA = f"install the extra: {install_command('ros')}"
 _INSTALL_RCLPY = (
-    "on Linux with Python 3.11: pip install 'handover[ros,ros-rclpy]'; elsewhere run "
+    f"on Linux with Python 3.11: {install_command('ros', 'ros-rclpy')}; elsewhere run "
     "the bridge where ROS 2 is installed and its setup.bash was sourced"
 )
 

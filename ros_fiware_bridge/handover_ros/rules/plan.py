@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_ros.errors import AdapterUnavailable, GraphError
 from handover_ros.graph.qos import Durability, History, Qos, Reliability
@@ -154,7 +155,7 @@ def make(
         maker.all()
     except ModuleNotFoundError as error:
         raise AdapterUnavailable(
-            f"{error.name} is not installed; install the extra: pip install 'handover[ros]'"
+            f"{error.name} is not installed; install the extra: {install_command('ros')}"
         ) from None
     if maker.faults:
         raise InvalidMapping(document.file, sorted(set(maker.faults), key=lambda fault: fault.line))

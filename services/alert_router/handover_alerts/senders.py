@@ -170,7 +170,7 @@ async def _send_by_apprise(channel: AppriseChannel, message: Outgoing) -> None:
     try:
         import apprise  # noqa: PLC0415 - an extra
     except ImportError:
-        raise NotSent("Apprise is not installed; install the extra handover[messengers]") from None
+        raise NotSent("Apprise is not installed; install the extra messengers of handover-cell") from None
 
     def send() -> bool:
         messenger = apprise.Apprise()

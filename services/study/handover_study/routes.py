@@ -12,6 +12,7 @@ from fastapi import Body, FastAPI, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from handover.api_description import sends
+from handover.distribution import install_command
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
@@ -223,8 +224,9 @@ def _require_installed(library: str) -> None:
             "Not installed",
             message(
                 "study.not_installed",
-                "the analysis needs {library}; install the extra: pip install 'handover[research]'",
+                "the analysis needs {library}; install the extra: {command}",
                 library=library,
+                command=install_command("research"),
             ),
         )
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover.messages import text_of
 from handover_robots.contents import Grip
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 AT_TIP = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-INSTALL = 'install the extra "motion": pip install "handover[motion]"'
+INSTALL = f"install the extra: {install_command('motion')}"
 GRIP_TOLERANCE_M = 0.004
 """A part that was seen is held this exactly; it lies on something when it is gripped."""
 

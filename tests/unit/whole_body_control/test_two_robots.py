@@ -193,7 +193,7 @@ def test_a_driver_of_thirty_lines_moves_the_robot(tmp_path: Path, monkeypatch: p
 
 
 def test_a_model_of_a_package_that_is_not_there_names_the_extra() -> None:
-    with pytest.raises(UsageError, match=r'no-such-data; pip install "handover\[talos\]"'):
+    with pytest.raises(UsageError, match=r'no-such-data; pip install .* "handover-cell\[talos\]"'):
         packaged_file("no-such-data", "robot.urdf", "talos")
 
 

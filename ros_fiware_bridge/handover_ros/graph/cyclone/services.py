@@ -18,6 +18,7 @@ from typing import Any
 
 import structlog
 
+from handover.distribution import install_command
 from handover_ros.errors import (
     BadMessage,
     ClosedUnanswered,
@@ -66,8 +67,8 @@ def vendor_refused(service: str, endpoint: DiscoveredEndpoint, node: str | None,
     return (
         f"{service}: {node or 'a node'} {doing} it with {endpoint.vendor}, whose services cannot be reached "
         "from Cyclone DDS; start it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or install rclpy beside the "
-        "bridge (pip install 'handover[ros,ros-rclpy]', Python 3.11 on Linux) and leave HANDOVER_ROS_ADAPTER "
-        "at auto"
+        f"bridge ({install_command('ros', 'ros-rclpy')}, Python 3.11 on Linux) and leave "
+        "HANDOVER_ROS_ADAPTER at auto"
     )
 
 

@@ -35,7 +35,7 @@ def write_parquet(engine: Engine, series: Mapping[str, int], begin_us: int, end_
             "No Parquet",
             message(
                 "device.no_parquet",
-                "Parquet needs pyarrow, which is not installed; install the extra handover[parquet] where "
+                "Parquet needs pyarrow, which is not installed; install the extra parquet where "
                 "the device gateway runs, or take the CSV",
             ),
         ) from None

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover.messages import message, text_of
 from handover_body.drivers.base import (
@@ -184,7 +185,5 @@ def _bleak() -> Any:
     try:
         import bleak  # noqa: PLC0415 - of the extra
     except ImportError:
-        raise UsageError(
-            'sensors over Bluetooth need the extra: pip install "handover[human-state]"'
-        ) from None
+        raise UsageError(f"sensors over Bluetooth need the extra: {install_command('human-state')}") from None
     return bleak

@@ -3,6 +3,7 @@
 import importlib
 from types import ModuleType
 
+from handover.distribution import install_command
 from handover_body.formats.errors import ExchangeError
 
 
@@ -12,5 +13,5 @@ def required(module: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise ExchangeError(
-            f'{module} is not installed ({error}); install the extra: pip install "handover[human-state]"'
+            f"{module} is not installed ({error}); install the extra: {install_command('human-state')}"
         ) from error

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover.robot_xml import parse_robot_xml
 from handover_humanoid.model.urdf import number
@@ -28,9 +29,7 @@ def packaged_file(package: str, path: str, extra: str) -> Path:
     try:
         found = Path(str(metadata.distribution(package).locate_file(f"{DATA}/{package}/{path}")))
     except metadata.PackageNotFoundError:
-        raise UsageError(
-            f'the robot model needs the package {package}; pip install "handover[{extra}]"'
-        ) from None
+        raise UsageError(f"the robot model needs the package {package}; {install_command(extra)}") from None
     if not found.is_file():
         raise UsageError(f"the package {package} has no file {path}; install the version of the lock file")
     return found

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover.telemetry import get_logger
 from handover_humanoid.solvers.cascade import Cascade, needed_slack
@@ -128,6 +129,6 @@ def _kernels() -> ModuleType:
         from handover_humanoid.solvers import kernels  # noqa: PLC0415 - numba is optional
     except ImportError as error:
         raise UsageError(
-            f"the compiled solver needs numba ({error}); install it with pip install 'handover[whole-body]'"
+            f"the compiled solver needs numba ({error}); {install_command('whole-body')}"
         ) from None
     return kernels

@@ -130,7 +130,7 @@ async def test_old_values_become_minutes_then_hours_and_old_messages_go(engine: 
 async def test_the_history_is_exported_as_parquet_in_several_groups(
     engine: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pq = pytest.importorskip("pyarrow.parquet", reason="handover[parquet] is not installed")
+    pq = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
     writer = HistoryWriter(engine)
     writer.add(values=[("d", name, T0_US + n, n + 0.5) for name in ("a", "b") for n in range(70)])
     await writer.close()

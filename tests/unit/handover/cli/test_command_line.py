@@ -64,7 +64,7 @@ def test_lists_for_programs_are_one_document(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_version_is_that_of_the_distribution() -> None:
-    assert CliRunner().invoke(app, ["--version"]).stdout == f"handover {version('handover')}\n"
+    assert CliRunner().invoke(app, ["--version"]).stdout == f"handover {version('handover-cell')}\n"
 
 
 def test_shells_can_complete_commands() -> None:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from handover_body.model.signals import (
@@ -140,5 +141,5 @@ def _brainflow() -> Any:
 
             board_shim.BoardShim.get_version()  # loads its library, with pkg_resources
     except ImportError:
-        raise UsageError('BrainFlow boards need the extra: pip install "handover[human-state]"') from None
+        raise UsageError(f"BrainFlow boards need the extra: {install_command('human-state')}") from None
     return board_shim

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from pydantic import Field, model_validator
 
+from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from handover_body.model.signals import (
@@ -150,7 +151,5 @@ def _pylsl() -> Any:
     try:
         import pylsl  # type: ignore[import-untyped]  # noqa: PLC0415 - of the extra
     except (ImportError, RuntimeError) as error:
-        raise UsageError(
-            f'LSL streams need the extra: pip install "handover[human-state]" ({error})'
-        ) from error
+        raise UsageError(f"LSL streams need the extra: {install_command('human-state')} ({error})") from error
     return pylsl

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.distribution import install_command
 from handover.messages import message, text_of
 from handover_body.drivers.recording.channels import (
     LeftOut,
@@ -104,7 +105,7 @@ def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
         raise
     except ImportError as error:
         raise RecordingError(
-            f'{path.name} needs {error.name}; install the extra: pip install "handover[human-state]"'
+            f"{path.name} needs {error.name}; install the extra: {install_command('human-state')}"
         ) from error
     except Exception as error:  # the libraries raise anything for a damaged file
         raise RecordingError(

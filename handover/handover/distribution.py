@@ -1,0 +1,20 @@
+"""The distribution that these packages are installed by, and how to install what it can have beside them.
+
+The name `handover` on the package index belongs to others, so that no text of ours may install it, and ours
+is not there yet: pip finds our wheels in the folder that `--find-links` names (`make dist`).
+"""
+
+from importlib.metadata import version as version_of
+from typing import Final
+
+DISTRIBUTION: Final = "handover-cell"
+
+
+def install_command(*extras: str) -> str:
+    """Return the command that installs our wheel with `extras`; `dist` is the folder of our wheels."""
+    return f'pip install --find-links dist "{DISTRIBUTION}[{",".join(extras)}]"'
+
+
+def version() -> str:
+    """Return the version of the distribution; raise `PackageNotFoundError` where it is not installed."""
+    return version_of(DISTRIBUTION)
