@@ -19,6 +19,7 @@ from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import Guard, in_path, require
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
@@ -206,7 +207,7 @@ def _taken(robot: str, lease: Lease | None) -> Problem:
     )
 
 
-class HandOver(BaseModel):
+class HandOver(StrictModel):
     """The session that gets the control: the id of one that waits."""
 
     model_config = ConfigDict(extra="forbid")

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Protocol
 
-from pydantic import AfterValidator, AwareDatetime
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator
+
+from handover.strict_json import TIME_TEXT
 
 MAX_INTEGER: Final = 2**63 - 1
 """Of 64 bits with a sign, as a database stores it."""
@@ -59,8 +61,10 @@ def _moment(given: datetime) -> datetime:
     return given.astimezone(UTC)
 
 
-Moment = Annotated[AwareDatetime, AfterValidator(_moment)]
+Moment = Annotated[AwareDatetime, BeforeValidator(TIME_TEXT), AfterValidator(_moment)]
 """A time that a request names, in UTC: arithmetic and time zones need years around it."""
+LocalMoment = Annotated[datetime, BeforeValidator(TIME_TEXT)]
+"""A time that a request names; without a time zone it is in that of this computer."""
 
 
 def json_fault(text: bytes, value: Any, whole: str = "body") -> str | None:

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import httpx
 from fastapi import FastAPI, Query, Request, Response, WebSocket
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from starlette.types import ASGIApp
 
 from handover.body_limit import max_body
@@ -32,6 +32,7 @@ from handover.security.guard import (
 from handover.security.permissions import Permission
 from handover.service import ANY_TYPE, accepts, create_app
 from handover.storage import storage_check
+from handover.strict_json import StrictModel
 from handover.tls_trust import client_context
 from handover_web.http.control_proxy import ControlProxy
 from handover_web.http.other_broker import OtherBroker
@@ -85,7 +86,7 @@ MAX_ALERTS_BODY_BYTES = 256 * 1024
 """Enough for the ids of `MAX_ALERTS_AT_ONCE` Alerts."""
 
 
-class AcknowledgeRequest(BaseModel):
+class AcknowledgeRequest(StrictModel):
     """The person who acknowledges an alert."""
 
     model_config = ConfigDict(extra="forbid")
@@ -113,7 +114,7 @@ class ShelveRequest(AlertsRequest):
     minutes: Annotated[float, Field(gt=0, le=MAX_SHELVING.total_seconds() / 60)]
 
 
-class StartOperatorRequest(BaseModel):
+class StartOperatorRequest(StrictModel):
     """The glove that the simulated operator wears."""
 
     model_config = ConfigDict(extra="forbid")

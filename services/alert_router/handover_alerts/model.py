@@ -15,7 +15,6 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import yaml
 from pydantic import (
-    BaseModel,
     ConfigDict,
     Field,
     SecretStr,
@@ -26,6 +25,7 @@ from pydantic import (
 from pydantic.alias_generators import to_camel
 
 from handover.errors import UsageError
+from handover.strict_json import StrictModel
 from handover.validation import fault_text
 from handover_datamodels.states import Severity
 
@@ -37,7 +37,7 @@ SEVERITIES: Final = tuple(Severity)
 """Lowest first."""
 
 
-class Part(BaseModel):
+class Part(StrictModel):
     """A part of the configuration: frozen, without unknown members."""
 
     model_config = ConfigDict(

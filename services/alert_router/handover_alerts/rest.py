@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 
 import orjson
 from fastapi import FastAPI, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
 from handover.body_limit import max_body
@@ -16,6 +16,7 @@ from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover.validation import MAX_INTEGER, Moment
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower
@@ -80,7 +81,7 @@ class TestResult(TypedDict):
     reason: str | None
 
 
-class AlertExample(BaseModel):
+class AlertExample(StrictModel):
     """An Alert for which the routes are asked."""
 
     model_config = ConfigDict(extra="forbid")

@@ -5,7 +5,7 @@ import time
 from typing import Annotated, Any, Final
 
 from fastapi import FastAPI, Query
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
@@ -13,13 +13,14 @@ from handover.messages import message, with_code
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_cases.running.machine_runner import MachineRunner
 from handover_cases.trial import Trial
 
 SHOWN_MESSAGES: Final = 50
 
 
-class Body(BaseModel):
+class Body(StrictModel):
     """A JSON object in camelCase without unknown members."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)

@@ -9,9 +9,10 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
+from handover.strict_json import StrictModel
 from handover_datamodels.streams import HumanInput
 
 COMPONENTS: Final = ("x", "y", "z", "rx", "ry", "rz")
@@ -21,7 +22,7 @@ MAX_SPEED: Final = 10.0
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]{0,63}$")]
 
 
-class _Part(BaseModel):
+class _Part(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
 
 

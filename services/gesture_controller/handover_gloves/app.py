@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, cast
 
 from fastapi import FastAPI, Response, WebSocket
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 from starlette.requests import HTTPConnection
 
 from handover.api_description import sends
@@ -24,6 +24,7 @@ from handover.security.pin_check import MAX_PIN_CHARACTERS, require_pin
 from handover.security.protection import require_protection
 from handover.service import create_app
 from handover.storage import storage_check
+from handover.strict_json import StrictJson, StrictModel
 from handover.telemetry import get_logger
 from handover.websocket_closing import close_websocket
 from handover_datamodels.states import Outcome
@@ -59,7 +60,10 @@ NO_CONTROL_CHARACTERS = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
 """Matches text without control characters other than tabs and line feeds."""
 
 
-class _Body(BaseModel):
+Thresholds = Annotated[dict[str, dict[str, FiniteFloat]], StrictJson()]
+
+
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -228,7 +232,7 @@ def _add_fits(app: FastAPI, registry: GloveRegistry) -> None:
         tags=["calibration"],
         dependencies=[require(Permission.CONFIGURE, of_glove)],
     )
-    async def set_thresholds(glove: str, thresholds: dict[str, dict[str, FiniteFloat]]) -> GloveView:
+    async def set_thresholds(glove: str, thresholds: Thresholds) -> GloveView:
         """Set and store the thresholds of some or all fingers."""
         await fits.set_thresholds(known.named(glove), thresholds)
         return _view(known.named(glove))

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, cast
 
 from fastapi import Body, FastAPI, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from handover.api_description import sends
 from handover.distribution import install_command
@@ -18,6 +18,7 @@ from handover.messages import message
 from handover.offload import Offload, OffloadFailed
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_study.protocol import FINISHED, STEPS, Language, Session
 from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
 from handover_study.study_session import DECLINED, StudySessions
@@ -39,7 +40,7 @@ MAX_ANALYSES_KEPT = 8
 of_person = in_path("Person", "person")
 
 
-class NewSession(BaseModel):
+class NewSession(StrictModel):
     """A participant with a pseudonym, the next free one if none is given; never a name."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from handover.security.pin_check import MAX_PIN_CHARACTERS
+from handover.strict_json import StrictModel
 from handover.validation import Moment
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
@@ -20,7 +21,7 @@ DefinitionVersion = Annotated[int | None, Field(ge=1, le=MAX_VERSION)]
 Plain = Annotated[str, Field(pattern=r"^[^\x00]*$", max_length=300)]
 
 
-class ProcessStart(BaseModel):
+class ProcessStart(StrictModel):
     """A request to start a process."""
 
     model_config = ConfigDict(extra="forbid")
@@ -170,7 +171,7 @@ class IncidentsQuery(TableQuery):
 Name = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=200)]
 
 
-class CancelRequest(BaseModel):
+class CancelRequest(StrictModel):
     """A request to cancel a process."""
 
     model_config = ConfigDict(extra="forbid")
@@ -178,7 +179,7 @@ class CancelRequest(BaseModel):
     by: Name | None = Field(None, description="the person who cancels it")
 
 
-class RetryRequest(BaseModel):
+class RetryRequest(StrictModel):
     """A request to retry a failed Task."""
 
     model_config = ConfigDict(extra="forbid")
@@ -186,7 +187,7 @@ class RetryRequest(BaseModel):
     by: Name = Field(description="the person who retries it")
 
 
-class MendRequest(BaseModel):
+class MendRequest(StrictModel):
     """What a person decides about a token of a process."""
 
     model_config = ConfigDict(extra="forbid")
@@ -221,7 +222,7 @@ class MigrationOfAllRequest(MigrationRequest):
     source: int = Field(ge=1, le=MAX_VERSION, description="the version that the processes have")
 
 
-class OfferRequest(BaseModel):
+class OfferRequest(StrictModel):
     """A decision about an offer."""
 
     model_config = ConfigDict(extra="forbid")
@@ -230,7 +231,7 @@ class OfferRequest(BaseModel):
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
 
 
-class PauseRequest(BaseModel):
+class PauseRequest(StrictModel):
     """A request to pause or resume processes."""
 
     model_config = ConfigDict(extra="forbid")
@@ -239,7 +240,7 @@ class PauseRequest(BaseModel):
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
 
 
-class MessageRequest(BaseModel):
+class MessageRequest(StrictModel):
     """A message to a process."""
 
     model_config = ConfigDict(extra="forbid")
@@ -257,7 +258,7 @@ class MessageRequest(BaseModel):
     )
 
 
-class SignalRequest(BaseModel):
+class SignalRequest(StrictModel):
     """A signal to all processes."""
 
     model_config = ConfigDict(extra="forbid")
@@ -275,7 +276,7 @@ class MoveRequest(MendRequest):
 Text = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=2000)]
 
 
-class ClaimRequest(BaseModel):
+class ClaimRequest(StrictModel):
     """The person who claims a Task; with accounts the name of the account counts."""
 
     model_config = ConfigDict(extra="forbid")
@@ -285,7 +286,7 @@ class ClaimRequest(BaseModel):
     override: bool = Field(False, description="whether to claim a Task that is offered to others")
 
 
-class ReturnRequest(BaseModel):
+class ReturnRequest(StrictModel):
     """The person who returns a Task."""
 
     model_config = ConfigDict(extra="forbid")
@@ -294,7 +295,7 @@ class ReturnRequest(BaseModel):
     why: str | None = Field(None, max_length=1000, description="the reason, for the history")
 
 
-class DeclineRequest(BaseModel):
+class DeclineRequest(StrictModel):
     """The person who declines a Task, and why."""
 
     model_config = ConfigDict(extra="forbid")
@@ -303,7 +304,7 @@ class DeclineRequest(BaseModel):
     why: Text = Field(description="the reason, for the history and the next person")
 
 
-class CompleteRequest(BaseModel):
+class CompleteRequest(StrictModel):
     """The result of a Task that a person has claimed."""
 
     model_config = ConfigDict(extra="forbid")
@@ -317,7 +318,7 @@ class CompleteRequest(BaseModel):
     )
 
 
-class CommentRequest(BaseModel):
+class CommentRequest(StrictModel):
     """A comment; a second request with the same `id` adds none."""
 
     model_config = ConfigDict(extra="forbid")
@@ -327,7 +328,7 @@ class CommentRequest(BaseModel):
     id: str | None = Field(None, pattern=r"^[0-9a-f]{32}$")
 
 
-class FormData(BaseModel):
+class FormData(StrictModel):
     """The values typed so far."""
 
     model_config = ConfigDict(extra="forbid")
@@ -335,7 +336,7 @@ class FormData(BaseModel):
     values: dict[str, Any] = Field(default_factory=dict)
 
 
-class DeployedFile(BaseModel):
+class DeployedFile(StrictModel):
     """A BPMN file or a form of form-js."""
 
     model_config = ConfigDict(extra="forbid")
@@ -344,7 +345,7 @@ class DeployedFile(BaseModel):
     content: str
 
 
-class DeploymentRequest(BaseModel):
+class DeploymentRequest(StrictModel):
     """Files that are deployed together: all or none."""
 
     model_config = ConfigDict(extra="forbid")

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI, Response, WebSocket
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 from starlette.requests import HTTPConnection
 
 from handover.api_description import sends
@@ -20,6 +20,7 @@ from handover.security.guard import Guard, ResourceOf, require, require_somewher
 from handover.security.permissions import Permission
 from handover.service import create_app
 from handover.storage import storage_check
+from handover.strict_json import StrictModel
 from handover.websocket_closing import close_websocket
 from handover_datamodels.entities import DeviceState
 from handover_robots.cell import Cell
@@ -43,7 +44,7 @@ of_robot = limit_routes.of_robot
 RobotView = dict[str, Any]
 
 
-class Seen(BaseModel):
+class Seen(StrictModel):
     """The Task that a person has confirmed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -3,13 +3,14 @@
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
 from handover.errors import Problem
 from handover.security.caller import CallerKind
 from handover.security.guard import require_signed_in
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_web.http.page_guard import PageGuard
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -17,7 +18,7 @@ Password = Annotated[str, Field(min_length=1, max_length=200)]
 Link = Annotated[str, Field(min_length=1, max_length=100)]
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid")
 
 

@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
+from handover.strict_json import StrictModel
 from handover_accounts.passwords import MAX_CHARACTERS
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -13,7 +14,7 @@ Id = Annotated[str, Field(min_length=1, max_length=64)]
 Text = Annotated[str, Field(max_length=1000)]
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -84,10 +85,8 @@ class NewStation(_Body):
     """A station: its name, its gloves, what it may do, and when people leave it by time."""
 
     name: Name
-    gloves: Annotated[list[Annotated[str, Field(min_length=1, max_length=64)]], Field(max_length=10)] = []
-    resources: Annotated[list[Annotated[str, Field(min_length=1, max_length=300)]], Field(max_length=20)] = [
-        "*"
-    ]
+    gloves: list[Annotated[str, Field(min_length=1, max_length=64)]] = Field([], max_length=10)
+    resources: list[Annotated[str, Field(min_length=1, max_length=300)]] = Field(["*"], max_length=20)
     leave_after_min: Annotated[float, Field(gt=0, le=1440, alias="leaveAfterMin")] = 15.0
 
 
@@ -187,7 +186,7 @@ class NewInvitation(_Body):
     """An invitation, with the grants that the person will have."""
 
     name: Name | None = None
-    grants: Grants = []
+    grants: Grants = Field([])
 
 
 class NewToken(_Body):
@@ -195,5 +194,5 @@ class NewToken(_Body):
 
     kind: Annotated[str, Field(pattern="^(script|device)$")]
     name: Name
-    grants: Grants = []
+    grants: Grants = Field([])
     valid_days: Annotated[float, Field(gt=0, le=3650)] | None = Field(None, alias="validDays")

@@ -9,9 +9,10 @@ from typing import Any, Literal, Self
 
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import SchemaError
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 from pydantic.alias_generators import to_camel
 
+from handover.strict_json import StrictModel
 from handover_devices.model.units import is_unit_code
 from handover_devices.protocol.messages import MAX_VALUES, is_device_name, is_value_name
 
@@ -19,7 +20,7 @@ CANCEL = "cancel"
 """The command that ends another one; each device that takes commands knows it."""
 
 
-class Part(BaseModel):
+class Part(StrictModel):
     """A part of a description: frozen, without unknown members."""
 
     model_config = ConfigDict(

@@ -5,7 +5,7 @@ import time
 from typing import Annotated, Final
 
 from fastapi import FastAPI, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from sqlalchemy import Engine
 from typing_extensions import TypedDict
 
@@ -16,6 +16,7 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.settings import Settings
+from handover.strict_json import StrictModel
 from handover_datamodels.entities import Severity
 from handover_devices.anomalies.anomalies import Anomalies
 from handover_devices.anomalies.backtest import Finding, findings
@@ -54,7 +55,7 @@ class AnomalyView(TypedDict):
     processStartedAt: float | None
 
 
-class RuleTest(BaseModel):
+class RuleTest(StrictModel):
     """A rule to apply to the history of one value; without times that of the last 24 hours."""
 
     model_config = ConfigDict(extra="forbid")

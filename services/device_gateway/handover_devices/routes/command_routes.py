@@ -4,13 +4,14 @@ import asyncio
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from sqlalchemy import Engine
 
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.service import json_response
+from handover.strict_json import StrictModel
 from handover_devices.commands.dispatcher import Dispatcher, command_of
 from handover_devices.gateway import DeviceGateway
 from handover_devices.routes.views import CommandView, command_view
@@ -20,7 +21,7 @@ OF_DEVICE = in_path("Device", "device")
 MAX_WAIT_S = 30.0
 
 
-class NewCommand(BaseModel):
+class NewCommand(StrictModel):
     """A command; the same `id` again returns the same command instead of sending it twice."""
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)

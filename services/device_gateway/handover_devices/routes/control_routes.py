@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Request
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
@@ -12,6 +12,7 @@ from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_devices.device_inputs import DeviceControl, DeviceInputs
 from handover_devices.gateway import DeviceGateway
 from handover_devices.input_mapping import InputMapping
@@ -23,7 +24,7 @@ OF_DEVICE = in_path("Device", "device")
 Driver = Annotated[Caller, require_by_handler(Permission.MOVE_ROBOTS)]
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", alias_generator=to_camel, populate_by_name=True)
 
 

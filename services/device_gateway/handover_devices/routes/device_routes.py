@@ -5,7 +5,7 @@ import time
 from typing import Annotated
 
 from fastapi import FastAPI, Query, Request, Response
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 from sqlalchemy import Engine
 
 from handover.api_description import sends
@@ -16,6 +16,7 @@ from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
 from handover.service import XML_TYPES, accepts, json_response
+from handover.strict_json import StrictModel
 from handover_devices.gateway import DeviceGateway
 from handover_devices.model.description import DeviceDescription, DeviceKind
 from handover_devices.model.units import SYMBOLS
@@ -47,7 +48,7 @@ CAN_CONFIGURE = require(Permission.CONFIGURE, OF_DEVICE)
 URDF, PICTURE = "urdf", "picture"
 
 
-class NewDevice(BaseModel):
+class NewDevice(StrictModel):
     """A device to add: its name, and a template or a description."""
 
     model_config = ConfigDict(extra="forbid")

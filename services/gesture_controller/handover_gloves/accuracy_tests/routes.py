@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from starlette.requests import HTTPConnection
 
 from handover.api_description import sends
@@ -14,6 +14,7 @@ from handover.errors import Problem
 from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
+from handover.strict_json import StrictModel
 from handover_gloves.accuracy_tests.accuracy_test_runner import MAX_SEED, AccuracyTestRunner
 from handover_gloves.accuracy_tests.report import first_recognized, report_of
 from handover_gloves.accuracy_tests.store import AccuracyTest
@@ -27,7 +28,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class NewTest(BaseModel):
+class NewTest(StrictModel):
     """The gestures of a test (all if none are named), its rounds, and the time limits."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

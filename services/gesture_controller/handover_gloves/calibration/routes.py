@@ -3,13 +3,14 @@
 from typing import Annotated, Any
 
 from fastapi import FastAPI
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_gloves.calibration.calibration_session import CalibrationSessions
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.recognition.registry import recognizers
@@ -30,7 +31,7 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 of_glove = in_path("Device", "glove")
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 

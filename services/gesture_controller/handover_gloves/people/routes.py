@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self, cast
 
 import orjson
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 
 from handover.api_description import sends
 from handover.body_limit import max_body
@@ -18,6 +18,7 @@ from handover.offload import Offload, OffloadFailed
 from handover.security.guard import authenticated, guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.service import YAML_TYPES, accepts
+from handover.strict_json import StrictModel
 from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.calibration.glove_store import Fit
 from handover_gloves.calibration.sensor_diagnostics import find_lasting_faults
@@ -56,7 +57,7 @@ CommandId = Annotated[int, Field(ge=0, le=2**31 - 1)]
 of_person = in_path("Person", "person")
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 

@@ -3,10 +3,11 @@
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_gloves.people.study_conditions import StudyCondition
 from handover_gloves.people.wearers import Wearers
 
@@ -14,7 +15,7 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 OWN, SITE = "own", "site"
 
 
-class NewCondition(BaseModel):
+class NewCondition(StrictModel):
     """A condition; `gestures` null: the usual ones. `participant` is a pseudonym for messages."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -3,9 +3,10 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
 
+from handover.strict_json import StrictModel
 from handover.validation import Moment
 from handover_body.people.consent import Purpose
 
@@ -13,7 +14,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Bpm = Annotated[FiniteFloat, Field(ge=30, le=220)]
 
 
-class Body(BaseModel):
+class Body(StrictModel):
     """A JSON object in camelCase without unknown members."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)

@@ -3,7 +3,6 @@
 import asyncio
 import time
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Annotated, Any, Final, NamedTuple
 
 from fastapi import Depends, FastAPI, Query, Request, Response
@@ -14,7 +13,7 @@ from handover.messages import message, text_of
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
-from handover.validation import fault_text
+from handover.validation import LocalMoment, fault_text
 from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
 from handover_body.fusion.baseline import (
     Baseline,
@@ -261,8 +260,8 @@ def _history_of(parts: Parts) -> Any:
         feature: FeatureName,
         caller: SignedIn,
         request: Request,
-        start: datetime | None = None,
-        end: datetime | None = None,
+        start: LocalMoment | None = None,
+        end: LocalMoment | None = None,
     ) -> History:
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         to_s = time.time() if end is None else end.timestamp()

@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import UsageError
+from handover.strict_json import StrictModel
 from handover.validation import fault_lines
 from handover_processes.references import is_reference
 
@@ -36,7 +37,7 @@ class NameKind(StrEnum):
     LANE = "lane"
 
 
-class MappingEntry(BaseModel):
+class MappingEntry(StrictModel):
     """A name in process files, and who performs the activities with it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -65,7 +66,7 @@ class MappingEntry(BaseModel):
         return self
 
 
-class MappingRequest(BaseModel):
+class MappingRequest(StrictModel):
     """A new version of the mapping; it replaces all entries."""
 
     model_config = ConfigDict(extra="forbid")

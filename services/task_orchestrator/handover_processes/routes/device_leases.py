@@ -3,13 +3,14 @@
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
 from handover.device_lease import MAX_DEVICES_PER_REQUEST, PATH
 from handover.security.audit_trail import current_request
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover_processes.components import Components
 from handover_processes.operations.device_leases import LeaseAnswer
 from handover_processes.requests import Plain
@@ -24,7 +25,7 @@ Devices = Annotated[
 ]
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", alias_generator=to_camel, populate_by_name=True)
 
 

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import FastAPI
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from pydantic.alias_generators import to_camel
 from starlette.websockets import WebSocket
 
@@ -18,6 +18,7 @@ from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
 from handover.websocket_closing import close_websocket
 from handover_datamodels.streams import PeopleReport, SpeedLimitReport
 from handover_robots.limits.report_stream import Report, receive_reports
@@ -34,7 +35,7 @@ of_robot = in_path("Device", "robot")
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Body(BaseModel):
+class _Body(StrictModel):
     model_config = ConfigDict(extra="forbid", alias_generator=to_camel, populate_by_name=True)
 
 

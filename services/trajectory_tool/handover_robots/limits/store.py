@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    AwareDatetime,
-    BaseModel,
     ConfigDict,
     Field,
     FiniteFloat,
@@ -20,7 +18,9 @@ from pydantic import (
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.strict_json import StrictModel
 from handover.telemetry import get_logger
+from handover.validation import Moment
 
 log = get_logger(__name__)
 
@@ -30,7 +30,7 @@ Mode = Literal["normal", "reduced"]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Stored(BaseModel):
+class _Stored(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -39,7 +39,7 @@ class SafeSpeed(_Stored):
 
     end_effector: Text
     speed_mps: Annotated[FiniteFloat, Field(gt=0, le=10)]
-    validated_at: AwareDatetime
+    validated_at: Moment
 
 
 class MeasuredStop(_Stored):
@@ -47,7 +47,7 @@ class MeasuredStop(_Stored):
 
     delay_s: Annotated[FiniteFloat, Field(ge=0, le=10)]
     deceleration_mps2: Annotated[FiniteFloat, Field(gt=0, le=1000)]
-    measured_at: AwareDatetime
+    measured_at: Moment
 
 
 class Decision(_Stored):
@@ -56,7 +56,7 @@ class Decision(_Stored):
     what: Text
     name: Text
     reason: str = ""
-    at: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC))
+    at: Moment = Field(default_factory=lambda: datetime.now(UTC))
 
 
 class RobotRecord(_Stored):

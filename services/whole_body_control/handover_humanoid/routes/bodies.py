@@ -2,14 +2,16 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
+
+from handover.strict_json import StrictModel
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Reason = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
 
 
-class Body(BaseModel):
+class Body(StrictModel):
     """A JSON object in camelCase without unknown members."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)

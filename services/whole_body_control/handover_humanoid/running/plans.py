@@ -2,10 +2,11 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
 
 from handover.settings import Settings
+from handover.strict_json import StrictModel
 from handover_humanoid.running.training import Plan
 from handover_humanoid.sessions.difficulty import CatchingSpace, DifficultyRules
 from handover_humanoid.sessions.exercise import Goal
@@ -21,7 +22,7 @@ Count = Annotated[int, Field(ge=1, le=1000)]
 Seconds = Annotated[FiniteFloat, Field(gt=0, le=3600)]
 
 
-class _Parameters(BaseModel):
+class _Parameters(StrictModel):
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
 
     person: Name | None = None
@@ -47,7 +48,7 @@ class WalkParameters(_Parameters):
     seconds: Seconds = 60.0
 
 
-class GoalRequest(BaseModel):
+class GoalRequest(StrictModel):
     """What ends a session; the first one that is reached."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
