@@ -24,6 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
+from starlette.routing import Match, Route
 from starlette.types import Lifespan
 from starlette.websockets import WebSocket
 
@@ -175,7 +176,7 @@ def create_app(
     add_docs(app)
     describe_problems(app, has_guard=guard is not None)
     app.add_exception_handler(Problem, _on_problem)  # type: ignore[arg-type]  # WebSockets as well
-    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(HTTPException, _on_http_exception)  # type: ignore[arg-type]
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(SQLAlchemyError, _on_database_error)  # type: ignore[arg-type]
@@ -287,15 +288,46 @@ async def _on_problem(connection: Request | WebSocket, error: Exception) -> Resp
     if isinstance(connection, WebSocket):
         await connection.close(_WEBSOCKET_CODES_FROM + error.status, error.title)
         return None
-    return problem_response(error)
+    response = problem_response(error)
+    if error.status == HTTPStatus.METHOD_NOT_ALLOWED:
+        response.headers["Allow"] = _methods_text(connection)
+    return response
 
 
-async def _on_http_exception(_: Request, error: Exception) -> Response:
+async def _on_http_exception(request: Request, error: Exception) -> Response | None:
     assert isinstance(error, HTTPException)  # noqa: S101
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        return await _on_problem(request, method_not_allowed(request))
     problem = Problem(error.status_code, HTTPStatus(error.status_code).phrase, str(error.detail))
     response = problem_response(problem)
-    response.headers.update(error.headers or {})  # such as Allow of 405
+    response.headers.update(error.headers or {})
     return response
+
+
+def method_not_allowed(request: Request) -> Problem:
+    """Return the refusal of the method of a request, with those of its path; Starlette names only some."""
+    detail = f"{request.method} is no method of {request.url.path}; use {_methods_text(request)}"
+    return Problem(405, HTTPStatus.METHOD_NOT_ALLOWED.phrase, detail)
+
+
+def methods_of(request: Request) -> frozenset[str]:
+    """Return the methods of the routes for the path of a request, as the OpenAPI document describes them.
+
+    A path without parameters goes before others: `/rules/test` has not the methods of `/rules/{rule}`.
+    Routes that are not described count where no other route has the path.
+    """
+    matching = [
+        route
+        for route in request.app.routes
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE
+    ]
+    described = [route for route in matching if route.include_in_schema] or matching
+    exact = [route for route in described if not route.param_convertors] or described
+    return frozenset(method for route in exact for method in route.methods or ())
+
+
+def _methods_text(request: Request) -> str:
+    return ", ".join(sorted(methods_of(request)))
 
 
 async def _on_validation_error(_: Request, error: Exception) -> Response:

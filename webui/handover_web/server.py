@@ -30,7 +30,7 @@ from handover.security.guard import (
     require_somewhere,
 )
 from handover.security.permissions import Permission
-from handover.service import ANY_TYPE, accepts, create_app
+from handover.service import ANY_TYPE, accepts, create_app, method_not_allowed, methods_of
 from handover.storage import storage_check
 from handover.strict_json import StrictModel
 from handover.tls_trust import client_context
@@ -352,13 +352,16 @@ def _add_proxy(app: FastAPI, components: Components) -> None:
     @accepts(*ANY_TYPE)  # the service itself decides, and may accept less
     @max_body(MAX_PROXIED_BODY_BYTES)
     async def forward(service: str, path: str, request: Request) -> Response:  # noqa: ARG001
+        if not components.proxy.serves(service):
+            _require_other_path(request)
         encoded = _encoded_path(request, service)
         answer = await components.other_broker.answer(encoded, request) if service == BROKER else None
         return await components.proxy.forward(service, encoded, request) if answer is None else answer
 
     @app.api_route("/api/{rest:path}", methods=methods, include_in_schema=False, dependencies=signed_in)
     @accepts(*ANY_TYPE)
-    async def not_found(rest: str) -> Response:
+    async def not_found(rest: str, request: Request) -> Response:
+        _require_other_path(request)
         raise Problem(404, "Not found", f"there is no route /api/{rest}")
 
 
@@ -366,6 +369,12 @@ def _add_page(app: FastAPI, components: Components) -> None:
     @app.api_route("/{address:path}", methods=["GET", "HEAD"], include_in_schema=False)
     async def page(address: str, request: Request) -> Response:
         return await components.page.respond(address, request.headers)
+
+
+def _require_other_path(request: Request) -> None:
+    """Raise `Problem` 405 at the path of a route of this server, which has other methods."""
+    if request.method not in methods_of(request):
+        raise method_not_allowed(request)
 
 
 def _encoded_path(request: Request, service: str) -> str:

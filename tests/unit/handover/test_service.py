@@ -156,3 +156,25 @@ def integers_in(value: Any) -> list[int]:
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     own = [value] if isinstance(value, int) else []
     return [*own, *(number for one in inner for number in integers_in(one))]
+
+
+async def test_a_path_with_several_routes_is_refused_with_the_methods_of_all() -> None:
+    app = create_app("shelf", description="A shelf.")
+
+    @app.post("/boxes/test")
+    async def test_box() -> None: ...
+
+    for method in ("GET", "PUT", "DELETE"):
+
+        @app.api_route("/boxes/{box}", methods=[method])
+        async def box(box: str) -> None: ...
+
+    @app.get("/{page:path}", include_in_schema=False)
+    async def page(page: str) -> None: ...
+
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://shelf") as http:
+        for path, allowed in (("/boxes/1", "DELETE, GET, PUT"), ("/boxes/test", "POST"), ("/other", "GET")):
+            refused = await http.request("PATCH", path)
+            assert (refused.status_code, refused.headers["allow"]) == (405, allowed)
+            assert refused.json()["detail"] == f"PATCH is no method of {path}; use {allowed}"

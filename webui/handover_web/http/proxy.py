@@ -98,6 +98,10 @@ class ServiceProxy:
         for client in self._clients.values():
             await client.aclose()
 
+    def serves(self, service: str) -> bool:
+        """Return whether there is a service of this name."""
+        return service in self._urls
+
     async def forward(self, service: str, path: str, request: Request) -> Response:
         """Forward `request` to `service` at `path` (percent-encoded, as received) and return the response.
 
