@@ -23,7 +23,7 @@ _FAULTS: Final = {"No account": "noAccount", "Name in use": "nameInUse", "Sign-i
 def add_provider_sign_in(app: FastAPI, guard: PageGuard) -> None:
     """Add the routes, which a browser opens."""
 
-    @app.get(PATH, tags=["session"], response_class=RedirectResponse)
+    @app.get(PATH, tags=["session"], status_code=303, response_class=RedirectResponse)
     async def begin(request: Request) -> RedirectResponse:
         """Send the browser to the provider."""
         body = {"redirectUri": f"{own_address(guard, request)}{CALLBACK}", **place(request)}
@@ -43,7 +43,7 @@ def add_provider_sign_in(app: FastAPI, guard: PageGuard) -> None:
         )
         return response
 
-    @app.get(CALLBACK, tags=["session"], response_class=RedirectResponse)
+    @app.get(CALLBACK, tags=["session"], status_code=303, response_class=RedirectResponse)
     async def finish(
         request: Request,
         state: Annotated[str, Query(max_length=200)] = "",

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from handover_broker.query.parameters import BOOLEANS
-from handover_broker.request.request_context import PREFIX
+from handover_broker.request.request_context import PREFIX, WITHOUT_BODY
 from handover_broker.request.routing import Operation
 
 _WITH_BODY: Final = frozenset({"POST", "PUT", "PATCH"})
@@ -28,6 +28,7 @@ _REFUSALS: Final = {
     405: "Method not allowed",
     406: "Not acceptable",
     409: "Conflict",
+    411: "No Content-Length",
     413: "Body too large",
     415: "Unsupported media type",
     422: "Not supported",
@@ -50,6 +51,9 @@ def _described(operation: Operation) -> dict[str, Any]:
     parameters = [_parameter(name, "path") for name in re.findall(r"{(\w+)}", operation.path)]
     parameters += [_parameter(name, "query") for name in sorted(operation.parameters)]
     parameters.append(_parameter("NGSILD-Tenant", "header"))
+    successes = dict(_SUCCESSES[operation.method])
+    if "entityMap" in operation.parameters:
+        successes[201] = "The result, and an entity map was created"
     described: dict[str, Any] = {
         "tags": ["NGSI-LD"],
         "summary": operation.name,
@@ -57,8 +61,8 @@ def _described(operation: Operation) -> dict[str, Any]:
         "operationId": f"{operation.name} {operation.method} {operation.path}",
         "parameters": parameters,
         "responses": {
-            **{str(status): {"description": text} for status, text in _SUCCESSES[operation.method].items()},
-            **{str(status): _problem(text) for status, text in _REFUSALS.items()},
+            **{str(status): {"description": text} for status, text in successes.items()},
+            **{str(status): _refusal(status, text) for status, text in _REFUSALS.items()},
         },
     }
     if operation.method in _WITH_BODY:
@@ -73,6 +77,9 @@ def _parameter(name: str, place: str) -> dict[str, Any]:
     return {"name": name, "in": place, "required": place == "path", "schema": {"type": kind}}
 
 
-def _problem(description: str) -> dict[str, Any]:
+def _refusal(status: int, description: str) -> dict[str, Any]:
+    if status in WITHOUT_BODY:
+        headers = {name.decode().title(): {"schema": {"type": "string"}} for name, _ in WITHOUT_BODY[status]}
+        return {"description": description, "headers": headers}
     schema = {"$ref": "#/components/schemas/Problem"}
     return {"description": description, "content": {"application/json": {"schema": schema}}}

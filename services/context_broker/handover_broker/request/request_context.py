@@ -64,7 +64,7 @@ _WITH_ENTITIES = tuple(
     for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
 )
 """Paths of entities."""
-_WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
+WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
     411: (),
     415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
 }
@@ -391,8 +391,8 @@ def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response
 
 def problem_response(problem: Problem) -> Response:
     """Return a problem as a response: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
-    if problem.status in _WITHOUT_BODY:
-        return Response(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
+    if problem.status in WITHOUT_BODY:
+        return Response(problem.status, b"", list(WITHOUT_BODY[problem.status]))
     headers = [(b"content-type", JSON.encode())]
     if isinstance(problem, MethodNotAllowed):
         headers.append((b"allow", ", ".join(problem.allowed).encode()))
