@@ -7,7 +7,8 @@ and compares the responses with it. PROGRAM is `schemathesis` of an environment 
 names the services with faults.
 
 Left out: what ends the cell, and streams. 501 to 504 are no faults: a robot or sensor is not there. A valid
-request may be refused, since rules between fields stand in no schema (`positive_data_acceptance`).
+request may be refused, since rules between fields stand in no schema (`positive_data_acceptance`). An invalid
+one may be refused for its size (413), before it is read.
 """
 
 import argparse
@@ -28,6 +29,9 @@ enabled = false
 
 [checks.not_a_server_error]
 expected-statuses = ["2xx", "3xx", "4xx", 501, 502, 503, 504]
+
+[checks.negative_data_rejection]
+expected-statuses = [400, 401, 403, 404, 405, 406, 409, 413, 415, 422, 428, 429, "5xx"]
 """
 SETTINGS = {
     "HANDOVER_ASSISTIVE_MACHINES": "bed",
