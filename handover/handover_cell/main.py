@@ -53,7 +53,6 @@ from handover_cell.supervisor import run_watched
 
 app = typer.Typer(
     help="People and robots hand work to each other.",
-    no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
@@ -76,6 +75,15 @@ app.add_typer(humanoid.app, name="humanoid")
 app.command()(backup.backup)
 app.command()(backup.restore)
 
+NEXT_STEPS = """\
+People and robots hand work to each other. What to do next:
+
+  handover demo    watch a person and a robot work, on the page that it names
+  handover up      run all services with a simulated robot, for processes of your own
+  handover doctor  see whether this machine has what a cell needs
+
+All commands: handover --help"""
+
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
 
@@ -85,14 +93,17 @@ def _print_version(is_asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def handover(
+    context: typer.Context,
     _: Annotated[
         bool,
         typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
     ] = False,
 ) -> None:
     """People and robots hand work to each other."""
+    if context.invoked_subcommand is None:
+        say(NEXT_STEPS)
 
 
 @app.command()

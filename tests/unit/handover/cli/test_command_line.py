@@ -67,6 +67,15 @@ def test_the_version_is_that_of_the_distribution() -> None:
     assert CliRunner().invoke(app, ["--version"]).stdout == f"handover {version('handover-cell')}\n"
 
 
+def test_without_a_command_it_says_what_to_do_next() -> None:
+    shown = CliRunner().invoke(app, [])
+    assert shown.exit_code == 0
+    commands = [line.split()[1] for line in shown.stdout.splitlines() if line.startswith("  handover ")]
+    assert commands == ["demo", "up", "doctor"]
+    for command in commands:
+        assert CliRunner().invoke(app, [command, "--help"]).exit_code == 0
+
+
 def test_shells_can_complete_commands() -> None:
     assert "--install-completion" in CliRunner().invoke(app, ["--help"]).stdout
 
