@@ -37,6 +37,10 @@ _CONDITION = re.compile(
 )
 _NUMBER = re.compile(r"[1-9][0-9]{0,8}", re.ASCII)
 _NUL_ESCAPE: Final = "\\u0000"
+_NUL_OF_JSON: Final = r"(?<!\\)((?:\\\\)*)\\u0000"
+"""The escape of NUL, which follows an even number of backslashes."""
+_MARK: Final = "\ufdd0"
+"""Stands for NUL while PostgreSQL reads JSON; no text has this code point, which is no character."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,16 +200,21 @@ def _of_sqlite(condition: VariableCondition) -> ColumnElement[bool]:
     variables = processes.c.variables
     types = {"number": ("integer", "real"), "string": ("text",), "boolean": ("true", "false")}
     type_ = func.json_type(variables, path)
-    value = func.json_extract(variables, path)
+    # SQLite cuts a text at the character NUL; the array of two values is JSON, in which it is escaped.
+    escapes = func.replace(func.json_extract(variables, path, path), "\\\\", "")
+    value = case((func.instr(escapes, _NUL_ESCAPE) > 0, None), else_=func.json_extract(variables, path))
     return _compared(condition, lambda name: type_.in_(types[name]), type_, value, value)
 
 
 def _of_postgresql(condition: VariableCondition) -> ColumnElement[bool]:
-    variables = cast(processes.c.variables, JSON)
+    written = processes.c.variables
+    # PostgreSQL reads no JSON with the character NUL, wherever it stands.
+    marked = func.regexp_replace(written, _NUL_OF_JSON, rf"\1{_MARK}", "g")
+    readable = case((written.contains(_NUL_ESCAPE, autoescape=True), marked), else_=written)
+    variables = cast(readable, JSON)
     found = func.json_extract_path(variables, *condition.path)
     type_ = func.json_typeof(found)
-    # PostgreSQL cannot convert a text with the character NUL.
-    has_nul = cast(found, Text).contains(_NUL_ESCAPE, autoescape=True)
+    has_nul = cast(found, Text).contains(_MARK)
     plain = case((has_nul, None), else_=func.json_extract_path_text(variables, *condition.path))
     number = case((type_ == "number", cast(plain, Float(53))))
     return _compared(condition, lambda name: type_ == name, type_, plain, number)

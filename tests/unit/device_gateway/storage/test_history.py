@@ -151,5 +151,5 @@ async def test_parquet_without_pyarrow_names_the_extra(
     engine: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(Problem, match=r"handover\[parquet\]"):
+    with pytest.raises(Problem, match=r"the extra parquet"):
         parquet.write_parquet(engine, {}, 0, 1)

@@ -1,6 +1,7 @@
 """A robot carries no more than its model says, the tool included."""
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -80,9 +81,9 @@ def test_no_planner_takes_a_part_for_a_robot_whose_payload_is_unknown(mass_kg: f
 
 
 def test_a_robot_of_a_stranger_says_what_it_carries(tmp_path: Path) -> None:
-    ur5e = Path(ROBOTS.own["ur5e"].partition(":")[0].replace(".", "/"))
+    ur5e = Path(str(files(ROBOTS.own["ur5e"].partition(":")[0])))
     entry = {
-        "name": "mine", "urdf": str(ur5e.absolute() / "ur5e.urdf"), "tip": "tip", "max_acceleration": 5.0,
+        "name": "mine", "urdf": str(ur5e / "ur5e.urdf"), "tip": "tip", "max_acceleration": 5.0,
         "max_jerk": 50.0,
     }  # fmt: skip
     for limit in ({}, {"max_payload_kg": 2.5}):
