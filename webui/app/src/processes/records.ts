@@ -16,16 +16,16 @@ export function useProcess(id: string): ServiceQuery<LiveProcess> {
   return live === undefined ? asked : { ...asked, value: live, failure: null, missing: false };
 }
 
-/** The file of a version, with its names in the language of the page. */
-export function useBpmn(definition: string, version: number | null): ServiceQuery<string> {
+/** The file of a version, with its names in the language of the page; without a version nothing is loaded. */
+export function useBpmn(definition: string, version: number | "newest" | null): ServiceQuery<string> {
   const sent = useServiceQuery<string>(SERVICE, version === null ? null : bpmnPath(definition, version));
-  const texts = useProcessTexts();
+  const texts = useProcessTexts().of(definition);
   const value = useMemo(() => (sent.value === null ? null : localizedBpmn(sent.value, texts)), [sent.value, texts]);
   return { ...sent, value };
 }
 
-export function bpmnPath(definition: string, version: number): string {
-  return `definitions/${encodeURIComponent(definition)}/bpmn?version=${version}`;
+export function bpmnPath(definition: string, version: number | "newest"): string {
+  return `definitions/${encodeURIComponent(definition)}/bpmn${version === "newest" ? "" : `?version=${version}`}`;
 }
 
 /** A page of the processes that pass, the newest first: those that were started before `before`, if one is named. */

@@ -47,7 +47,7 @@ describe("the elements of a file", () => {
 });
 
 it("draws a file with the texts of a language", () => {
-  const texts = processTextsOf([{ title: "Parts", translations: { de: { "Take the part": "Das Teil nehmen", "by hand": "von Hand" } } }], "de");
+  const texts = processTextsOf([{ name: "parts", translations: { de: { "Take the part": "Das Teil nehmen", "by hand": "von Hand" } } }], "de");
   const xml = `<d:definitions xmlns:d="http://www.omg.org/spec/BPMN/20100524/MODEL" name="Take the part"><d:task id="a" name="Take
     the part"/><d:textAnnotation id="b"><d:text>by hand</d:text></d:textAnnotation><x name="Take the part" xmlns="urn:x"/></d:definitions>`;
   const localized = localizedBpmn(xml, texts);

@@ -1,7 +1,7 @@
 /** A process: where it is, on its diagram, and what became of its Tasks, below. */
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
+import type { ServiceQuery } from "~/api/useServiceQuery";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
@@ -18,7 +18,7 @@ import { Incidents, type Moving } from "../incidents/Incidents";
 import { Reservations } from "../incidents/Reservations";
 import { waitingReasons } from "../incidents/waiting";
 import { taskMark } from "../names";
-import { SERVICE, useBpmn, useProcess } from "../records";
+import { useBpmn, useProcess } from "../records";
 import { TasksBar } from "../timeline/TasksBar";
 import { TasksView } from "../timeline/TasksView";
 import { ProcessHead } from "./ProcessHead";
@@ -130,7 +130,7 @@ function useMoving(process: ProcessView, elements: BpmnElements) {
 
 /** The elements of a called process, in its latest version. */
 function useCalledElements(name: string | null): BpmnElements {
-  const { value } = useServiceQuery<string>(SERVICE, name === null ? null : `definitions/${encodeURIComponent(name)}/bpmn`);
+  const { value } = useBpmn(name ?? "", name === null ? null : "newest");
   return useMemo(() => (value === null ? NO_ELEMENTS : elementsOf(value)), [value]);
 }
 
