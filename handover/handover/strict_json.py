@@ -24,12 +24,12 @@ _NAMED: Final = frozenset({"fields", "choices"})
 Check = Callable[[Any], Any]
 
 
-def iso_text(example: str) -> Check:
+def iso_text(example: str, hint: str = "") -> Check:
     """Return a check that refuses a time as a number, also in a query; pydantic reads it as seconds."""
 
     def checked(value: Any) -> Any:
         if isinstance(value, int | float) or (isinstance(value, str) and _is_number(value)):
-            raise ValueError(f"Write this as ISO 8601 text, for example {example}, not as a number")
+            raise ValueError(f"Write this as ISO 8601 text, for example {example}, not as a number{hint}")
         return value
 
     return checked
@@ -60,7 +60,7 @@ _CHECKS: Final[Mapping[str, Check]] = {
     "literal": _no_boolean,
     "datetime": TIME_TEXT,
     "date": iso_text("2026-11-01"),
-    "time": iso_text("10:00"),
+    "time": iso_text("10:00", "; in YAML in quotes"),  # without them 10:00 is 600
 }
 """What is checked or converted before pydantic reads a value of this type."""
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import Problem
+from handover.strict_json import StrictModel
 from handover.validation import fault_lines
 from handover_study.questionnaires import (
     SUS_ITEMS,
@@ -44,8 +45,8 @@ STEPS = (
 FINISHED = "finished"
 
 
-class _Answer(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+class _Answer(StrictModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Consent(_Answer):

@@ -5,6 +5,7 @@ from datetime import time as time_of_day
 from typing import Annotated, Any, Literal
 
 import pytest
+import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError, model_validator
 
 from handover.strict_json import StrictJson, StrictModel
@@ -119,3 +120,5 @@ def test_a_body_that_is_no_model_is_strict_with_the_annotation() -> None:
 def test_the_error_names_the_field_the_rule_and_an_example() -> None:
     with pytest.raises(ValidationError, match=r"opens\n.*ISO 8601 text, for example 10:00, not as a number"):
         Rule.model_validate({"opens": 36_000})
+    with pytest.raises(ValidationError, match="in YAML in quotes"):
+        Rule.model_validate(yaml.safe_load("opens: 10:00"))

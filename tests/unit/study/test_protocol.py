@@ -72,6 +72,8 @@ def without(pair: int) -> list[dict[str, Any]]:
         ("consent", {"agreed": "yes", "text": "en-1"}, "agreed"),
         ("sus", {"answers": [3] * 9}, "at least 10 items"),
         ("sus", {"answers": [3] * 9 + [6]}, "less than or equal to 5"),
+        ("sus", {"answers": [3] * 9 + [True]}, "valid integer"),
+        ("sus", {"answers": [3] * 9 + ["3"]}, "valid integer"),
         ("tlx1", {"ratings": RATINGS, "choices": without(0)}, "missing: mental or physical"),
         (
             "tlx1",
@@ -100,6 +102,10 @@ def test_an_incomplete_answer_is_refused_with_what_is_missing(
         checked(step, given)
     assert refused.value.status == 422
     assert says in refused.value.detail
+
+
+def test_a_whole_number_may_have_decimals() -> None:
+    assert checked("sus", {"answers": [3.0] * 10}) == {"answers": [3] * 10}
 
 
 def test_the_error_for_an_unknown_step_lists_the_steps() -> None:

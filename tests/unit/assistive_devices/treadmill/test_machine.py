@@ -154,7 +154,14 @@ async def test_a_hanging_model_delays_neither_belt_nor_log(engine: Engine) -> No
 
 async def test_options_that_cannot_be_are_refused(engine: Engine) -> None:
     async with machine(engine) as made:
-        for options in ({"durationS": 5}, {"intensity": "sprint"}, {"language": "sv"}, {"pace": 3}):
+        for options in (
+            {"durationS": 5},
+            {"durationS": "100"},
+            {"consentsToModel": 1},
+            {"intensity": "sprint"},
+            {"language": "sv"},
+            {"pace": 3},
+        ):
             with pytest.raises(Problem) as refused:
                 made.configure(options)
             assert refused.value.status == 422

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -234,3 +235,10 @@ async def test_a_strap_that_slips_off_has_no_contact() -> None:
     assert off[SignalKind.ACCELERATION] is None
     driver.simulate({"contact": True})
     assert all(one.has_contact is not False for one in driver.next_packets())
+
+
+@pytest.mark.parametrize("given", [{"effort": "0.4"}, {"contact": 0}, {"walkingMps": True}], ids=str)
+def test_acts_follow_the_types_of_json(given: dict[str, Any]) -> None:
+    driver = SimulatedDriver("person", SimulatedSettings())
+    with pytest.raises(ValidationError, match="valid"):
+        driver.simulate(given)

@@ -8,11 +8,12 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem, UsageError
 from handover.messages import Message, message, with_code
+from handover.strict_json import StrictModel
 from handover.validation import fault_text
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
 from handover_cases.machines.treadmill.belt import BeltState, StopReason
@@ -61,7 +62,7 @@ REASONS: Final[dict[StopReason | None, Message]] = {
 }
 
 
-class TrainingOptions(BaseModel):
+class TrainingOptions(StrictModel):
     """What the person sets before a training. Without `consentsToModel` no language model is asked."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from handover.messages import message
+from handover.strict_json import StrictModel
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from handover_body.drivers.simulated.person import Posture, SimulatedPerson
 from handover_body.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave
@@ -72,7 +73,7 @@ class EffortStep(DriverSettings):
     is_breathing: bool = True
 
 
-class Acts(DriverSettings):
+class Acts(StrictModel, DriverSettings):
     """What a simulated person does from now on; what is absent stays as it is.
 
     `lean` is that of the upper body to the right and forwards, -1 to 1; `movement` what a radar sees, 0 to
