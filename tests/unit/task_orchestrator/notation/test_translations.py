@@ -84,6 +84,14 @@ def test_what_cannot_be_a_translation_is_refused(groups: list[str], said: str) -
     assert said in " ".join(map(str, refused.value.faults))
 
 
+def test_a_placeholder_that_the_source_does_not_have_is_a_warning() -> None:
+    pairs = (("Take ${part} of ${order}", "Nehmen Sie ${teil}"),)
+    definition = read(group("de", *pairs), name="Take ${part} of ${order}")
+    (warning,) = definition.warnings
+    assert "has ${teil}, which the text does not have" in str(warning)
+    assert definition.translations == {"de": dict(pairs)}
+
+
 def test_a_source_that_the_file_does_not_have_is_a_warning() -> None:
     definition = read(group("de", ("Take the prat", "Nehmen Sie das Teil")))
     (warning,) = definition.warnings

@@ -15,6 +15,7 @@ MAX_TRANSLATIONS = 2_000
 MAX_TEXT = 2_000
 """Every page receives the translations of every definition."""
 
+_PLACEHOLDER = re.compile(r"[$#]\{[^}]*\}")
 _LANGUAGE = re.compile(r"[a-z]{2,3}(?:-[A-Za-z0-9]{2,8})*", re.ASCII)
 
 
@@ -80,6 +81,17 @@ def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], fo
             entry,
             message(
                 "bpmn.translated_twice", '"{text}" has two translations in one language', text=source[:100]
+            ),
+        )
+    elif unknown := set(_PLACEHOLDER.findall(translation)) - set(_PLACEHOLDER.findall(source)):
+        found.warn(
+            entry,
+            message(
+                "bpmn.translation_placeholder",
+                'the translation of "{text}" has {placeholder}, which the text does not have; '
+                "it is shown as it is",
+                text=source[:100],
+                placeholder=min(unknown)[:100],
             ),
         )
     elif source not in texts:
