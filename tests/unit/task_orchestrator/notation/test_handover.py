@@ -182,6 +182,10 @@ def test_an_entity_is_a_message_a_signal_or_a_condition() -> None:
         ),
         (activity("x", '<handover:parameter name="x" value="=torque"/>'), 'write expression="torque"'),
         (
+            activity("x", '<handover:parameter name="x" value="${a}: it\'s ${b.c}"/>'),
+            """write expression="a + ': it\\'s ' + b.c" instead""",
+        ),
+        (
             activity("x", '<handover:parameter name="x" value=\'{"a": "Turn ${n}"}\'/>'),
             "is an expression where a literal stands",
         ),

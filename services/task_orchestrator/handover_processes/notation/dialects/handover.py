@@ -105,6 +105,7 @@ NAMESPACE = "urn:handover:bpmn"
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _DEFINITION_ID = re.compile(r"urn:ngsi-ld:TaskDefinition:[A-Za-z0-9_.:-]{1,200}", re.ASCII)
+_PLACEHOLDER = re.compile(r"([$#]\{[^}]*\})")
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
 _HINTS = ("assignee", "candidateUsers", "candidateGroups", "dueDate", "followUpDate", "priority")
@@ -490,16 +491,31 @@ def _check_literal(element: etree._Element, name: str, known: Set[str], found: F
             given=given[:100],
         )
     else:
-        inner = given.lstrip("=").strip()
-        is_enclosed = inner.startswith(("${", "#{")) and inner.endswith("}")
         text = message(
             "bpmn.expression_as_literal",
             '{name}="{given}" is an expression where a literal stands; write expression="{inner}" instead',
             name=name,
             given=given[:100],
-            inner=(inner[2:-1].strip() if is_enclosed else inner)[:100],
+            inner=_as_expression(given)[:100],
         )
     found.fault_of_deployment(element, text)
+
+
+def _as_expression(given: str) -> str:
+    """Return the native expression for a literal: `x` for `${x}` and `= x`, `'Turn ' + x` for `Turn ${x}`."""
+    inner = given.removeprefix("=").strip()
+    if inner != given or inner.startswith(("{", "[")):
+        return inner
+    return " + ".join(
+        part[2:-1].strip() if _PLACEHOLDER.fullmatch(part) else _quoted(part)
+        for part in _PLACEHOLDER.split(inner)
+        if part
+    )
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", r"\\").replace("'", r"\'")
+    return f"'{escaped}'"
 
 
 def _is_of_process(parameter: etree._Element) -> bool:
