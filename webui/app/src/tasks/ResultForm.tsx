@@ -36,7 +36,7 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
   const [asksPin, setAsksPin] = useState(false);
   const form = useRef<HTMLFormElement>(null);
   const evaluate = useCallback((values: Record<string, unknown>) => formOf(task.id, { values }), [task.id]);
-  const fields = useEvaluatedFields(task.form, draft.entries, evaluate);
+  const fields = useEvaluatedFields(task.form, task.definition, draft.entries, evaluate);
   const change = (changed: Partial<ResultDraft>) => {
     const after = { ...draft, ...changed };
     setDraft(after);

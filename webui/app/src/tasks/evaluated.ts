@@ -6,15 +6,17 @@ import { entered, type Draft } from "./form";
 
 const EVALUATE_AFTER_MS = 300;
 
-/** `evaluate` keeps its identity as long as it asks for the same form. */
+/** `form` is in the language of the page; `evaluate` keeps its identity as long as it asks for the same form. */
 export function useEvaluatedFields(
   form: TaskForm | null,
+  definition: string,
   entries: Draft,
   evaluate: (values: Record<string, unknown>) => Promise<TaskForm | null>,
 ): readonly FormField[] {
+  const texts = useProcessTexts().of(definition);
   const [evaluated, setEvaluated] = useState<readonly FormField[] | null>(null);
   const isDynamic = form?.isDynamic === true;
-  const fields = evaluated ?? form?.fields ?? [];
+  const fields = evaluated === null ? (form?.fields ?? []) : texts.localized(evaluated);
   const typed = isDynamic ? JSON.stringify(entered(fields, entries).values) : "";
   useEffect(() => {
     if (!isDynamic || typed === "{}") return;
@@ -32,5 +34,5 @@ export function useEvaluatedFields(
       clearTimeout(timer);
     };
   }, [isDynamic, typed, evaluate]);
-  return useProcessTexts().localized(fields);
+  return fields;
 }

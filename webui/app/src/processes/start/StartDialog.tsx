@@ -7,6 +7,7 @@ import { requestService, ApiError } from "~/api/http";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
+import { useProcessTexts } from "~/live/hooks";
 import { useEvaluatedFields } from "~/tasks/evaluated";
 import { faultsOf, faultText } from "~/tasks/faults";
 import { entered, inputs, type Draft } from "~/tasks/form";
@@ -77,7 +78,8 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
 
 /** The start form of a definition with its fields for what is typed; no form until it is known. */
 function useStartForm(name: string, version: number | null, entries: Draft) {
-  const [form, setForm] = useState<TaskForm | null>(null);
+  const [sent, setSent] = useState<TaskForm | null>(null);
+  const form = useProcessTexts().of(name).localized(sent);
   const evaluate = useCallback(
     (values: Record<string, unknown>) =>
       requestService<TaskForm | null>("task-orchestrator", `definitions/${encodeURIComponent(name)}/start-form${version === null ? "" : `?version=${version}`}`, {
@@ -90,7 +92,7 @@ function useStartForm(name: string, version: number | null, entries: Draft) {
     let isCurrent = true;
     evaluate({}).then(
       (found) => {
-        if (isCurrent) setForm(found);
+        if (isCurrent) setSent(found);
       },
       () => undefined, // the start itself shows why the service does not answer
     );
@@ -98,7 +100,7 @@ function useStartForm(name: string, version: number | null, entries: Draft) {
       isCurrent = false;
     };
   }, [evaluate]);
-  return { form, fields: useEvaluatedFields(form, entries, evaluate) };
+  return { form, fields: useEvaluatedFields(form, name, entries, evaluate) };
 }
 
 interface ParameterFieldProps {
