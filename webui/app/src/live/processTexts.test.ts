@@ -64,11 +64,14 @@ it("prefers the translations of the definition that a document is of", () => {
 });
 
 it("translates the name of a process by its own title, or by its title expression", () => {
-  const texts = processTextsOf([{ name: "bin", translations: { de: { Bin: "Kiste", "Order ${order.number}": "Auftrag ${order.number}" } } }], "de");
+  const texts = processTextsOf([{ name: "bin", translations: { de: { Bin: "Kiste", "Order ${order.number}": "Auftrag ${order.number}", "Bin of ${who}": "Kiste von ${who}" } } }], "de");
   const name = (title: string, name: string) => texts.localized({ definition: "d", version: 1, title, name }).name;
   expect(name("Bin", "Bin 2")).toBe("Kiste 2");
   expect(name("Bin picking", "Bin picking 2")).toBe("Bin picking 2");
+  expect(name("Bin", "Bin · order 7")).toBe("Kiste · order 7");
   expect(name("Bin", "Order 7")).toBe("Auftrag 7");
+  expect(name("Bin", "Bin of Anna")).toBe("Kiste von Anna");
+  expect(name("Bin", "Bin for scrap")).toBe("Bin for scrap");
   const cause = { definition: "d", version: 1, title: "Bin picking", element: "bin", name: "Bin" };
   expect(texts.localized(cause)).toEqual({ ...cause, name: "Kiste" });
 });

@@ -22,6 +22,9 @@ const DATA = new Set(["variables", "parameters", "inputs", "outputs", "workParam
 /** `${part}` in a text: something else stands there in each Task. */
 const PLACEHOLDER = /[$#]\{[^}]*\}/g;
 
+/** Behind the title in the name of a process. */
+const NUMBER_OR_KEY = /^(?:$| \d+$| · )/;
+
 export class ProcessTexts {
   readonly #texts: Texts;
   readonly #others: ProcessTexts | null;
@@ -110,9 +113,10 @@ export class ProcessTexts {
     return "definition" in of && "title" in of ? this.#sayName(value, of["title"]) : value;
   }
 
-  /** Return the name of a process, which begins with the title of its definition unless it has its own. */
+  /** Return the name of a process: the title of its definition with a number or key, or what a title expression yields. */
   #sayName(name: string, title: unknown): string {
-    return typeof title === "string" && (name === title || name.startsWith(`${title} `)) ? this.say(title) + name.slice(title.length) : this.say(name);
+    const rest = typeof title === "string" && name.startsWith(title) ? name.slice(title.length) : null;
+    return typeof title === "string" && rest !== null && NUMBER_OR_KEY.test(rest) ? this.say(title) + rest : this.say(name);
   }
 }
 
