@@ -1,6 +1,6 @@
 /** Hooks for live values. */
 import i18next from "i18next";
-import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
+import { createContext, useContext, useEffect, useMemo, useSyncExternalStore } from "react";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { AlertView, DeviceView, GloveView, LiveEvent, RegisteredDeviceView, RegisteredDevicesView, RobotView, TasklistView, TopicValues } from "./messages";
 import { processTextsOf, type ProcessTexts } from "./processTexts";
@@ -42,6 +42,19 @@ export function useFamily<F extends keyof Families>(family: F): readonly Familie
   const texts = useProcessTexts();
   const values = useSentFamily(family);
   return OF_PROCESSES.has(family) ? texts.localized(values) : values;
+}
+
+/** The Tasks of people. Their texts are in the language of the page, as the definition of their process translates them. */
+export function useTasklist(): readonly TasklistView[] {
+  const texts = useProcessTexts();
+  const tasks = useSentFamily("tasklist");
+  const processes = useSentFamily("process");
+  return useMemo(() => tasklistIn(texts, tasks, processes), [texts, tasks, processes]);
+}
+
+export function tasklistIn(texts: ProcessTexts, tasks: readonly TasklistView[], processes: readonly Pick<ProcessView, "id" | "definition">[]): readonly TasklistView[] {
+  const definitions = new Map(processes.map(({ id, definition }) => [id, definition]));
+  return tasks.map((task) => texts.of(definitions.get(task.process) ?? "").localized(task));
 }
 
 function useSentFamily<F extends keyof Families>(family: F): readonly Families[F][] {

@@ -1,4 +1,6 @@
 import { expect, it } from "vitest";
+import { tasklistIn } from "./hooks";
+import type { TasklistView } from "./messages";
 import { processTextsOf } from "./processTexts";
 
 const bin = {
@@ -60,6 +62,9 @@ it("prefers the translations of the definition that a document is of", () => {
   expect(texts.localized(process("sort"))).toMatchObject({ title: "Reihenfolge", name: "Reihenfolge 7", tasks: [{ name: "Reihenfolge", description: "bolt ansehen" }] });
   expect(texts.localized([{ name: "sale", title: "Order", translations: {} }])).toMatchObject([{ name: "sale", title: "Bestellung" }]);
   expect(texts.of("sale").say("Order")).toBe("Bestellung");
+  const tasks = ["sale-1", "sort-1", "gone-1"].map((process) => ({ process, element: "a", name: "Order" }) as TasklistView);
+  const processes = [{ id: "sale-1", definition: "sale" }, { id: "sort-1", definition: "sort" }];
+  expect(tasklistIn(texts, tasks, processes).map(({ name }) => name)).toEqual(["Bestellung", "Reihenfolge", "Reihenfolge"]);
   expect(texts.of("called").say("Look at bolt")).toBe("bolt ansehen");
 });
 

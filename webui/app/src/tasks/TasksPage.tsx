@@ -3,7 +3,7 @@ import { ListTodo } from "lucide-react";
 import { useMemo, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { EmptyState } from "~/design/EmptyState";
-import { useFamily } from "~/live/hooks";
+import { useFamily, useTasklist } from "~/live/hooks";
 import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
@@ -25,7 +25,7 @@ export default function TasksPage() {
   const [news, setNews] = useState("");
   const page = useRef<HTMLDivElement>(null);
   const search = useRef<HTMLDivElement>(null);
-  const tasks = useFamily("tasklist");
+  const tasks = useTasklist();
   const processes = useFamily("process");
   const all = useMemo(() => listedTasks(tasks, processes), [tasks, processes]);
   const offered = useMemo(() => [...new Set(tasks.flatMap((task) => task.groups))], [tasks]);
