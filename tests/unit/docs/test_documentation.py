@@ -31,7 +31,8 @@ CODE = re.compile(r"`[^`\n]+`")
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^)\s]+)\)")
 MAX_README_LINES = 150
 NOT_OURS = {
-    "apt", "cd", "curl", "docker", "export", "find", "git", "gh", "mosquitto_pub", "pip", "python3", "sed", "sudo",
+    "apt", "cd", "curl", "docker", "export", "find", "git", "gh", "mosquitto_pub", "pip", "python3", "sed",
+    "sudo",
 }  # fmt: skip
 """Programs whose words are not checked."""
 
