@@ -83,7 +83,7 @@ it("translates the name of a process by its own title, or by its title expressio
 
 it("matches a text with placeholders and line breaks, and in linear time", () => {
   const slow = Array.from({ length: 30 }, (_, nth) => `\${${String(nth)}}`).join(" ");
-  const texts = processTextsOf([{ name: "d", translations: { de: { "${x}": "Teil ${x}", "${a}: ${b}": "${b}", "Look at ${part} in ${bin}": "In ${bin}: ${part}", [`${slow} end`]: "Ende" } } }], "de");
+  const texts = processTextsOf([{ name: "d", translations: { de: { "${x}": "Teil ${x}", "${a}: ${b}": "${b}", "Look at ${part} in ${bin}": "In ${bin}: ${part}", [`${slow} end`]: "Schluss" } } }], "de");
   expect(texts.say("Look at bolt\n  in bin-1")).toBe("In bin-1: bolt");
   expect(texts.say("Any: text")).toBe("Any: text");
   expect(texts.say("a ".repeat(1000))).toBe("a ".repeat(1000));
