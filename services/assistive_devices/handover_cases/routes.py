@@ -20,13 +20,13 @@ from handover_cases.trial import Trial
 SHOWN_MESSAGES: Final = 50
 
 
-class Body(StrictModel):
+class JsonObject(StrictModel):
     """A JSON object in camelCase without unknown members."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
 
 
-class TrialStart(Body):
+class TrialStart(JsonObject):
     """How long the machine is used, in s; that of the paper if absent."""
 
     duration_s: Annotated[FiniteFloat, Field(ge=5, le=7200)] | None = None
@@ -34,13 +34,13 @@ class TrialStart(Body):
     """The simulated person consents that a language model words what the treadmill says."""
 
 
-class MachineStart(Body):
+class MachineStart(JsonObject):
     """What the person chooses; which options there are depends on the machine."""
 
     options: Annotated[dict[str, Any], Field(max_length=16)] = Field(default_factory=dict)
 
 
-class FigureView(Body):
+class FigureView(JsonObject):
     """A figure of the paper beside ours; `passed` is null where there is nothing to decide."""
 
     name: str
@@ -55,7 +55,7 @@ class FigureView(Body):
     passed: bool | None
 
 
-class MessageView(Body):
+class MessageView(JsonObject):
     """What happened, `atS` after the beginning."""
 
     at_s: float
@@ -64,7 +64,7 @@ class MessageView(Body):
     text_parameters: dict[str, Any] | None = None
 
 
-class TrialView(Body):
+class TrialView(JsonObject):
     """The last trial; `passed` once it has ended."""
 
     is_running: bool
@@ -77,7 +77,7 @@ class TrialView(Body):
     figures: list[FigureView]
 
 
-class NumberView(Body):
+class NumberView(JsonObject):
     """A number of the machine with its UN/CEFACT code, "" for none."""
 
     name: str
@@ -85,7 +85,7 @@ class NumberView(Body):
     unit: str
 
 
-class VitalView(Body):
+class VitalView(JsonObject):
     """A value of the body of the person, with its age in s, quality and status."""
 
     name: str
@@ -96,7 +96,7 @@ class VitalView(Body):
     is_calibrated: bool
 
 
-class MachineLimitView(Body):
+class MachineLimitView(JsonObject):
     """The limit of the body: a fraction of the speed, and why."""
 
     fraction: float
@@ -104,7 +104,7 @@ class MachineLimitView(Body):
     needs_reset: bool
 
 
-class MachineView(Body):
+class MachineView(JsonObject):
     """A machine as it is now. `problem` says why nothing is received from human state, "" while it is."""
 
     case: str
@@ -121,7 +121,7 @@ class MachineView(Body):
     trial: TrialView | None
 
 
-class HistoryView(Body):
+class HistoryView(JsonObject):
     """The points of the chart after a time: `atS` in s since 1970, and a column for each name."""
 
     at_s: list[float]
