@@ -88,7 +88,7 @@ from handover_processes.notation.dialects.base import (
     native_script,
     script_or_work,
 )
-from handover_processes.notation.dialects.translations import read_translations
+from handover_processes.notation.dialects.translations import PLACEHOLDER, read_translations
 from handover_processes.notation.document import (
     child_text,
     extensions,
@@ -105,7 +105,6 @@ NAMESPACE = "urn:handover:bpmn"
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _DEFINITION_ID = re.compile(r"urn:ngsi-ld:TaskDefinition:[A-Za-z0-9_.:-]{1,200}", re.ASCII)
-_PLACEHOLDER = re.compile(r"([$#]\{[^}]*\})")
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
 _HINTS = ("assignee", "candidateUsers", "candidateGroups", "dueDate", "followUpDate", "priority")
@@ -507,8 +506,8 @@ def _as_expression(given: str) -> str:
     if inner != given or inner.startswith(("{", "[")):
         return inner
     return " + ".join(
-        part[2:-1].strip() if _PLACEHOLDER.fullmatch(part) else _quoted(part)
-        for part in _PLACEHOLDER.split(inner)
+        part[2:-1].strip() if PLACEHOLDER.fullmatch(part) else _quoted(part)
+        for part in PLACEHOLDER.split(inner)
         if part
     )
 

@@ -15,7 +15,9 @@ MAX_TRANSLATIONS = 2_000
 MAX_TEXT = 2_000
 """Every page receives the translations of every definition."""
 
-_PLACEHOLDER = re.compile(r"[$#]\{[^}]*\}")
+PLACEHOLDER = re.compile(r"([$#]\{[^}]*\})")
+"""A `${…}` in a text."""
+
 _LANGUAGE = re.compile(r"[a-z]{2,3}(?:-[A-Za-z0-9]{2,8})*", re.ASCII)
 
 
@@ -83,7 +85,7 @@ def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], fo
                 "bpmn.translated_twice", '"{text}" has two translations in one language', text=source[:100]
             ),
         )
-    elif unknown := set(_PLACEHOLDER.findall(translation)) - set(_PLACEHOLDER.findall(source)):
+    elif unknown := set(PLACEHOLDER.findall(translation)) - set(PLACEHOLDER.findall(source)):
         found.warn(
             entry,
             message(
