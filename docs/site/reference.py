@@ -24,7 +24,7 @@ from handover.extensions import Service
 from handover.security.guard import PUBLIC_PATHS, requirements
 from handover.settings import PREFIX, Settings
 from handover_cell.main import app as command_line
-from handover_cell.services import OPTIONAL_SERVICES, SERVICES, application_of
+from handover_cell.services import application_of, own_services
 from handover_web.messages import found_messages
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +86,7 @@ client can translate it. A code keeps its meaning. The page has the texts in Eng
 
 """
 
-ALL = (*SERVICES, *OPTIONAL_SERVICES)
+ALL = own_services()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

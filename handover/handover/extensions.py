@@ -8,9 +8,10 @@ A package registers what it adds with an entry point, and nothing else in the tr
 `docs/how-to/extend.md` describes each group. Recognizers and glove sources have registries of their own.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from typing import Any
 
 from handover.errors import UsageError
@@ -23,11 +24,11 @@ class UnknownExtension(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class ExtensionPoint:
-    """The things of one `kind`: `own` are ours by name, as `module:attribute`."""
+    """The things of one `kind`: `own` are those of ours that no package registers, as `module:attribute`."""
 
     kind: str
     group: str
-    own: Mapping[str, str]
+    own: Mapping[str, str] = field(default_factory=dict)
 
     def names(self) -> list[str]:
         """Return all names, ours first."""
@@ -51,19 +52,38 @@ class ExtensionPoint:
             ) from error
 
     def _registered(self) -> Mapping[str, EntryPoint]:
-        return {point.name: point for point in entry_points(group=self.group)}
+        """Return what packages register. Raises `UsageError` if two of them use one name."""
+        points: dict[str, EntryPoint] = {}
+        for point in entry_points(group=self.group):
+            other = points.setdefault(point.name, point)
+            if other.value != point.value:
+                raise UsageError(
+                    f'two packages register the {self.kind} "{point.name}": {_owner(other)} and '
+                    f"{_owner(point)}; remove one of them"
+                )
+        return points
+
+
+def _owner(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "an unknown package"
 
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """One service: `python -m module` runs it; `port_field` is the setting of its HTTP port."""
+    """One service: `python -m module` runs it; `port_field` is the setting of its HTTP port.
+
+    `also_listens` are more places where it listens: the settings of the host and the port. `handover up`
+    starts it if the packages `needs` can be imported and `runs_if`, where given, returns true: it says
+    whether the settings give the service anything to do.
+    """
 
     name: str
     module: str
     settings: type[Settings]
     port_field: str
     also_listens: tuple[tuple[str, str], ...] = ()
-    """More places where it listens: the settings of the host and the port."""
+    needs: tuple[str, ...] = ()
+    runs_if: Callable[[], bool] | None = None
 
     @property
     def port_setting(self) -> str:
@@ -85,6 +105,21 @@ class Service:
         """Return where it answers on this machine."""
         return self.settings.load().url_of(self.port())
 
+    def is_useful(self) -> bool:
+        """Return whether `handover up` starts the service."""
+        return all(map(find_spec, self.needs)) and (self.runs_if is None or self.runs_if())
 
-EXTRA_SERVICES = ExtensionPoint("service", "handover.services", {})
-"""Services of other packages; each entry point is a `Service`."""
+
+SERVICES = ExtensionPoint("service", "handover.services")
+"""The services that are installed, ours and those of other packages; each entry point is a `Service`."""
+
+
+def load_service(name: str) -> Service:
+    """Return the service that is registered as `name`. Raises `UsageError`."""
+    service = SERVICES.load(name)
+    if not isinstance(service, Service):
+        raise UsageError(
+            f'the entry point "{name}" in "{SERVICES.group}" is no handover.extensions.Service; '
+            "correct it in the package that registers it"
+        )
+    return service

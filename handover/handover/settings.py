@@ -68,6 +68,8 @@ def _split_at_commas(given: object) -> object:
 
 Names = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split_at_commas)]
 """Several names, separated by commas in the environment."""
+MaybeNames = Annotated[tuple[str, ...] | None, NoDecode, BeforeValidator(_split_at_commas)]
+"""The same, where none and no names differ."""
 
 
 def _secrets_folder() -> str:
@@ -306,8 +308,10 @@ class Settings(BaseSettings):
         None,
         description="a directory whose files, named like settings, hold secrets; made by `handover secrets`",
     )
-    extra_services: Names = Field(
-        (), description="services of other packages that `handover up` starts as well, with commas"
+    extra_services: MaybeNames = Field(
+        None,
+        description="the services of other packages that `handover up` starts, with commas; all that are "
+        "installed if absent",
     )
     reconcile_s: float = Field(
         5.0, gt=0, description="period of the reconciliation with the broker, in seconds"

@@ -7,10 +7,9 @@ from typing import Annotated
 import typer
 
 from handover.errors import UsageError
-from handover.extensions import EXTRA_SERVICES
+from handover.extensions import SERVICES
+from handover.service_addresses import OWN_SERVICES, PageAddress
 from handover_accounts.settings import AccountsSettings
-from handover_cell.services import OPTIONAL_SERVICES, SERVICES
-from handover_web.settings import WebuiSettings
 
 app = typer.Typer(help="Accounts: people, keys, tokens of services.", no_args_is_help=True)
 
@@ -23,7 +22,7 @@ DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory 
 @app.command("set-up")
 def set_up_command(data_dir: DataDir = None) -> None:
     """Make the keys and tokens that are missing, and print the link of the first owner. Ends local mode."""
-    set_up_accounts(_settings(data_dir), WebuiSettings.load())
+    set_up_accounts(_settings(data_dir), PageAddress.load())
 
 
 @app.command("owner-link")
@@ -31,7 +30,7 @@ def owner_link_command(data_dir: DataDir = None) -> None:
     """Print a one-time link for an owner; an earlier one becomes invalid."""
     from handover_accounts.set_up import owner_link  # noqa: PLC0415 - the database is slow to import
 
-    _say_link(owner_link(_settings(data_dir)), WebuiSettings.load())
+    _say_link(owner_link(_settings(data_dir)), PageAddress.load())
 
 
 @app.command("rotate-key")
@@ -55,12 +54,11 @@ def rotate_key(
 
 def service_names() -> tuple[str, ...]:
     """Return the names of all that has the token of a service."""
-    known = (one.name for one in (*SERVICES, *OPTIONAL_SERVICES))
-    return tuple(dict.fromkeys((*known, COMMAND_LINE, *EXTRA_SERVICES.names())))
+    return tuple(dict.fromkeys((*OWN_SERVICES, COMMAND_LINE, *SERVICES.names())))
 
 
 def set_up_accounts(
-    settings: AccountsSettings, page: WebuiSettings, *, token_files: Mapping[str, Path] | None = None
+    settings: AccountsSettings, page: PageAddress, *, token_files: Mapping[str, Path] | None = None
 ) -> None:
     """Make what is missing, and say what was made. Raises `UsageError`.
 
@@ -81,7 +79,7 @@ def set_up_accounts(
         _say_link(made.owner_link, page)
 
 
-def _say_link(secret: str, page: WebuiSettings) -> None:
+def _say_link(secret: str, page: PageAddress) -> None:
     print("The owner signs in with this link, once, within a day:")
     print(f"  {page.public_url}/join#{secret}")
 

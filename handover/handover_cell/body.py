@@ -214,4 +214,4 @@ def delete(
 
 def _ask(method: str, path: str, **request: Any) -> httpx.Response:
     settings = HumanStateSettings.load()
-    return ask_service("human state", settings, method, settings.service_url, path, **request)
+    return ask_service("human state", settings, method, settings.human_state, path, **request)

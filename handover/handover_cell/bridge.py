@@ -17,8 +17,7 @@ from handover.errors import UsageError
 from handover.settings import Settings
 from handover.tls_trust import client_context
 from handover_cell.access import access_headers, cli_access
-from handover_cell.services import ROS_BRIDGE
-from handover_ros.settings import BridgeSettings
+from handover_ros.settings import SERVICE, BridgeSettings
 
 app = typer.Typer(
     help="The ROS bridge: check a mapping, see the graph, write a mapping.", no_args_is_help=True
@@ -202,11 +201,11 @@ def _asked_of_bridge(path: str) -> Any:
     """Return the answer of a running bridge; None without one."""
     try:
         answer = httpx.get(
-            f"{ROS_BRIDGE.url()}{path}",
+            f"{SERVICE.url()}{path}",
             headers=access_headers(Settings.load()),
             timeout=5,
             trust_env=False,
-            verify=client_context(*ROS_BRIDGE.settings.load().ca_files),
+            verify=client_context(*SERVICE.settings.load().ca_files),
         )
     except httpx.TransportError:
         return None

@@ -11,6 +11,7 @@ import httpx
 
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint, Service
+from handover.service_addresses import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE
 from handover.settings import Settings
 from handover.tls_trust import client_context
 from handover_cases.machine import CASES, Case
@@ -18,7 +19,7 @@ from handover_cases.trial import Trial
 from handover_cell.access import AccessAuth, cli_access
 from handover_cell.launcher import Launcher
 from handover_cell.progress import Say
-from handover_cell.services import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE, has_own_broker, service_named
+from handover_cell.services import has_own_broker, service_named
 
 PURPOSES = ["live", "speedLimits", "history", "broker"]
 CONSENT = timedelta(days=1)
@@ -76,7 +77,7 @@ def services_of(case: Case) -> tuple[Service, ...]:
     """Return the services that a case needs."""
     broker = (BROKER,) if has_own_broker() else ()
     names = dict.fromkeys((*broker, *case.services, "webui"))
-    return (*map(service_named, names), HUMAN_STATE, ASSISTIVE_DEVICES)
+    return tuple(map(service_named, (*names, HUMAN_STATE, ASSISTIVE_DEVICES)))
 
 
 async def run_case(
@@ -94,7 +95,7 @@ async def run_case(
             trust_env=False, verify=client_context(*settings.ca_files), auth=AccessAuth(access), timeout=30
         ) as http:
             await add_person(http, case)
-            machine = f"{ASSISTIVE_DEVICES.url()}/machines/{case.name}"
+            machine = f"{service_named(ASSISTIVE_DEVICES).url()}/machines/{case.name}"
             body = {"durationS": wish.duration_s, "consentsToModel": wish.consents_to_model}
             await _ask(http, "POST", f"{machine}/trial", body)
             try:
@@ -118,7 +119,7 @@ async def run_case(
 
 async def add_person(http: httpx.AsyncClient, case: Case) -> None:
     """Add the simulated person of a case to human state, who consents for a day, and bind the machine."""
-    base, person = HUMAN_STATE.url(), case.person
+    base, person = service_named(HUMAN_STATE).url(), case.person
     await _ask(http, "PUT", f"{base}/people/{person}", dict(case.person_settings))
     consent = {
         "purposes": PURPOSES,

@@ -20,7 +20,7 @@ from handover_cell.glove import bridge_arguments
 from handover_cell.launcher import Launcher
 from handover_cell.obstacles import obstacle
 from handover_cell.progress import ProgressPrinter, Say
-from handover_cell.services import service_named, wanted
+from handover_cell.services import service_named, wanted_services
 from handover_datamodels.entities import Task
 
 DEFINITION = "bin-picking"
@@ -37,7 +37,7 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
     Raises `UsageError` with the reason when the process does not complete within `timeout_s`.
     """
     began_s = time.monotonic()
-    services = wanted()
+    services = wanted_services()
     async with Launcher(services, settings, say) as launcher:
         await launcher.keep("simulated-operator", _operator())
         say(f"{', '.join(service.name for service in services)}: ready in {time.monotonic() - began_s:.1f} s")

@@ -182,4 +182,4 @@ def _show_token(made: dict[str, str]) -> None:
 
 def _ask(method: str, path: str, **request: Any) -> httpx.Response:
     settings = GatewaySettings.load()
-    return ask_service("device gateway", settings, method, settings.service_url, path, **request)
+    return ask_service("device gateway", settings, method, settings.device_gateway, path, **request)

@@ -21,7 +21,7 @@ from handover.settings import Settings
 from handover.tls_trust import client_context
 from handover_cell.access import cli_access
 from handover_cell.launcher import require_space
-from handover_cell.services import has_own_broker, wanted
+from handover_cell.services import has_own_broker, wanted_services
 
 DOCKER_TIMEOUT_S = 20.0
 
@@ -76,7 +76,7 @@ def _disk(settings: Settings) -> Iterator[Finding]:
 
 
 def _ports() -> Iterator[Finding]:
-    for service in wanted():
+    for service in wanted_services():
         is_running: bool | None = None
         for host, port, setting in service.listens():
             try:
@@ -88,7 +88,7 @@ def _ports() -> Iterator[Finding]:
                 yield Finding(service.name, is_running, words, needed=is_lasting)
             else:
                 yield Finding(service.name, True, f"port {port} is free")
-    yield from _reserved({port for service in wanted() for _, port, _ in service.listens()})
+    yield from _reserved({port for service in wanted_services() for _, port, _ in service.listens()})
 
 
 def _is_running(service: Service) -> bool:

@@ -73,6 +73,6 @@ def grant(
 
 def _ask(method: str, path: str, **request: Any) -> dict[str, Any]:
     settings = GatewaySettings.load()
-    answer = ask_service("device gateway", settings, method, settings.service_url, path, **request)
+    answer = ask_service("device gateway", settings, method, settings.device_gateway, path, **request)
     found: dict[str, Any] = answer.json()
     return found

@@ -37,7 +37,7 @@ def bridge_arguments(arguments: Sequence[str]) -> list[str]:
     known = {
         "host": {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.glove_host, settings.glove_host),  # noqa: S104
         "port": str(settings.glove_port),
-        "controller": settings.url_of(settings.controller_port, settings.controller_url),
+        "controller": settings.gesture_controller,
     }
     if settings.tls_authority is not None:
         os.environ["HANDOVER_TLS_AUTHORITY"] = str(settings.tls_authority)
@@ -56,7 +56,7 @@ def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:
     if len(names) != 1 or names[0].startswith("-"):
         raise UsageError("name the glove: handover glove token NAME, or handover glove token NAME --remove")
     settings = ControllerSettings.load()
-    controller = settings.url_of(settings.controller_port, settings.controller_url)
+    controller = settings.gesture_controller
     path = f"/gloves/{quote(names[0], safe='')}/token"
     method = "DELETE" if remove else "PUT"
     answer = ask_service("gesture controller", settings, method, controller, path)

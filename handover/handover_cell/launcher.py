@@ -24,17 +24,16 @@ from handover.outbound_policy import is_loopback
 from handover.ports import held
 from handover.python_processes import module_command
 from handover.retry import Backoff
+from handover.service_addresses import BROKER, ORCHESTRATOR
 from handover.settings import LIFELINE, RESTARTED, Settings
 from handover.tls_trust import client_context, handshake_fault
 from handover.watchdog import Watchdog
 from handover_broker.settings import BrokerSettings
 from handover_cell.processes import Process, ProcessStarter
-from handover_cell.services import BROKER
 
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
-ORCHESTRATOR = "task-orchestrator"
 NO_USE = 2
 """The exit code of a process for which a restart does not help."""
 INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0

@@ -14,6 +14,7 @@ from handover.distribution import version
 from handover.errors import HandoverError, Problem, UsageError
 from handover.private_files import faults_of as open_files
 from handover.private_files import owner_of
+from handover.service_addresses import OWN_SERVICES
 from handover.settings import Settings, origins
 from handover.sqlite_files import REMEDY, renew_marks
 from handover.telemetry import log_to_stderr
@@ -41,14 +42,7 @@ from handover_cell.doctor import examine
 from handover_cell.glove import bridge_arguments, change_token
 from handover_cell.launcher import Launcher
 from handover_cell.output import AsJson, print_json
-from handover_cell.services import (
-    OPTIONAL_SERVICES,
-    SERVICES,
-    all_services,
-    let_broker_fetch_context,
-    service_named,
-    wanted,
-)
+from handover_cell.services import all_services, let_broker_fetch_context, service_named, wanted_services
 from handover_cell.supervisor import run_watched
 
 app = typer.Typer(
@@ -193,7 +187,7 @@ def up(
 
 
 async def _up(settings: Settings) -> None:
-    services = wanted()
+    services = wanted_services()
     async with Launcher(services, settings, say):
         for service in services:
             say(f"{service.name:<20} {service.url()}")
@@ -203,9 +197,7 @@ async def _up(settings: Settings) -> None:
 
 @app.command()
 def run(
-    service: Annotated[
-        str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)))
-    ],
+    service: Annotated[str, typer.Argument(help=", ".join(OWN_SERVICES))],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     watch: Annotated[
         bool,

@@ -114,7 +114,7 @@ def _stream(url: str | None, robot: str, name: str) -> str:
 def _base(url: str | None) -> str:
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415 - only these commands
 
-    return url or TrajectorySettings.load().service_url
+    return url or TrajectorySettings.load().trajectory_tool
 
 
 async def _send_measured(base: str, name: str, places: list[str], seconds: float, period_s: float) -> None:

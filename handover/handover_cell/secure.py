@@ -17,13 +17,13 @@ import typer
 from handover.errors import UsageError
 from handover.outbound_policy import address_of
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
+from handover.service_addresses import PageAddress
 from handover.settings import Settings
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
 from handover_accounts.settings import AccountsSettings
 from handover_cell import secrets
 from handover_cell.accounts import service_names, set_up_accounts
 from handover_cell.compose_override import write_override
-from handover_web.settings import WebuiSettings
 
 READY_TIMEOUT_S = 60.0
 CHECK_EVERY_S = 0.1
@@ -165,7 +165,7 @@ def make(
         secrets.make_in(settings.secrets_dir)
         secrets.give(settings.secrets_dir, plan.secrets)
     # Last, since it ends local mode: a service that sees the keys needs its token.
-    page = WebuiSettings.load(
+    page = PageAddress.load(
         tls_certificate=settings.tls_certificate or made[0].certificate,
         allowed_hosts=settings.allowed_hosts or tuple(hosts),
     )

@@ -1,75 +1,54 @@
-"""The services of a cell: name, module and port."""
+"""The services of a cell: those that are installed, and those of them that `handover up` starts."""
 
 import importlib
 import json
 import os
-import socket
-from contextlib import suppress
+from collections.abc import Iterator
 from hashlib import sha256
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from handover.errors import UsageError
-from handover.extensions import EXTRA_SERVICES, Service
-from handover.outbound_policy import is_loopback
+from handover.extensions import SERVICES, Service, load_service
+from handover.service_addresses import BROKER, OWN_SERVICES
 from handover.settings import Settings
-from handover_accounts.settings import AccountsSettings
-from handover_alerts.settings import RouterSettings
-from handover_body.settings import HumanStateSettings
-from handover_broker.settings import BrokerSettings
-from handover_cases.settings import AssistiveSettings
+from handover.telemetry import get_logger
 from handover_datamodels.contexts import handover_context
-from handover_devices.settings import GatewaySettings
-from handover_gloves.settings import ControllerSettings
-from handover_humanoid.settings import WholeBodySettings
-from handover_processes.settings import OrchestratorSettings
-from handover_robots.settings import TrajectorySettings
-from handover_ros.settings import BridgeSettings
-from handover_study.settings import StudySettings
-from handover_web.settings import WebuiSettings
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-BROKER = "context-broker"
-SERVICES = (
-    Service(BROKER, "handover_broker", BrokerSettings, "broker_port"),
-    Service("task-orchestrator", "handover_processes", OrchestratorSettings, "orchestrator_port"),
-    Service(
-        "gesture-controller",
-        "handover_gloves",
-        ControllerSettings,
-        "controller_port",
-        (("glove_host", "glove_port"),),
-    ),
-    Service("trajectory-tool", "handover_robots", TrajectorySettings, "trajectory_port"),
-    Service(
-        "device-gateway",
-        "handover_devices",
-        GatewaySettings,
-        "gateway_port",
-        (("device_host", "device_port"),),
-    ),
-    Service("alert-router", "handover_alerts", RouterSettings, "alert_router_port"),
-    Service("accounts", "handover_accounts", AccountsSettings, "accounts_port"),
-    Service("study", "handover_study", StudySettings, "study_port"),
-    Service("webui", "handover_web", WebuiSettings, "webui_port"),
-)
-HUMAN_STATE = Service("human-state", "handover_body", HumanStateSettings, "human_state_port")
-HUMAN_STATE_NEEDS = ("numpy", "scipy", "neurokit2")
-"""Packages of the extra `human-state`, without which the service cannot start."""
-ASSISTIVE_DEVICES = Service("assistive-devices", "handover_cases", AssistiveSettings, "assistive_port")
-WHOLE_BODY_CONTROL = Service("whole-body-control", "handover_humanoid", WholeBodySettings, "whole_body_port")
-ROS_BRIDGE = Service("ros-bridge", "handover_ros", BridgeSettings, "bridge_port")
-OPTIONAL_SERVICES = (HUMAN_STATE, ASSISTIVE_DEVICES, WHOLE_BODY_CONTROL, ROS_BRIDGE)
-"""Services that start only with an extra or a setting."""
+log = get_logger(__name__)
+
+
+def own_services() -> tuple[Service, ...]:
+    """Return those of our services that are installed."""
+    registered = SERVICES.names()
+    return tuple(load_service(name) for name in OWN_SERVICES if name in registered)
+
+
+def all_services() -> tuple[Service, ...]:
+    """Return every service that can be run, those of other packages too."""
+    return (*own_services(), *map(load_service, _names_of_others()))
+
+
+def wanted_services() -> tuple[Service, ...]:
+    """Return the services that `handover up` starts: ours that have something to do, and those of others."""
+    own = (service for service in own_services() if service.is_useful())
+    named = Settings.load().extra_services
+    return (*own, *(_loadable_services_of_others() if named is None else map(load_service, named)))
+
+
+def service_named(name: str) -> Service:
+    """Return the service called `name`; raise `UsageError` with the known names."""
+    known = (*(name for name in OWN_SERVICES if name in SERVICES.names()), *_names_of_others())
+    if name not in known:
+        raise UsageError(f'there is no service "{name}"; the services are {", ".join(known)}')
+    return load_service(name)
 
 
 def has_own_broker() -> bool:
-    """Return whether the broker of the settings is the embedded one: at its port of this machine."""
-    url, port = urlsplit(Settings.load().broker_url), BrokerSettings.load().broker_port
-    return (url.port or (443 if url.scheme == "https" else 80)) == port and _is_here(url.hostname or "")
+    """Return whether the broker of the settings is the embedded one."""
+    return BROKER in SERVICES.names() and load_service(BROKER).is_useful()
 
 
 def let_broker_fetch_context() -> None:
@@ -78,54 +57,10 @@ def let_broker_fetch_context() -> None:
     Our own broker has the @context of the default address. Others may keep for ever what they have fetched,
     so the address differs with the content.
     """
-    if not has_own_broker() and "context_url" not in Settings.load().model_fields_set:
+    settings = Settings.load()
+    if not has_own_broker() and "context_url" not in settings.model_fields_set:
         digest = sha256(json.dumps(handover_context()).encode()).hexdigest()[:12]
-        os.environ["HANDOVER_CONTEXT_URL"] = f"{OrchestratorSettings.load().own_url}/context.jsonld?{digest}"
-
-
-def _is_here(host: str) -> bool:
-    """Return whether a host is this machine: an address is its own if a socket can be bound to it."""
-    if is_loopback(host):
-        return True
-    try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)
-    except OSError:
-        return False
-    for family, kind, _, _, address in found:
-        with socket.socket(family, kind) as one, suppress(OSError):
-            one.bind(address)
-            return True
-    return False
-
-
-def wanted() -> tuple[Service, ...]:
-    """Return the services of the cell.
-
-    The embedded broker runs unless the settings name another one, human state with its extra, assistive
-    devices with a machine, whole-body control with a humanoid, the bridge with a mapping.
-    """
-    body = (HUMAN_STATE,) if all(map(find_spec, HUMAN_STATE_NEEDS)) else ()
-    bridge = (ROS_BRIDGE,) if BridgeSettings.load().ros_mapping is not None else ()
-    devices = (ASSISTIVE_DEVICES,) if AssistiveSettings.load().assistive_machines else ()
-    humanoid = (WHOLE_BODY_CONTROL,) if WholeBodySettings.load().humanoid_model else ()
-    cell = [one for one in SERVICES if one.name != BROKER or has_own_broker()]
-    return (*cell, *body, *devices, *humanoid, *bridge, *map(_extra, Settings.load().extra_services))
-
-
-def all_services() -> tuple[Service, ...]:
-    """Return every service that can be run, those of other packages too."""
-    return (*SERVICES, *OPTIONAL_SERVICES, *map(_extra, EXTRA_SERVICES.names()))
-
-
-def service_named(name: str) -> Service:
-    """Return the service called `name`; raise `UsageError` with the known names."""
-    for service in (*SERVICES, *OPTIONAL_SERVICES):
-        if service.name == name:
-            return service
-    if name in EXTRA_SERVICES.names():
-        return _extra(name)
-    known = ", ".join((*(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)), *EXTRA_SERVICES.names()))
-    raise UsageError(f'there is no service "{name}"; the services are {known}')
+        os.environ["HANDOVER_CONTEXT_URL"] = f"{settings.orchestrator}/context.jsonld?{digest}"
 
 
 def application_of(service: Service) -> "FastAPI | None":
@@ -145,11 +80,17 @@ def application_of(service: Service) -> "FastAPI | None":
     return None
 
 
-def _extra(name: str) -> Service:
-    service = EXTRA_SERVICES.load(name)
-    if not isinstance(service, Service):
-        raise UsageError(
-            f'the entry point "{name}" in "{EXTRA_SERVICES.group}" is no handover.extensions.Service; '
-            "correct it in the package that registers it"
-        )
-    return service
+def _loadable_services_of_others() -> Iterator[Service]:
+    """Yield the installed services of others; a package that is broken does not stop the cell."""
+    for name in _names_of_others():
+        try:
+            service = load_service(name)
+        except UsageError as fault:
+            log.warning("service not loaded", service=name, error=str(fault))
+            continue
+        if service.is_useful():
+            yield service
+
+
+def _names_of_others() -> tuple[str, ...]:
+    return tuple(name for name in SERVICES.names() if name not in OWN_SERVICES)

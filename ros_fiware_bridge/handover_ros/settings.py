@@ -5,7 +5,8 @@ from typing import Any
 
 from pydantic import Field
 
-from handover.settings import MaybePath, Settings
+from handover.extensions import Service
+from handover.service_addresses import ROS_BRIDGE, BridgeAddress
 
 
 def _ros_domain_id() -> Any:
@@ -13,21 +14,13 @@ def _ros_domain_id() -> Any:
     return os.environ.get("ROS_DOMAIN_ID") or 0
 
 
-class BridgeSettings(Settings):
+class BridgeSettings(BridgeAddress):
     """The graph to join, the adapter, and the mapping."""
 
-    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
-    bridge_url: str | None = Field(
-        None,
-        description="address at which the broker reaches the ROS bridge; http://host:port of it if absent",
-    )
     bridge_name: str = Field(
         "ros-bridge",
         pattern=r"^[A-Za-z0-9_.-]+$",
         description="distinguishes several ROS bridges of one factory",
-    )
-    ros_mapping: MaybePath = Field(
-        None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
     ros_adapter: str = Field(
         "auto",
@@ -62,4 +55,13 @@ class BridgeSettings(Settings):
     @property
     def url(self) -> str:
         """Return the address at which the broker reaches the bridge."""
-        return self.url_of(self.bridge_port, self.bridge_url)
+        return self.ros_bridge
+
+
+SERVICE = Service(
+    ROS_BRIDGE,
+    "handover_ros",
+    BridgeSettings,
+    "bridge_port",
+    runs_if=lambda: BridgeSettings.load().ros_mapping is not None,
+)

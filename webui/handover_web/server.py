@@ -31,6 +31,14 @@ from handover.security.guard import (
 )
 from handover.security.permissions import Permission
 from handover.service import ANY_TYPE, accepts, create_app, method_not_allowed, methods_of
+from handover.service_addresses import (
+    ASSISTIVE_DEVICES,
+    BROKER,
+    GATEWAY,
+    HUMAN_STATE,
+    TRAJECTORY,
+    WHOLE_BODY_CONTROL,
+)
 from handover.storage import storage_check
 from handover.strict_json import StrictModel
 from handover.tls_trust import client_context
@@ -52,15 +60,7 @@ from handover_web.live.live_state import LiveState, Reader
 from handover_web.live.viewers import Viewers
 from handover_web.live.views import AlertsResult, AlertView, CellSummary, CellView, LiveEvent, OperatorView
 from handover_web.service_credentials import ServiceCredentials
-from handover_web.settings import (
-    ASSISTIVE_DEVICES,
-    BROKER,
-    GATEWAY,
-    HUMAN_STATE,
-    TRAJECTORY,
-    WHOLE_BODY_CONTROL,
-    WebuiSettings,
-)
+from handover_web.settings import WebuiSettings
 from handover_web.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from handover_web.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from handover_web.sources.broker_abilities import BrokerAbilities

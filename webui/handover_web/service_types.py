@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> None:
 def openapi_of(service: str) -> Mapping[str, Any]:
     """Return the OpenAPI document of a service."""
     known = importlib.import_module("handover_cell.services")
-    found = next(one for one in (*known.SERVICES, *known.OPTIONAL_SERVICES) if one.name == service)
+    found = next(one for one in known.own_services() if one.name == service)
     # Nothing is served here, so a running cell may have the port of the gloves.
     ports = {name: _free_port() for name in found.settings.model_fields if name == "glove_port"}
     app = importlib.import_module(f"{found.module}.app").make_app(found.settings.load(**ports))

@@ -18,12 +18,13 @@ from handover.python_processes import module_command
 from handover.retry import Backoff
 from handover.security.glove_token import site_glove_token
 from handover.security.service_access import ServiceAccess
+from handover.service_addresses import CONTROLLER
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from handover_web.live.event_log import Event, EventLog, timestamp
 from handover_web.live.live_state import LiveState
 from handover_web.live.views import OperatorView
-from handover_web.settings import CONTROLLER, WebuiSettings
+from handover_web.settings import WebuiSettings
 
 log = get_logger(__name__)
 

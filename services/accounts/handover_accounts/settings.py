@@ -4,6 +4,8 @@ from pathlib import Path
 
 from pydantic import Field, SecretStr
 
+from handover.extensions import Service
+from handover.service_addresses import ACCOUNTS
 from handover.settings import SIGNING_KEYS_FILE, MaybePath, Names, Settings
 
 
@@ -75,3 +77,6 @@ class AccountsSettings(Settings):
     def signing_keys_file(self) -> Path:
         """The file of the private keys, which only accounts reads."""
         return self.data_dir / SIGNING_KEYS_FILE
+
+
+SERVICE = Service(ACCOUNTS, "handover_accounts", AccountsSettings, "accounts_port")

@@ -181,7 +181,7 @@ class Follower:
             "entities": self._cells.selectors("Alert"),
             "notification": {
                 "format": "normalized",
-                "endpoint": self.receiver.endpoint(f"{self._settings.service_url}/notifications"),
+                "endpoint": self.receiver.endpoint(f"{self._settings.alert_router}/notifications"),
             },
         }
 

@@ -2,16 +2,14 @@
 
 from pydantic import Field, SecretStr
 
-from handover.settings import MaybePath, Settings
+from handover.extensions import Service
+from handover.service_addresses import ALERT_ROUTER, AlertRouterAddress
+from handover.settings import MaybePath
 
 
-class RouterSettings(Settings):
+class RouterSettings(AlertRouterAddress):
     """The address of the service, the mail server and the file of channels and routes."""
 
-    alert_router_port: int = Field(54280, ge=1, le=65535, description="REST port of the alert router")
-    alert_router_url: str | None = Field(
-        None, description="where the broker reaches the alert router; http://host:port of it if absent"
-    )
     alert_routes: MaybePath = Field(
         None, description="YAML file of channels and routes for Alerts; both can be added by REST as well"
     )
@@ -31,7 +29,5 @@ class RouterSettings(Settings):
         30.0, gt=0, description="a server that takes longer to accept a message is tried again later"
     )
 
-    @property
-    def service_url(self) -> str:
-        """The URL of the alert router."""
-        return self.url_of(self.alert_router_port, self.alert_router_url)
+
+SERVICE = Service(ALERT_ROUTER, "handover_alerts", RouterSettings, "alert_router_port")

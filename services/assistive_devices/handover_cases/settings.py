@@ -2,17 +2,20 @@
 
 from pydantic import Field, SecretStr
 
+from handover.extensions import Service
 from handover.ros_dds import MAX_DOMAIN
-from handover.settings import Names, Settings
+from handover.service_addresses import (
+    ASSISTIVE_DEVICES,
+    AssistiveAddress,
+    HumanStateAddress,
+    TrajectoryAddress,
+)
+from handover.settings import Names
 
 
-class AssistiveSettings(Settings):
+class AssistiveSettings(AssistiveAddress, HumanStateAddress, TrajectoryAddress):
     """The machines that run, and where the state of persons comes from."""
 
-    assistive_port: int = Field(54290, ge=1, le=65535, description="REST port of assistive devices")
-    assistive_url: str | None = Field(
-        None, description="where others reach assistive devices; http://host:port of it if absent"
-    )
     assistive_machines: Names = Field(
         (), description="the machines that run, separated by commas: wheelchair, bed, treadmill, bin-picking"
     )
@@ -36,21 +39,12 @@ class AssistiveSettings(Settings):
     trainer_log_days: float = Field(
         30.0, gt=0, description="trainings and what the trainer said are deleted after so many days"
     )
-    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
-    human_state_url: str | None = Field(
-        None, description="where others reach human state; http://host:port of it if absent"
-    )
-    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
-    trajectory_url: str | None = Field(
-        None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
-    )
 
-    @property
-    def human_state(self) -> str:
-        """The URL of human state."""
-        return self.url_of(self.human_state_port, self.human_state_url)
 
-    @property
-    def trajectory_tool(self) -> str:
-        """The URL of the trajectory tool."""
-        return self.url_of(self.trajectory_port, self.trajectory_url)
+SERVICE = Service(
+    ASSISTIVE_DEVICES,
+    "handover_cases",
+    AssistiveSettings,
+    "assistive_port",
+    runs_if=lambda: bool(AssistiveSettings.load().assistive_machines),
+)

@@ -1,10 +1,16 @@
 """The settings of the embedded broker."""
 
+import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
 from pydantic import Field, FilePath, ValidationInfo, field_validator
 
+from handover.extensions import Service
+from handover.outbound_policy import is_loopback
+from handover.service_addresses import BROKER
 from handover.settings import Names, Settings
 from handover_datamodels.contexts import HANDOVER_URL
 
@@ -100,3 +106,27 @@ class BrokerSettings(Settings):
         description="for how many days the broker keeps history, about a GB a day if 30 "
         "attributes change each second; 0 keeps it for ever",
     )
+
+
+def has_own_broker() -> bool:
+    """Return whether the broker of the settings is the embedded one: at its port of this machine."""
+    url, port = urlsplit(Settings.load().broker_url), BrokerSettings.load().broker_port
+    return (url.port or (443 if url.scheme == "https" else 80)) == port and _is_here(url.hostname or "")
+
+
+def _is_here(host: str) -> bool:
+    """Return whether a host is this machine: an address is its own if a socket can be bound to it."""
+    if is_loopback(host):
+        return True
+    try:
+        places = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)
+    except OSError:
+        return False
+    for family, kind, _, _, address in places:
+        with socket.socket(family, kind) as probe, suppress(OSError):
+            probe.bind(address)
+            return True
+    return False
+
+
+SERVICE = Service(BROKER, "handover_broker", BrokerSettings, "broker_port", runs_if=has_own_broker)

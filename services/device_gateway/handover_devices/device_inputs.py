@@ -82,8 +82,8 @@ class DeviceInputs:
     """The controls of all devices, by the name of the device; an asynchronous context manager."""
 
     def __init__(self, settings: GatewaySettings, gateway: DeviceGateway) -> None:
-        self._url = settings.url_of(settings.trajectory_port, settings.trajectory_url)
-        self._own_url = settings.url_of(settings.gateway_port, settings.gateway_url)
+        self._url = settings.trajectory_tool
+        self._own_url = settings.device_gateway
         self._gateway = gateway
         self._ca_files = settings.ca_files
         gateway.on_input = self.receive

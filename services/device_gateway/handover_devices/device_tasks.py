@@ -68,7 +68,7 @@ class DeviceTasks(Performer):
             SOURCE,
             settings,
             broker,
-            notify_url=f"{settings.service_url}/notifications",
+            notify_url=f"{settings.device_gateway}/notifications",
             holder=_shared_holder(settings),
         )
         self._gateway = gateway

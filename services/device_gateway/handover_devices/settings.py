@@ -5,25 +5,19 @@ from pathlib import Path
 
 from pydantic import Field, SecretStr
 
-from handover.settings import MaybePath, Settings
+from handover.extensions import Service
+from handover.service_addresses import GATEWAY, GatewayAddress, TrajectoryAddress
+from handover.settings import MaybePath
 from handover.transport_security.local_authority import AUTHORITY
 
 
-class GatewaySettings(Settings):
+class GatewaySettings(GatewayAddress, TrajectoryAddress):
     """Addresses, limits and retention of the device gateway."""
 
-    gateway_port: int = Field(54240, ge=1, le=65535, description="REST port of the device gateway")
-    gateway_url: str | None = Field(
-        None, description="where the broker reaches the device gateway; http://host:port of it if absent"
-    )
     gateway_replica_host: str | None = Field(
         None,
         description="the address at which other replicas of the device gateway reach this one, where several "
         "run on one PostgreSQL database; the address on which devices connect if absent",
-    )
-    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
-    trajectory_url: str | None = Field(
-        None, description="where input devices reach the trajectory tool; http://host:port of it if absent"
     )
     device_host: str = Field("127.0.0.1", description="the address on which devices connect")
     device_port: int = Field(54010, ge=1, le=65535, description="the TCP or TLS port for devices")
@@ -160,7 +154,11 @@ class GatewaySettings(Settings):
         is_any = self.device_host in {"0.0.0.0", "::"}  # noqa: S104 - not bound
         return socket.gethostname() if is_any else self.device_host
 
-    @property
-    def service_url(self) -> str:
-        """The URL of the device gateway."""
-        return self.url_of(self.gateway_port, self.gateway_url)
+
+SERVICE = Service(
+    GATEWAY,
+    "handover_devices",
+    GatewaySettings,
+    "gateway_port",
+    also_listens=(("device_host", "device_port"),),
+)

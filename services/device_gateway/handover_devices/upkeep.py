@@ -120,7 +120,7 @@ class RegistryEntities:
             log.warning("entities of devices rejected", entities=sorted(refused)[:5], count=len(refused))
 
     def _entities(self, device: Device) -> list[dict[str, Any]]:
-        url = f"{self._settings.service_url}/devices/{device.name}"
+        url = f"{self._settings.device_gateway}/devices/{device.name}"
         specification = specification_entity(self._settings, device.name, device.stored.description, url)
         return [specification, device_entity(self._settings, device)]
 

@@ -3,30 +3,18 @@
 from pathlib import Path
 from typing import Self
 
-from pydantic import Field, SecretStr, model_validator
+from pydantic import Field, model_validator
 
+from handover.extensions import Service
 from handover.outbound_policy import is_loopback
 from handover.security.glove_token import site_glove_token
-from handover.settings import Settings
+from handover.service_addresses import CONTROLLER, ControllerAddress, GloveServerAddress
 from handover_gloves.recognition.hold import HoldTiming
 
 
-class ControllerSettings(Settings):
+class ControllerSettings(ControllerAddress, GloveServerAddress):
     """Addresses, limits and timing of the gesture controller."""
 
-    controller_port: int = Field(
-        54210, ge=1, le=65535, description="REST and WebSocket port of the controller"
-    )
-    controller_url: str | None = Field(
-        None, description="where the broker reaches the controller; http://host:port of it if absent"
-    )
-    glove_host: str = Field("127.0.0.1", description="the address of the glove server")
-    glove_port: int = Field(54000, ge=1, le=65535, description="the TCP port of the glove server")
-    glove_token: SecretStr | None = Field(
-        None,
-        description="the token of this site, for gloves without one of their own; if absent, those need none "
-        "where only this machine reaches glove_host, and are refused elsewhere",
-    )
     hello_timeout_s: float = Field(5.0, gt=0, description="how long a connection may take to send its hello")
     max_gloves: int = Field(
         256, ge=1, description="the largest number of gloves, including those of the gestures file"
@@ -85,7 +73,7 @@ class ControllerSettings(Settings):
     @property
     def notify_url(self) -> str:
         """The URL for notifications of Tasks."""
-        return f"{self.url_of(self.controller_port, self.controller_url)}/notifications"
+        return f"{self.gesture_controller}/notifications"
 
     @property
     def token(self) -> str | None:
@@ -96,3 +84,12 @@ class ControllerSettings(Settings):
     def is_local(self) -> bool:
         """True if the glove server listens on loopback only."""
         return is_loopback(self.glove_host)
+
+
+SERVICE = Service(
+    CONTROLLER,
+    "handover_gloves",
+    ControllerSettings,
+    "controller_port",
+    also_listens=(("glove_host", "glove_port"),),
+)

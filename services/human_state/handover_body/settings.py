@@ -6,20 +6,14 @@ from pathlib import Path
 
 from pydantic import Field, SecretStr, field_validator
 
-from handover.settings import Names, Settings
+from handover.extensions import Service
+from handover.service_addresses import HUMAN_STATE, HumanStateAddress, TrajectoryAddress
+from handover.settings import Names
 
 
-class HumanStateSettings(Settings):
+class HumanStateSettings(HumanStateAddress, TrajectoryAddress):
     """Addresses, rates and retention of human state."""
 
-    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
-    human_state_url: str | None = Field(
-        None, description="where others reach human state; http://host:port of it if absent"
-    )
-    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
-    trajectory_url: str | None = Field(
-        None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
-    )
     health_history_days: float = Field(
         30.0, gt=0, description="the history of the state of persons is deleted after so many days"
     )
@@ -91,12 +85,11 @@ class HumanStateSettings(Settings):
         key = self.health_recording_key
         return None if key is None else base64.b64decode(key.get_secret_value())
 
-    @property
-    def service_url(self) -> str:
-        """The URL of human state."""
-        return self.url_of(self.human_state_port, self.human_state_url)
 
-    @property
-    def trajectory_tool(self) -> str:
-        """The URL of the trajectory tool."""
-        return self.url_of(self.trajectory_port, self.trajectory_url)
+SERVICE = Service(
+    HUMAN_STATE,
+    "handover_body",
+    HumanStateSettings,
+    "human_state_port",
+    needs=("numpy", "scipy", "neurokit2"),  # of the extra human-state
+)

@@ -252,6 +252,8 @@ class DefinitionOffers:
             "entities": self._cells.selectors(*OFFERED_TYPES),
             "notification": {
                 "format": "normalized",
-                "endpoint": self._receiver.endpoint(f"{self._settings.own_url}/notifications/definitions"),
+                "endpoint": self._receiver.endpoint(
+                    f"{self._settings.orchestrator}/notifications/definitions"
+                ),
             },
         }

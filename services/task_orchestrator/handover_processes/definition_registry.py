@@ -276,7 +276,7 @@ class DefinitionRegistry(Library):
 
     def entities(self, record: DefinitionRecord) -> list[dict[str, Any]]:
         """Return the ProcessDefinition and TaskDefinitions of `record` as this orchestrator writes them."""
-        url = f"{self._settings.own_url}/definitions/{record.name}/bpmn?version={record.version}"
+        url = f"{self._settings.orchestrator}/definitions/{record.name}/bpmn?version={record.version}"
         definition = self.plan_of(record).definition
         return definition_entities(self._settings, definition, record.version, url)
 

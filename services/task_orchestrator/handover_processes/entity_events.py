@@ -310,7 +310,7 @@ class EntityEvents:
     def _subscription(self, key: str, watched: Watched) -> dict[str, Any]:
         on = watched.on
         by_id = None if on.id_pattern is None else [{"type": on.type, "idPattern": on.id_pattern}]
-        address = f"{self._settings.own_url}/notifications/entities/{key}"
+        address = f"{self._settings.orchestrator}/notifications/entities/{key}"
         return {
             "id": self._subscription_id(key),
             "type": "Subscription",

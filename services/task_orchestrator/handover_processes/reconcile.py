@@ -249,6 +249,6 @@ class Reconciler:
             "watchedAttributes": ["status"],
             "notification": {
                 "format": "normalized",
-                "endpoint": self._receiver.endpoint(f"{self._settings.own_url}/notifications"),
+                "endpoint": self._receiver.endpoint(f"{self._settings.orchestrator}/notifications"),
             },
         }

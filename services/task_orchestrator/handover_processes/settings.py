@@ -4,6 +4,8 @@ from pathlib import Path
 
 from pydantic import Field
 
+from handover.extensions import Service
+from handover.service_addresses import ORCHESTRATOR
 from handover.settings import MaybePath, Settings
 
 
@@ -46,7 +48,5 @@ class OrchestratorSettings(Settings):
         description="an ended process is deleted from the database after so many days; 0: never",
     )
 
-    @property
-    def own_url(self) -> str:
-        """Return the address under which the broker reaches this service."""
-        return self.url_of(self.orchestrator_port, self.orchestrator_url)
+
+SERVICE = Service(ORCHESTRATOR, "handover_processes", OrchestratorSettings, "orchestrator_port")

@@ -24,7 +24,7 @@ class RobotDevice:
     def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
         self.id = settings.entity_id("Device", cell.name)
         self.specification_id = settings.entity_id("ResourceSpecification", cell.name)
-        self._urdf_url = f"{settings.service_url}/robots/{cell.name}/urdf"
+        self._urdf_url = f"{settings.trajectory_tool}/robots/{cell.name}/urdf"
         self.state = DeviceState.IDLE
         self._cell = cell
         self._broker = broker

@@ -519,7 +519,7 @@ class _GripperOrders:
         self._subscriptions = OwnSubscriptions("trajectory-tool", settings, broker)
         self._settings = settings
         self._orders = Orders(robot, arm, settings, broker)
-        endpoint = self._receiver.endpoint(f"{settings.service_url}{self._notify_path}")
+        endpoint = self._receiver.endpoint(f"{settings.trajectory_tool}{self._notify_path}")
         self._subscription: Mapping[str, Any] = self._orders.subscription(endpoint)
         self._within_s = context.gripper_s + 20
         self._resync = Resync(self._try_reconcile, settings.reconcile_s)

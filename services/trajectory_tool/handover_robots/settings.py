@@ -4,21 +4,14 @@ from pathlib import Path
 
 from pydantic import Field
 
-from handover.settings import Names, Settings
+from handover.extensions import Service
+from handover.service_addresses import TRAJECTORY, BridgeAddress, TrajectoryAddress
+from handover.settings import Names
 
 
-class TrajectorySettings(Settings):
+class TrajectorySettings(TrajectoryAddress, BridgeAddress):
     """The robot, its limits and its cell."""
 
-    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
-    trajectory_url: str | None = Field(
-        None, description="the URL of the trajectory tool for the broker; by default http://host:port"
-    )
-    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
-    bridge_url: str | None = Field(
-        None,
-        description="where the broker reaches the ROS bridge; http://host:port of it if absent",
-    )
     cell_file: Path | None = Field(
         None,
         description="YAML file of the cell: robots with model, place, driver and limits, and the scene; "
@@ -77,14 +70,12 @@ class TrajectorySettings(Settings):
     @property
     def notify_url(self) -> str:
         """Return the URL for notifications; each robot has a path below it."""
-        return f"{self.service_url}/notifications"
+        return f"{self.trajectory_tool}/notifications"
 
     @property
     def arm_url(self) -> str:
         """Return the URL of the WebSocket for arms of the ROS bridge."""
-        return f"ws{self.url_of(self.bridge_port, self.bridge_url).removeprefix('http')}/arm"
+        return f"ws{self.ros_bridge.removeprefix('http')}/arm"
 
-    @property
-    def service_url(self) -> str:
-        """Return the URL of the trajectory tool."""
-        return self.url_of(self.trajectory_port, self.trajectory_url)
+
+SERVICE = Service(TRAJECTORY, "handover_robots", TrajectorySettings, "trajectory_port")

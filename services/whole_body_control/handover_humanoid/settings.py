@@ -7,19 +7,17 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from handover.settings import MaybePath, Names, Settings
+from handover.extensions import Service
+from handover.service_addresses import WHOLE_BODY_CONTROL, BridgeAddress, HumanStateAddress, WholeBodyAddress
+from handover.settings import MaybePath, Names
 
 DEFAULT_MODEL: Final = "coman"
 SHARED_MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in it never reach a disk
 
 
-class WholeBodySettings(Settings):
+class WholeBodySettings(WholeBodyAddress, BridgeAddress, HumanStateAddress):
     """The humanoid that runs, where its ports are, and where the state of persons comes from."""
 
-    whole_body_port: int = Field(54260, ge=1, le=65535, description="REST and WebSocket port of humanoids")
-    whole_body_url: str | None = Field(
-        None, description="where others reach whole-body control; http://host:port of it if absent"
-    )
     humanoid_model: str = Field(
         "",
         max_length=64,
@@ -65,14 +63,6 @@ class WholeBodySettings(Settings):
         ge=1,
         description="the disk space of all recordings of the humanoid; the oldest are deleted beyond it",
     )
-    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
-    bridge_url: str | None = Field(
-        None, description="where others reach the ROS bridge; http://host:port of it if absent"
-    )
-    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
-    human_state_url: str | None = Field(
-        None, description="where others reach human state; http://host:port of it if absent"
-    )
 
     @property
     def model_name(self) -> str:
@@ -101,12 +91,12 @@ class WholeBodySettings(Settings):
     @property
     def whole_body(self) -> str:
         """The URL of this service."""
-        return self.url_of(self.whole_body_port, self.whole_body_url)
+        return self.whole_body_control
 
     @property
     def humanoid_bridge(self) -> str:
         """The URL of the WebSocket for humanoids of the ROS bridge."""
-        return f"ws{self.url_of(self.bridge_port, self.bridge_url).removeprefix('http')}/humanoid"
+        return f"ws{self.ros_bridge.removeprefix('http')}/humanoid"
 
     @property
     def humanoid_link(self) -> str:
@@ -114,7 +104,11 @@ class WholeBodySettings(Settings):
         nodes."""
         return f"{self.humanoid_bridge}/link"
 
-    @property
-    def human_state(self) -> str:
-        """The URL of human state."""
-        return self.url_of(self.human_state_port, self.human_state_url)
+
+SERVICE = Service(
+    WHOLE_BODY_CONTROL,
+    "handover_humanoid",
+    WholeBodySettings,
+    "whole_body_port",
+    runs_if=lambda: bool(WholeBodySettings.load().humanoid_model),
+)

@@ -87,7 +87,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 def test_every_socket_is_on_loopback_and_documented(cell: Cell) -> None:
     """Of all processes and what they start; the ROS bridge joins a graph by datagrams."""
-    ours = (*services.SERVICES, *services.OPTIONAL_SERVICES)
+    ours = services.own_services()
     documented = {port for service in ours for port in ports_of(cell, service)}
     found = listening_sockets(cell.processes[name].pid for name in SERVICES)
     assert {one.port for one in found} >= {cell.ports[name] for name in (*SERVICES, "glove", "devices")}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from handover.extensions import Service
-from handover_cell.services import OPTIONAL_SERVICES, SERVICES
+from handover_cell.services import own_services
 from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import wait_for
@@ -49,7 +49,7 @@ def start(service: Service, data_dir: Path, **settings: str) -> "subprocess.Comp
     )
 
 
-@pytest.mark.parametrize("service", [*SERVICES, *OPTIONAL_SERVICES], ids=lambda service: service.name)
+@pytest.mark.parametrize("service", own_services(), ids=lambda service: service.name)
 def test_a_service_refuses_a_data_directory_in_which_it_cannot_write(
     service: Service, read_only: Path
 ) -> None:

@@ -21,8 +21,7 @@ from handover_broker.settings import BrokerSettings
 from handover_cell.glove import bridge_arguments
 from handover_cell.secrets import SECRETS, wait_for_secrets
 from handover_cell.secure import Plan
-from handover_cell.services import OPTIONAL_SERVICES
-from handover_cell.services import SERVICES as USUAL
+from handover_cell.services import own_services
 from handover_web.settings import WebuiSettings
 from tests.kit.waiting import scaled, wait_for
 
@@ -30,7 +29,7 @@ REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
 ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", interpolate=False).items()}
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
-SERVICES = (*USUAL, *OPTIONAL_SERVICES)
+SERVICES = own_services()
 OURS = {
     name: each for name, each in CONTAINERS.items() if each["image"].partition(":")[0].startswith("handover")
 }

@@ -12,13 +12,12 @@ import pytest
 import yaml
 
 from handover.settings import origins
-from handover_cell.services import OPTIONAL_SERVICES
-from handover_cell.services import SERVICES as USUAL
+from handover_cell.services import own_services
 from tests.kit import processes
 
 FOLDER = Path(__file__).parents[3] / "deploy/kubernetes"
 KUSTOMIZATION: dict[str, Any] = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
-SERVICES = (*USUAL, *OPTIONAL_SERVICES)
+SERVICES = own_services()
 DOCUMENTS: list[dict[str, Any]] = [
     document
     for name in KUSTOMIZATION["resources"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handover_cell.services import OPTIONAL_SERVICES, SERVICES
+from handover_cell.services import own_services
 
 ROOT = Path(__file__).parents[3]
 ROW = re.compile(r"^\| (\d+) \| `(HANDOVER_\w+_PORT)` \|", re.MULTILINE)
@@ -15,6 +15,6 @@ def test_every_port_is_listed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     monkeypatch.chdir(tmp_path)  # no .env
     page = (ROOT / "docs/how-to/production.md").read_text(encoding="utf-8")
     listed = {setting: int(port) for port, setting in ROW.findall(page)}
-    listens = [one for service in (*SERVICES, *OPTIONAL_SERVICES) for one in service.listens()]
+    listens = [one for service in own_services() for one in service.listens()]
     assert listed == {setting: port for _, port, setting in listens}
     assert {host for host, _, _ in listens} == {"127.0.0.1"}

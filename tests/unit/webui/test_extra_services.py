@@ -50,18 +50,20 @@ def test_a_wanted_service_has_the_url_of_its_settings(
     assert [one.url for one in extra_services(settings)] == ["http://bell:8000"]
 
 
-def test_a_registered_service_that_the_cell_does_not_name_is_not_wanted(register: Register) -> None:
+def test_an_installed_service_is_wanted_unless_the_cell_names_others(register: Register) -> None:
     register("bell = bell_service:SERVICE")
     [bell] = extra_services(WebuiSettings.load())
+    assert bell.is_wanted
+    [bell] = extra_services(WebuiSettings.load(extra_services=()))
     assert not bell.is_wanted
 
 
 @pytest.mark.parametrize(
     ("entry", "why"),
     [
-        ("bell = bell_service:NO_SERVICE", "is no Service"),
+        ("bell = bell_service:NO_SERVICE", "is no handover.extensions.Service"),
         ("bell = no_such_module:SERVICE", "cannot be loaded: ModuleNotFoundError"),
-        ("horn = bell_service:SERVICE", 'there is no service "bell"; there are: horn'),
+        ("horn = bell_service:SERVICE", 'there is no service "bell"; there are: '),
     ],
 )
 def test_a_wanted_service_that_cannot_be_loaded_has_the_reason(

@@ -18,7 +18,7 @@ from handover.security.authentication import not_allowed
 from handover.security.caller import LOCAL_OWNER
 from handover.security.guard import authenticated
 from handover.security.permissions import Permission
-from handover_web.settings import BROKER
+from handover.service_addresses import BROKER
 
 _ATTRIBUTES_OF_TASK: Final = re.compile(r"ngsi-ld/v1/entities/(urn:ngsi-ld:Task:[^/]+)/attrs")
 

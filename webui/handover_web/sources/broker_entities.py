@@ -19,8 +19,9 @@ from handover.cells import OtherCells
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.own_subscriptions import OwnSubscriptions
 from handover.resync import Resync
+from handover.service_addresses import BROKER
 from handover.telemetry import get_logger
-from handover_web.settings import BROKER, WebuiSettings
+from handover_web.settings import WebuiSettings
 from handover_web.sources.services import ServiceMonitor
 from handover_web.sources.source import Source
 
@@ -180,7 +181,7 @@ class BrokerEntities(Source):
             "entities": [{"type": name} for name in self._handlers],
             "notification": {
                 "format": "normalized",
-                "endpoint": self._receiver.endpoint(f"{self._settings.own_url}{NOTIFICATION_PATH}"),
+                "endpoint": self._receiver.endpoint(f"{self._settings.webui}{NOTIFICATION_PATH}"),
             },
         }
 

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from handover.errors import UsageError
-from handover.extensions import EXTRA_SERVICES, Service
+from handover.extensions import SERVICES, load_service
+from handover.service_addresses import OWN_SERVICES
 from handover.telemetry import get_logger
 from handover_web.settings import WebuiSettings
 
@@ -15,7 +16,8 @@ log = get_logger(__name__)
 class ExtraService:
     """A service of another package: `url` is None, and `fault` the reason, if it cannot be loaded.
 
-    `is_wanted` if `HANDOVER_EXTRA_SERVICES` names it: then it is a problem if it does not respond.
+    `is_wanted` if `HANDOVER_EXTRA_SERVICES` names it or is absent: it is a problem then if it does not
+    respond.
     """
 
     name: str
@@ -26,13 +28,13 @@ class ExtraService:
 
 def extra_services(settings: WebuiSettings) -> Iterator[ExtraService]:
     """Yield the services that the cell wants, and the other registered ones that can be loaded."""
-    wanted = settings.extra_services
-    registered = EXTRA_SERVICES.names()
-    for name in (*wanted, *(one for one in registered if one not in wanted)):
+    registered = [name for name in SERVICES.names() if name not in OWN_SERVICES]
+    named = settings.extra_services or ()
+    for name in (*named, *(name for name in registered if name not in named)):
         try:
-            yield ExtraService(name, _url_of(name), name in wanted)
+            yield ExtraService(name, _url_of(name), settings.extra_services is None or name in named)
         except UsageError as fault:
-            if name in wanted:
+            if name in named:
                 yield ExtraService(name, None, is_wanted=True, fault=" ".join(str(fault).split()))
             else:
                 log.warning("service not loaded", service=name, error=str(fault))
@@ -40,9 +42,7 @@ def extra_services(settings: WebuiSettings) -> Iterator[ExtraService]:
 
 def _url_of(name: str) -> str:
     """Return the URL of a service: of its setting `…_url` if it has one, else its port on this machine."""
-    service = EXTRA_SERVICES.load(name)
-    if not isinstance(service, Service):
-        raise UsageError(f'the entry point "{name}" in "{EXTRA_SERVICES.group}" is no Service')
+    service = load_service(name)
     url_field = f"{service.port_field.removesuffix('_port')}_url"
     loaded = service.settings.load()
     return loaded.url_of(service.port(), getattr(loaded, url_field, None))

@@ -3,7 +3,7 @@
 from typing import Any, Final
 from urllib.parse import quote
 
-from handover_web.settings import CONTROLLER
+from handover.service_addresses import CONTROLLER
 from handover_web.sources.on_demand import OnDemandSource, SourceContext, Streams
 
 POLL_INTERVAL_S: Final = 1.0

@@ -10,7 +10,7 @@ from typing import Final
 
 import orjson
 
-from handover_web.settings import CONTROLLER
+from handover.service_addresses import CONTROLLER
 from handover_web.sources.on_demand import OnDemandSource, SourceContext
 
 TOPIC: Final = "people"

@@ -13,12 +13,13 @@ import httpx
 
 from handover.messages import message_in, with_code
 from handover.retry import Backoff, with_jitter
+from handover.service_addresses import ORCHESTRATOR
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import TaskStatus
 from handover_web.live.event_log import Event, EventLog, Level, normalized_timestamp
 from handover_web.live.live_state import LiveState
-from handover_web.settings import ORCHESTRATOR, WebuiSettings
+from handover_web.settings import WebuiSettings
 from handover_web.sources.broker_entities import EntityHandler
 from handover_web.sources.devices import short_name
 from handover_web.sources.services import ServiceMonitor

@@ -3,8 +3,8 @@
 import asyncio
 from typing import Final
 
+from handover.service_addresses import GATEWAY
 from handover_web.live.live_state import REGISTERED_DEVICE, REGISTERED_DEVICES
-from handover_web.settings import GATEWAY
 from handover_web.sources.on_demand import OnDemandSource, SourceContext, View
 
 POLL_INTERVAL_S: Final = 1.0

@@ -3,7 +3,7 @@
 from typing import Final
 from urllib.parse import quote
 
-from handover_web.settings import TRAJECTORY
+from handover.service_addresses import TRAJECTORY
 from handover_web.sources.on_demand import OnDemandSource, SourceContext, Streams
 
 BUSY_POLL_INTERVAL_S: Final = 0.2

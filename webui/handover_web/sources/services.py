@@ -9,10 +9,10 @@ import httpx
 import orjson
 
 from handover.broker import BrokerError
+from handover.service_addresses import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
 from handover_web.live.event_log import Event, EventLog, timestamp
 from handover_web.live.live_state import LiveState
 from handover_web.live.views import LastMessage, ServiceHealth
-from handover_web.settings import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
 from handover_web.sources.broker_abilities import BrokerAbilities
 from handover_web.sources.extra_services import ExtraService
 from handover_web.sources.source import Source

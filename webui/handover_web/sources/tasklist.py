@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from handover.security.resource_patterns import ANY_RESOURCE
+from handover.service_addresses import ORCHESTRATOR
 from handover.task_life import FINISHED, is_for_people, performers_of
 from handover_datamodels.attributes import DateTime, Property
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 from handover_web.live.live_state import EVERYTHING, LiveState
 from handover_web.live.views import TasklistView
-from handover_web.settings import ORCHESTRATOR
 from handover_web.sources.devices import short_name
 
 BY_TASKLIST: Final = "tasklist"

@@ -4,11 +4,11 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
 from handover.messages import message_in, with_code
+from handover.service_addresses import BROKER
 from handover.task_life import FINISHED, is_news, performers_of
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 from handover_web.live.event_log import Event, EventLog, Level, normalized_timestamp
-from handover_web.settings import BROKER
 from handover_web.sources.broker_entities import EntityHandler
 from handover_web.sources.devices import Devices, short_name
 from handover_web.sources.services import ServiceMonitor

@@ -59,7 +59,7 @@ class ToLeader:
         self._app = app
         self._gateway = gateway
         self._following = following
-        self._service = urlsplit(settings.service_url)
+        self._service = urlsplit(settings.device_gateway)
         self._has_name = settings.gateway_url is not None
         self._ca_files = settings.ca_files
         self._http = StreamingHttpClient(ca_files=settings.ca_files)

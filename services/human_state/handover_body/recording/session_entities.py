@@ -89,7 +89,7 @@ class SessionEntities:
             self._settings.entity_id("Person", person.name),
             row.started_us / 1e6,
             end_s=None if row.ended_us is None else row.ended_us / 1e6,
-            recording=f"{self._settings.service_url}/people/{person.name}/recordings/{row.id}/file",
+            recording=f"{self._settings.human_state}/people/{person.name}/recordings/{row.id}/file",
             sha256=row.sha256,
         ).to_normalized()
         self._writer.put(self.id_of(row.id), lambda: self._health.upsert(entity))

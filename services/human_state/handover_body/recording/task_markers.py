@@ -91,7 +91,7 @@ class TaskMarkers:
             "watchedAttributes": ["status"],
             "notification": {
                 "format": "normalized",
-                "endpoint": self._receiver.endpoint(f"{self._settings.service_url}{PATH}"),
+                "endpoint": self._receiver.endpoint(f"{self._settings.human_state}{PATH}"),
             },
         }
 

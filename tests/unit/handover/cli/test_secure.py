@@ -14,7 +14,7 @@ from handover.security.protection import require_protection
 from handover.settings import Settings
 from handover_cell.main import app
 from handover_cell.secure import wait_for_security
-from handover_cell.services import OPTIONAL_SERVICES, SERVICES
+from handover_cell.services import own_services
 
 REPOSITORY = Path(__file__).parents[4]
 Run = Callable[..., str]
@@ -55,7 +55,7 @@ def test_one_command_makes_what_a_server_needs_beyond_loopback(
     require_protection(settings, "0.0.0.0", "HANDOVER_HOST")
     assert settings.allowed_hosts == ("cell-3.factory.example",)
     tokens = tmp_path / ".handover/security/service-tokens"
-    named = {service.name for service in (*SERVICES, *OPTIONAL_SERVICES)} | {"cli"}
+    named = {service.name for service in own_services()} | {"cli"}
     assert {file.name for file in tokens.iterdir()} == named
     assert {stat.S_IMODE(file.stat().st_mode) for file in tokens.iterdir()} == {0o600}
 
@@ -118,7 +118,7 @@ def test_the_override_mounts_what_was_made_where_the_containers_look(run: Run, t
                 assert f"{folder}/{file}" in made, (name, file)
             assert "public-keys.json" in {path.name for path in Path(targets["/security"]).iterdir()}
             assert service["environment"] == {"HANDOVER_ALLOWED_HOSTS": "cell-3.factory.example"}
-    assert {service.name for service in (*SERVICES, *OPTIONAL_SERVICES)} < set(override)
+    assert {service.name for service in own_services()} < set(override)
     web = next(word for word in override["init"]["command"] if "webui" in word)
     assert web == "--server=/tls/webui=webui,cell-3.factory.example", (
         "the next start must not make another one"
