@@ -2,13 +2,14 @@
 
 import os
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from handover import ports
+from handover.extensions import load_service
 from handover.settings import Settings
-from handover_cell import services
 from handover_cell.doctor import examine
 
 
@@ -22,7 +23,8 @@ def test_ports_that_are_not_reserved_are_named_with_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ports, "_SYSCTL", tmp_path)
-    monkeypatch.setattr(services, "HUMAN_STATE_NEEDS", ("a_package_that_is_not_there",))
+    body = replace(load_service("human-state"), needs=("no_such_package",))
+    monkeypatch.setattr("handover_body.settings.SERVICE", body)
     (tmp_path / "ip_local_port_range").write_text("32768\t60999\n")
     (tmp_path / "ip_local_reserved_ports").write_text("40000-40001\n")
     ok, words = finding(tmp_path)

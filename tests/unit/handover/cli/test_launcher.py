@@ -14,7 +14,7 @@ from handover.extensions import Service
 from handover.settings import Settings
 from handover_broker.settings import BrokerSettings
 from handover_cell.launcher import Launcher, require_space
-from handover_cell.services import SERVICES
+from handover_cell.services import own_services
 
 
 class Usage(NamedTuple):
@@ -51,7 +51,7 @@ def test_the_broker_may_connect_to_the_services_and_to_what_is_set(
     monkeypatch.delenv("HANDOVER_OUTBOUND_ALLOW", raising=False)
     if own is not None:
         (tmp_path / ".env").write_text(f"HANDOVER_OUTBOUND_ALLOW={own}\n")
-    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, SERVICES))
+    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, own_services()))
     policy = BrokerSettings.load(host="0.0.0.0", outbound_allow=allowed).outbound_policy()
     assert policy.fault_of("127.0.0.1", 54200) is None
     assert policy.fault_of("127.0.0.1", 9) is not None, "another program of this machine"
@@ -86,7 +86,7 @@ def test_the_broker_may_notify_services_that_listen_on_an_address_of_the_network
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HANDOVER_HOST", host)
     monkeypatch.setenv("HANDOVER_ORCHESTRATOR_URL", "http://10.0.0.3:54200")
-    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, SERVICES))
+    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, own_services()))
     policy = BrokerSettings.load(outbound_allow=allowed).outbound_policy()
     assert policy.listens_beyond_loopback
     assert host in policy.hosts or policy.fault_of(host) is None
