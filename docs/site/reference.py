@@ -17,14 +17,15 @@ from fastapi import FastAPI
 from pydantic import SecretStr
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
-from typer.main import get_command
+from typer.core import TyperGroup
 
 from glove_sdk_bridge.command_line import parser as glove_parser
-from handover.extensions import Service
+from handover.extensions import Service, application_of
 from handover.security.guard import PUBLIC_PATHS, requirements
 from handover.settings import PREFIX, Settings
+from handover_cell.commands import commands_of
 from handover_cell.main import app as command_line
-from handover_cell.services import application_of, own_services
+from handover_cell.services import own_services
 from handover_web.messages import found_messages
 
 ROOT = Path(__file__).parents[2]
@@ -129,7 +130,8 @@ def settings_page() -> Iterator[str]:
 def cli_page() -> Iterator[str]:
     """Yield the lines of the page about the command line."""
     yield from CLI.splitlines()
-    yield from _command(get_command(command_line), "handover")
+    for words, command in commands_of(command_line):
+        yield from _command(command, " ".join(("handover", *words)))
     glove = glove_parser("handover glove")
     for action in glove._actions:
         if isinstance(action, argparse._SubParsersAction):
@@ -195,8 +197,7 @@ def _default(info: FieldInfo) -> str:
 
 
 def _command(command: Any, name: str) -> Iterator[str]:
-    subcommands = getattr(command, "commands", None)
-    if subcommands is None or command.help:
+    if not isinstance(command, TyperGroup) or command.help:
         yield ""
         yield f"## `{name}`"
         yield ""
@@ -216,8 +217,6 @@ def _command(command: Any, name: str) -> Iterator[str]:
         )
         meaning = _cell(getattr(parameter, "help", "") or "")
         yield f"| `{shown}` | {f'`{default}`' if plain else ''} | {meaning} |"
-    for subname, subcommand in (subcommands or {}).items():
-        yield from _command(subcommand, f"{name} {subname}")
 
 
 def _glove_command(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:

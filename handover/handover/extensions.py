@@ -8,14 +8,18 @@ A package registers what it adds with an entry point, and nothing else in the tr
 `docs/how-to/extend.md` describes each group. Recognizers and glove sources have registries of their own.
 """
 
+import importlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from handover.errors import UsageError
 from handover.settings import Settings
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
 
 
 class UnknownExtension(UsageError):
@@ -123,3 +127,20 @@ def load_service(name: str) -> Service:
             "correct it in the package that registers it"
         )
     return service
+
+
+def application_of(service: Service) -> "FastAPI | None":
+    """Return the application of a service with the present settings; None if FastAPI does not answer it."""
+    from fastapi import FastAPI  # noqa: PLC0415 - the command line starts without it
+
+    for module in ("app", "server"):
+        try:
+            make = getattr(importlib.import_module(f"{service.module}.{module}"), "make_app", None)
+        except ModuleNotFoundError:
+            continue
+        if make is not None:
+            made: Any = make(service.settings.load())
+            while not isinstance(made, FastAPI):  # a wrapper of the application
+                made = next(value for name, value in vars(made).items() if name.lstrip("_") == "app")
+            return made
+    return None

@@ -5,12 +5,16 @@ from typing import Annotated
 
 import typer
 
+backup_app = typer.Typer()
+restore_app = typer.Typer()
+
 PassphraseFile = Annotated[
     Path | None,
     typer.Option("--passphrase-file", help="A file with the passphrase, instead of typing it."),
 ]
 
 
+@backup_app.command()
 def backup(
     file: Annotated[Path, typer.Argument(help="The new file; only its owner can read it.")],
     encrypt: Annotated[
@@ -27,6 +31,7 @@ def backup(
     backup_acts.backup(file, passphrase_file, data_dir, encrypt=encrypt)
 
 
+@restore_app.command()
 def restore(
     file: Annotated[Path, typer.Argument(help="A file of `handover backup`.")],
     passphrase_file: PassphraseFile = None,

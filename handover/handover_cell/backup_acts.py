@@ -24,11 +24,12 @@ from handover.backup.sqlite_snapshot import SqliteSnapshot, is_database
 from handover.errors import UsageError
 from handover.private_files import UMASK
 from handover.settings import Settings
-from handover_cell.check import BROKER, check_database, databases
+from handover_broker.settings import DATABASE
+from handover_cell.check import check_database, databases
 from handover_cell.services import all_services, has_own_broker
 
-BROKER_LOGS: Final = "broker.log-*"
-FIRST: Final = ("orchestrator.db", BROKER)
+DATABASE_LOGS: Final = "broker.log-*"
+FIRST: Final = ("orchestrator.db", DATABASE)
 """The snapshots that begin first, in this order; see `handover.backup`."""
 MIN_PASSPHRASE_CHARS: Final = 12
 
@@ -132,7 +133,7 @@ def _add_all(archive: ArchiveWriter, folder: Path, target: Path) -> None:
         }
         _add_dumps(archive, dumps, staging)
         _add_snapshots(archive, snapshots, staging, folder)
-        logs = {f"{DATA}/{path.name}" for path in folder.glob(BROKER_LOGS)}
+        logs = {f"{DATA}/{path.name}" for path in folder.glob(DATABASE_LOGS)}
         for key, path in files.items():
             if key not in found and key not in logs:
                 _add_file(archive, key, path)
@@ -149,7 +150,7 @@ def _add_all(archive: ArchiveWriter, folder: Path, target: Path) -> None:
 def _snapshot(path: Path, folder: Path, staging: Path) -> SqliteSnapshot:
     from handover_broker.storage.online_copy import snapshot_with_log  # noqa: PLC0415 - heavy
 
-    return snapshot_with_log(path, staging) if path == folder / BROKER else SqliteSnapshot(path)
+    return snapshot_with_log(path, staging) if path == folder / DATABASE else SqliteSnapshot(path)
 
 
 def _dumps(kinds: Sequence[type[Settings]], stack: ExitStack) -> dict[str, postgres.PostgresSnapshot]:
@@ -157,7 +158,7 @@ def _dumps(kinds: Sequence[type[Settings]], stack: ExitStack) -> dict[str, postg
     urls = {key: url for key, url in contents.database_settings(kinds) if postgres.is_postgres(url)}
     return {
         key: stack.enter_context(closing(postgres.PostgresSnapshot(urls[key], key)))
-        for key in sorted(urls, key=lambda key: "BROKER" in key)
+        for key in sorted(urls, key=lambda key: "DATABASE" in key)
     }
 
 
@@ -171,8 +172,8 @@ def _add_snapshots(
 ) -> None:
     """Add each snapshot, and end it as soon as it is copied."""
     for number, (key, snapshot) in enumerate(snapshots.items()):
-        is_broker = snapshot.path == folder / BROKER
-        copy = staging / (BROKER if is_broker else f"{number}.db")
+        is_broker = snapshot.path == folder / DATABASE
+        copy = staging / (DATABASE if is_broker else f"{number}.db")
         snapshot.write(copy)
         snapshot.close()
         if is_broker and (faults := check_database(copy).faults):
@@ -180,7 +181,7 @@ def _add_snapshots(
         if snapshot.is_marked:
             archive.manifest.marked.append(key)
         archive.add(key, copy)
-        for log in sorted(staging.glob(BROKER_LOGS)) if is_broker else ():
+        for log in sorted(staging.glob(DATABASE_LOGS)) if is_broker else ():
             archive.add(f"{DATA}/{log.name}", log)
             log.unlink()
         copy.unlink()

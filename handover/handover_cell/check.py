@@ -4,13 +4,20 @@ import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from handover.errors import UsageError
-from handover.sqlite_files import faults_of, is_damage, require_sound
+from handover.private_files import faults_of as faults_of_files
+from handover.private_files import owner_of
+from handover.sqlite_files import REMEDY, faults_of, is_damage, renew_marks, require_sound
 from handover.sqlite_integrity.marks import compare
 from handover.sqlite_integrity.stamp import stamp_of
+from handover_broker.settings import DATABASE
+from handover_cell.launching.foreground import DataDir, say, settings_in
 
-BROKER = "broker.db"
+app = typer.Typer()
 
 
 def databases(data_dir: Path) -> list[Path]:
@@ -18,7 +25,7 @@ def databases(data_dir: Path) -> list[Path]:
     found = set(data_dir.glob("*.db"))
     found |= {stamp.with_suffix("") for stamp in data_dir.glob("*.db.stamp")}
     if any(data_dir.glob("broker.log-*")):
-        found.add(data_dir / BROKER)
+        found.add(data_dir / DATABASE)
     return sorted(found)
 
 
@@ -34,7 +41,7 @@ def check_database(path: Path) -> Checked:
     """Return the faults of a database, one line each."""
     faults: list[str] = []
     try:
-        faults += _faults_of_broker(path) if path.name == BROKER else _faults_of(path)
+        faults += _faults_of_broker(path) if path.name == DATABASE else _faults_of(path)
     except UsageError as error:
         faults.append(str(error))
     except sqlite3.Error as error:
@@ -71,3 +78,52 @@ def faults_of_keys() -> list[str]:
     from handover_accounts.settings import AccountsSettings  # noqa: PLC0415 - as above
 
     return list(faults_in(AccountsSettings.load()))
+
+
+@app.command()
+def check(
+    data_dir: DataDir = None,
+    restamp: Annotated[
+        bool,
+        typer.Option(help="Create the marks of sound databases again, after you replaced a file yourself."),
+    ] = False,
+) -> None:
+    """Check all databases, keys and tokens in the data directory completely.
+
+    Exit code 0: all are sound; 1: one is damaged, others can read it, or it could not be checked; 2: there is
+    no data directory. What cannot be read, on a full disk for example, is named; it is not damaged.
+    """
+    folder = settings_in(data_dir).data_dir
+    if not folder.is_dir():
+        raise UsageError(
+            f"there is no data directory {folder.absolute()}; name that of the cell with --data-dir, or run "
+            "this command in the folder of the cell"
+        )
+    found = databases(folder)
+    if not found:
+        say(f"there is no database in {folder.absolute()}")
+    is_damaged = is_unknown = False
+    for path in found:
+        if restamp and path.name != DATABASE:
+            renew_marks(path)
+        result = check_database(path)
+        is_damaged = is_damaged or bool(result.faults)
+        for fault in result.faults:
+            say(f"damaged  {fault}")
+        is_unknown = is_unknown or result.unreadable is not None
+        if result.unreadable:
+            say(f"unknown  {path}: {result.unreadable}")
+        elif not result.faults:
+            say(f"ok       {path}")
+    key_faults = faults_of_keys()
+    for fault in key_faults:
+        say(f"damaged  {fault}")
+    readable = list(faults_of_files(folder))
+    for line in readable:
+        say(f"open     {line}")
+    if (owner := owner_of(folder)) is not None:
+        say(f"accepted {owner}")
+    if is_damaged:
+        say(f"remedy: {REMEDY}")
+    if is_damaged or is_unknown or key_faults or readable:
+        raise typer.Exit(1)

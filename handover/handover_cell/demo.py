@@ -11,17 +11,17 @@ from typing import Any
 import httpx
 
 from handover.broker import BrokerClient, BrokerError
+from handover.command_line.access import AccessAuth, cli_access
 from handover.errors import UsageError
 from handover.python_processes import module_command
 from handover.settings import Settings
 from handover.tls_trust import client_context
-from handover_cell.access import AccessAuth, cli_access
-from handover_cell.glove import bridge_arguments
-from handover_cell.launcher import Launcher
+from handover_cell.launching.launcher import Launcher
 from handover_cell.obstacles import obstacle
 from handover_cell.progress import ProgressPrinter, Say
 from handover_cell.services import service_named, wanted_services
 from handover_datamodels.entities import Task
+from handover_gloves.command_line.glove import bridge_arguments
 
 DEFINITION = "bin-picking"
 GLOVE = "glove-1"

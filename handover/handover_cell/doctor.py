@@ -7,21 +7,26 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import httpx
+import typer
 
 from handover.broker import BrokerClient
 from handover.broker_abilities import ABILITIES, FoundAbilities, find_abilities
+from handover.command_line.access import cli_access
+from handover.command_line.output import AsJson, print_json
 from handover.errors import HandoverError, UsageError
 from handover.extensions import Service
 from handover.ports import PortLeaving, hold, reserved_ports, unreserved
 from handover.settings import Settings
 from handover.tls_trust import client_context
-from handover_cell.access import cli_access
-from handover_cell.launcher import require_space
+from handover_cell.launching.foreground import DataDir, say, settings_in
+from handover_cell.launching.launcher import require_space
 from handover_cell.services import has_own_broker, wanted_services
+
+app = typer.Typer()
 
 DOCKER_TIMEOUT_S = 20.0
 
@@ -182,3 +187,21 @@ def _docker_fault(program: str) -> str | None:
             return None
         reason = (asked.stderr.strip().splitlines() or ["no answer"])[-1]
     return f"{program} is installed, and its engine does not answer ({reason}); start it for containers"
+
+
+@app.command()
+def doctor(data_dir: DataDir = None, as_json: AsJson = False) -> None:
+    """Check this machine and a broker that is not ours; print the remedy for each missing part.
+
+    `wrong` is what keeps a part of Handover from working, then the exit code is 1; what is `missing` is
+    optional.
+    """
+    findings = examine(settings_in(data_dir))
+    if as_json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        for finding in findings:
+            level = "ok" if finding.ok else "wrong" if finding.needed else "missing"
+            say(f"{level:<7}  {finding.about}: {finding.words}")
+    if not all(finding.ok or not finding.needed for finding in findings):
+        raise typer.Exit(1)

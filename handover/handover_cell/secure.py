@@ -5,8 +5,6 @@ and tokens of accounts, and the one-time link of the owner. The init container o
 at each start.
 """
 
-import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,19 +12,15 @@ from typing import Annotated
 
 import typer
 
+from handover.command_line import secrets
 from handover.errors import UsageError
 from handover.outbound_policy import address_of
-from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.service_addresses import PageAddress
 from handover.settings import Settings
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
+from handover_accounts.command_line.accounts import service_names, set_up_accounts
 from handover_accounts.settings import AccountsSettings
-from handover_cell import secrets
-from handover_cell.accounts import service_names, set_up_accounts
 from handover_cell.compose_override import write_override
-
-READY_TIMEOUT_S = 60.0
-CHECK_EVERY_S = 0.1
 
 SERVICE_FILE = "service-token"
 """The file of the token of a service, beside its certificate."""
@@ -221,28 +215,6 @@ def renew(data_dir: DataDir = None) -> None:
     _print_authority(authority)
     for one in made:
         _print_server(one)
-
-
-def wait_for_security(*settings: str, timeout_s: float = READY_TIMEOUT_S) -> None:
-    """Wait until the files in these settings, authority, token and the keys of accounts exist.
-
-    It does not wait for a setting without a value. In containers `handover secure` may run at the same
-    time. Raises `UsageError` after the timeout.
-    """
-    names = (*settings, "HANDOVER_TLS_AUTHORITY", "HANDOVER_SERVICE_TOKEN_FILE")
-    files = {name: Path(value) for name in names if (value := os.environ.get(name))}
-    security = os.environ.get("HANDOVER_SECURITY_DIR")
-    if security:
-        files["HANDOVER_SECURITY_DIR"] = Path(security) / PUBLIC_KEYS_FILE
-    deadline_s = time.monotonic() + timeout_s
-    for name, file in files.items():
-        while not file.exists():
-            if time.monotonic() > deadline_s:
-                raise UsageError(
-                    f"{name} is {os.environ[name]}, and there is no file {file}; make it with: handover "
-                    "secure (containers: docker compose up init)"
-                )
-            time.sleep(CHECK_EVERY_S)
 
 
 def _settings(data_dir: Path | None) -> AccountsSettings:

@@ -1,11 +1,9 @@
 """The services of a cell: those that are installed, and those of them that `handover up` starts."""
 
-import importlib
 import json
 import os
 from collections.abc import Iterator
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
 
 from handover.errors import UsageError
 from handover.extensions import SERVICES, Service, load_service
@@ -13,9 +11,6 @@ from handover.service_addresses import BROKER, OWN_SERVICES
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_datamodels.contexts import handover_context
-
-if TYPE_CHECKING:
-    from fastapi import FastAPI
 
 log = get_logger(__name__)
 
@@ -61,23 +56,6 @@ def let_broker_fetch_context() -> None:
     if not has_own_broker() and "context_url" not in settings.model_fields_set:
         digest = sha256(json.dumps(handover_context()).encode()).hexdigest()[:12]
         os.environ["HANDOVER_CONTEXT_URL"] = f"{settings.orchestrator}/context.jsonld?{digest}"
-
-
-def application_of(service: Service) -> "FastAPI | None":
-    """Return the application of a service with the present settings; None if FastAPI does not answer it."""
-    from fastapi import FastAPI  # noqa: PLC0415 - the command line starts without it
-
-    for module in ("app", "server"):
-        try:
-            make = getattr(importlib.import_module(f"{service.module}.{module}"), "make_app", None)
-        except ModuleNotFoundError:
-            continue
-        if make is not None:
-            made: Any = make(service.settings.load())
-            while not isinstance(made, FastAPI):  # a wrapper of the application
-                made = next(value for name, value in vars(made).items() if name.lstrip("_") == "app")
-            return made
-    return None
 
 
 def _loadable_services_of_others() -> Iterator[Service]:

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from handover_cases.machine import Case
-from handover_cell.case import PURPOSES, load_case
+from handover_cell.cases.case import PURPOSES, load_case
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled, wait_for

@@ -76,7 +76,7 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
         words = " ".join(child.cmdline()).split()
         module = words[words.index("-m") + 1]
         found[SERVICE_OF.get(module, module)] = child
-    found.pop("handover_cell.fork_server", None)
+    found.pop("handover_cell.launching.fork_server", None)
     return found
 
 

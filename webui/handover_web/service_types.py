@@ -7,13 +7,14 @@ A file has the schemas of the requests and successful responses of the routes th
 of the page never imports a service; only this command does, in a checkout.
 """
 
-import importlib
+import os
 import socket
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from handover.extensions import application_of, load_service
 from handover_web.types import Schema, interface_of, name_of, reference_of
 
 FOLDER: Final = Path(__file__).parents[1] / "app" / "src" / "api" / "generated"
@@ -59,13 +60,12 @@ def main(arguments: Sequence[str]) -> None:
 
 def openapi_of(service: str) -> Mapping[str, Any]:
     """Return the OpenAPI document of a service."""
-    known = importlib.import_module("handover_cell.services")
-    found = next(one for one in known.own_services() if one.name == service)
     # Nothing is served here, so a running cell may have the port of the gloves.
-    ports = {name: _free_port() for name in found.settings.model_fields if name == "glove_port"}
-    app = importlib.import_module(f"{found.module}.app").make_app(found.settings.load(**ports))
-    document: Mapping[str, Any] = app.openapi()
-    return document
+    os.environ["HANDOVER_GLOVE_PORT"] = str(_free_port())
+    app = application_of(load_service(service))
+    if app is None:
+        raise SystemExit(f"{service} has no application of FastAPI, so its types cannot be written")
+    return app.openapi()
 
 
 def _free_port() -> int:

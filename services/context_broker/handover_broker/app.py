@@ -43,7 +43,7 @@ from handover_broker.request.request_context import (
     with_echoed_headers,
 )
 from handover_broker.request.routing import Operation, Router
-from handover_broker.settings import BrokerSettings
+from handover_broker.settings import DATABASE, BrokerSettings
 from handover_broker.storage.database import Database, SqliteDatabase
 from handover_broker.storage.document_counts import documents_with_counts
 from handover_broker.storage.entries import DocumentKind, Entries
@@ -294,7 +294,7 @@ class Broker:
 
 def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
     """Return all operations of a broker that is neither started nor written."""
-    journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
+    journal = Journal(SqliteDatabase(settings.data_dir / DATABASE))
     return Broker(settings, journal).router.operations
 
 
@@ -313,7 +313,7 @@ def _opened(settings: BrokerSettings) -> Broker:
     if settings.broker_database_url:
         database = PostgresDatabase(settings.with_password(settings.broker_database_url))
     else:
-        database = SqliteDatabase(settings.data_dir / "broker.db")
+        database = SqliteDatabase(settings.data_dir / DATABASE)
     journal = Journal(database)
     journal.open()
     return Broker(settings, journal)

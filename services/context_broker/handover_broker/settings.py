@@ -14,6 +14,9 @@ from handover.service_addresses import BROKER
 from handover.settings import Names, Settings
 from handover_datamodels.contexts import HANDOVER_URL
 
+DATABASE = "broker.db"
+"""The SQLite file in the data directory."""
+
 
 class BrokerSettings(Settings):
     """Settings of the embedded broker."""

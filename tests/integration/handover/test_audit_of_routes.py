@@ -15,12 +15,12 @@ from sqlalchemy import text
 
 import handover.service
 from handover.errors import Problem
-from handover.extensions import Service
+from handover.extensions import Service, application_of
 from handover.security.act_recording import audited, recorded_with_change, way_of
 from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.caller import LOCAL_OWNER
 from handover.security.permissions import Permission
-from handover_cell.services import all_services, application_of
+from handover_cell.services import all_services
 from tests.integration.handover.test_rights_of_routes import environment  # noqa: F401 - a fixture
 
 OWN_LOG = {"context-broker", "accounts"}

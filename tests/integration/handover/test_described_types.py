@@ -14,7 +14,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from handover_cell.services import application_of
+from handover.extensions import application_of
 from tests.integration.handover.test_rights_of_routes import SERVICES
 from tests.kit.described_requests import DescribedRequests
 from tests.kit.ports import next_free_port

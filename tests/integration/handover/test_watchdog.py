@@ -15,7 +15,7 @@ import pytest
 from handover.broker import BrokerClient
 from handover.extensions import Service
 from handover.settings import Settings
-from handover_cell.launcher import Launcher
+from handover_cell.launching.launcher import Launcher
 from handover_datamodels.entities import Alert
 from tests.integration.handover.busy_service import BusySettings
 from tests.kit.cell import Cell
@@ -114,7 +114,7 @@ async def test_a_service_without_processor_time_is_not_restarted(watched: Watche
 
 SUPERVISED = f"""
 import runpy
-from handover_cell.supervisor import run_watched
+from handover_cell.launching.supervisor import run_watched
 from {MODULE} import BusySettings
 settings = BusySettings.load()
 run_watched("busy", settings.url_of(settings.busy_port), settings, lambda line: print(line, flush=True))

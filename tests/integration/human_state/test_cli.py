@@ -6,7 +6,7 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
-from handover_cell.body import app
+from handover_body.command_line.body import app
 from tests.integration.human_state.conftest import HEART_RATE, consent
 from tests.kit.cell import Cell
 

@@ -102,7 +102,7 @@ def test_a_mapping_survives_a_restart_with_its_versions(allocating: Cell) -> Non
 def test_the_command_line_shows_and_sets_the_mapping(
     allocating: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handover_cell import process
+    from handover_processes.command_line import process
 
     monkeypatch.setenv("HANDOVER_ORCHESTRATOR_PORT", str(allocating.api.base_url.port))
     file = tmp_path / "mapping.yaml"

@@ -15,13 +15,14 @@ from psycopg.conninfo import conninfo_to_dict
 
 from glove_sdk_bridge.command_line import parse
 from handover.broker_credentials import credentials_of
+from handover.command_line.secrets import SECRETS
+from handover.command_line.waiting import wait_for_secrets
 from handover.security.glove_token import GLOVE_TOKEN_FILE
 from handover.settings import Settings, origins
 from handover_broker.settings import BrokerSettings
-from handover_cell.glove import bridge_arguments
-from handover_cell.secrets import SECRETS, wait_for_secrets
 from handover_cell.secure import Plan
 from handover_cell.services import own_services
+from handover_gloves.command_line.glove import bridge_arguments
 from handover_web.settings import WebuiSettings
 from tests.kit.waiting import scaled, wait_for
 

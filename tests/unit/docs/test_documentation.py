@@ -1,5 +1,6 @@
 """Links, commands and examples of the documentation are right."""
 
+import functools
 import importlib.util
 import itertools
 import re
@@ -9,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.main import get_command
 
 from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
+from handover_cell.commands import commands_of as installed_commands
 from handover_cell.main import app
 from handover_processes.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
@@ -120,11 +121,18 @@ def check_handover(words: list[str]) -> None:
         if words[1] != "udp":  # of an example
             parse(words[1:], "handover glove")
         return
-    command: Any = get_command(app)
-    while hasattr(command, "commands") and not (command.invoke_without_command and words[0].startswith("-")):
-        assert words[0] in command.commands, f"no command {words[0]}"
-        command, words = command.commands[words[0]], words[1:]
-    command.make_context("handover", list(words))
+    known, at = handover_commands(), 0
+    command = known[()]
+    while hasattr(command, "commands") and not (command.invoke_without_command and words[at].startswith("-")):
+        at += 1
+        assert tuple(words[:at]) in known, f"no command {words[:at]}"
+        command = known[tuple(words[:at])]
+    command.make_context("handover", list(words[at:]))
+
+
+@functools.cache
+def handover_commands() -> dict[tuple[str, ...], Any]:
+    return dict(installed_commands(app))
 
 
 def test_process_of_the_tutorial_can_be_deployed() -> None:

@@ -14,7 +14,7 @@ from glove_sdk_bridge.errors import BridgeError, Dropped
 from glove_sdk_bridge.frames import Frame, parse_frame
 from glove_sdk_bridge.replay import read_table
 from handover.errors import UsageError
-from handover_cell.device import add
+from handover_devices.command_line.device import add
 from handover_devices.model.description import DeviceDescription
 from handover_processes.requests import (
     ClaimRequest,

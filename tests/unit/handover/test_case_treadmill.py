@@ -13,7 +13,7 @@ import pytest
 from handover.errors import UsageError
 from handover_cases.machines.treadmill.belt import BeltState, StopReason
 from handover_cases.machines.treadmill.training import Plan
-from handover_cell.case_treadmill import PARTICIPANTS, SEED, perform_study, walk
+from handover_cell.cases.treadmill import PARTICIPANTS, SEED, perform_study, walk
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled
 

@@ -39,13 +39,13 @@ def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: P
         "from services.trajectory_tool.poses import pointing_down\n"
         "import services.trajectory_tool.poses\n"
         "import ros_fiware_bridge.errors, webui.metrics\n"
-        "from handover.cli import output\n"
-        "import handover_cell.output, handover_datamodels, handover_robots.poses, handover_ros.errors\n"
+        "from handover.cli import services as of_cell\n"
+        "import handover_cell.services, handover_datamodels, handover_robots.poses, handover_ros.errors\n"
         "assert Task is handover_datamodels.Task\n"
         "assert pointing_down is handover_robots.poses.pointing_down\n"
         "assert services.trajectory_tool.poses is handover_robots.poses\n"
         "assert ros_fiware_bridge.errors is handover_ros.errors\n"
-        "assert output is handover_cell.output\n"
+        "assert output is handover.command_line.output\n"
         "assert handover_robots.poses.__spec__.name == 'handover_robots.poses'\n",
         REPOSITORY if inside else tmp_path,
         "-W",

@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from handover.errors import UsageError
-from handover_cell.humanoid import app
+from handover_humanoid.command_line.humanoid import app
 
 
 def said(*words: str) -> str:

@@ -12,7 +12,7 @@ from handover_cases.machines.treadmill.report import compare
 from handover_cases.machines.treadmill.simulation import Habits, SimulatedWalker
 from handover_cases.machines.treadmill.training import Plan, Training
 from handover_cases.trial import Trial
-from handover_cell.case import print_study
+from handover_cell.cases.case import print_study
 
 STEP_S = 0.05
 FREE = 1.3

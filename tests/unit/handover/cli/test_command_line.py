@@ -4,19 +4,17 @@ import json
 import socket
 import ssl
 import threading
-from collections.abc import Iterator
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 
-import click
 import pytest
-from typer.main import get_command
 from typer.testing import CliRunner
 
+from handover.command_line.access import ask_service
 from handover.errors import UsageError
 from handover.settings import Settings
-from handover_cell.access import ask_service
+from handover_cell.commands import commands_of
 from handover_cell.main import app
 from tests.kit.certificates import Certificates
 
@@ -24,21 +22,8 @@ OTHER_OPTIONS = {("glove",)}
 """Commands of another parser."""
 
 
-def commands() -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """Every command and group with its words."""
-
-    def below(
-        command: click.Command, words: tuple[str, ...]
-    ) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-        yield words, command
-        for name, child in getattr(command, "commands", {}).items():
-            yield from below(child, (*words, name))
-
-    return below(get_command(app), ())
-
-
 def test_each_command_has_a_short_option_for_its_help() -> None:
-    for words, _ in commands():
+    for words, _ in commands_of(app):
         if words not in OTHER_OPTIONS:
             shown = CliRunner().invoke(app, [*words, "-h"])
             assert shown.exit_code == 0, (words, shown.output)
@@ -48,7 +33,7 @@ def test_each_command_has_a_short_option_for_its_help() -> None:
 def test_each_list_is_there_for_programs_too() -> None:
     lists = {
         words: {name for parameter in command.params for name in parameter.opts}
-        for words, command in commands()
+        for words, command in commands_of(app)
         if words and (words[-1] == "list" or (command.help or "").startswith(("List ", "Print every ")))
     }
     assert len(lists) >= 10

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from handover_cell.device import state_of
+from handover_devices.command_line.device import state_of
 
 STALE: tuple[tuple[bool, ...], ...] = ((), (True,), (False,), (True, False))
 

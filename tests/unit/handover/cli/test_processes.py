@@ -11,7 +11,8 @@ import psutil
 import pytest
 
 from handover.python_processes import module_command
-from handover_cell.processes import ForkedProcess, Process, ProcessStarter
+from handover_cell.launching import fork_server
+from handover_cell.launching.processes import ForkedProcess, Process, ProcessStarter
 from tests.kit.namesakes import leave_namesakes_in
 from tests.kit.processes import clean_environment
 from tests.kit.waiting import scaled, until
@@ -76,7 +77,7 @@ async def require_ended(process: int) -> None:
 
 def fork_servers() -> set[int]:
     """The fork servers of this process: that of the launcher under test, and that of the tests."""
-    return {one.pid for one in psutil.Process().children() if "handover_cell.fork_server" in one.cmdline()}
+    return {one.pid for one in psutil.Process().children() if fork_server.__name__ in one.cmdline()}
 
 
 def shown(process: Process) -> Sequence[str]:

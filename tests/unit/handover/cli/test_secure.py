@@ -9,11 +9,11 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from handover.command_line.waiting import wait_for_security
 from handover.errors import UsageError
 from handover.security.protection import require_protection
 from handover.settings import Settings
 from handover_cell.main import app
-from handover_cell.secure import wait_for_security
 from handover_cell.services import own_services
 
 REPOSITORY = Path(__file__).parents[4]

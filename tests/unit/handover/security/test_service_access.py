@@ -11,6 +11,7 @@ from pydantic import SecretStr
 
 from glove_sdk_bridge.controller_client import ACCESS_TOKEN, ControllerClient
 from handover.broker import BrokerClient, BrokerUnavailable
+from handover.command_line.access import access_headers
 from handover.errors import UsageError
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
@@ -18,7 +19,6 @@ from handover.security.secret_tokens import new_token
 from handover.security.service_access import ServiceAccess
 from handover.service import add_operations
 from handover.settings import Settings
-from handover_cell.access import access_headers
 
 
 def settings_in(folder: Path, **given: Any) -> Settings:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from handover_body.command_line.body import app
 from handover_body.drivers.recording.tracks import read
-from handover_cell.body import app
 from tests.unit.human_state.hearts import Heart, heart
 
 

@@ -1,0 +1,1 @@
+"""What commands share: output, credentials, requests to services, secrets."""

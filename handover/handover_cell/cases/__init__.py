@@ -1,0 +1,1 @@
+"""Case studies: a machine with the body of a simulated person, in one cell."""

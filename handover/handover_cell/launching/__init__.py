@@ -1,0 +1,1 @@
+"""Processes of a cell: started together, watched, restarted and stopped."""

@@ -1,0 +1,1 @@
+"""The commands of this service, by entry points in `handover.commands`."""
