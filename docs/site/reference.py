@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from typer.core import TyperGroup
 
+from docs.site.setting_subjects import by_subject
 from glove_sdk_bridge.command_line import parser as glove_parser
 from handover.extensions import Service, application_of
 from handover.security.guard import PUBLIC_PATHS, requirements
@@ -41,7 +42,8 @@ SETTINGS = f"""\
 
 Each setting is an environment variable. A file `.env` in the current folder can hold them too, and a file in
 the folder that `HANDOVER_SECRETS_DIR` names can hold a secret. `handover settings` prints the values of this
-machine and where each comes from. A setting that several services read is listed once.
+machine and where each comes from. A cell on one machine needs none of them; the subjects are in the order in
+which most cells need them.
 """
 
 CLI = f"""\
@@ -110,21 +112,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def settings_page() -> Iterator[str]:
     """Yield the lines of the page about settings."""
     yield from SETTINGS.splitlines()
-    seen: set[str] = set()
-    sections: list[tuple[str, type[Settings]]] = [("All services", Settings)]
-    sections += [(service.name, service.settings) for service in ALL]
-    for title, settings in sections:
-        new = {name: info for name, info in settings.model_fields.items() if name not in seen}
-        seen |= new.keys()
-        if not new:
-            continue
+    readers: dict[str, list[str]] = {name: ["all services"] for name in Settings.model_fields}
+    fields = dict(Settings.model_fields)
+    for service in ALL:
+        for name, info in service.settings.model_fields.items():
+            if name not in Settings.model_fields:
+                readers.setdefault(name, []).append(service.name)
+                fields.setdefault(name, info)
+    for subject, names in by_subject(fields).items():
         yield ""
-        yield f"## {title}"
+        yield f"## {subject}"
         yield ""
-        yield "| Setting | Default | Meaning |"
-        yield "|---|---|---|"
-        for name, info in new.items():
-            yield f"| `{PREFIX}{name.upper()}` | {_default(info)} | {_cell(info.description or '')} |"
+        yield "| Setting | Default | Meaning | Read by |"
+        yield "|---|---|---|---|"
+        for name in names:
+            info, read_by = fields[name], ", ".join(readers[name])
+            shown = f"`{PREFIX}{name.upper()}` | {_default(info)} | {_cell(info.description or '')}"
+            yield f"| {shown} | {read_by} |"
 
 
 def cli_page() -> Iterator[str]:
@@ -189,7 +193,7 @@ def _default(info: FieldInfo) -> str:
     value = info.default
     if value is PydanticUndefined:  # made at the start, from other settings
         return "–"
-    if value is None or value == () or isinstance(value, SecretStr):
+    if value in (None, (), "") or isinstance(value, SecretStr):
         return "–"
     if isinstance(value, tuple):
         value = ",".join(map(str, value))
