@@ -187,6 +187,7 @@ python-check: setup
 	@$(BIN)/python -m handover_web.service_types --check
 	@$(BIN)/python -m requirements.third_party --check
 	@$(BIN)/python -m docs.site.reference --check
+	@$(BIN)/python -m docs.site.adr_figures
 
 # The linter and the tests use one core each.
 page-check: setup
