@@ -35,7 +35,7 @@ from handover_humanoid.simulation.ball import RADIUS_M, build_with_ball
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 ROBOTS = ("coman", "talos")
-GUIDE = Path(__file__).parents[3] / "docs/how-to/humanoids.md"
+GUIDE = Path(__file__).parents[3] / "docs/how-to/connect-a-humanoid.md"
 SIDES = ("left", "right")
 CONTROL_S = 0.004
 

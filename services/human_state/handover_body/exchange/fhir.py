@@ -1,6 +1,6 @@
 """Features and waveforms as HL7 FHIR R5 Observations, sessions as a Bundle, and back.
 
-Codes were compared with public implementation guides (docs/how-to/human-state-exchange.md says which), not
+Codes were compared with public implementation guides (docs/reference/body-signal-formats.md says which), not
 with the licensed tables: LOINC 8867-4 (heart rate), 9279-1 (respiratory rate),
 59408-5 and 2708-6 (oxygen saturation, the second is required by the vital-signs profile), 80404-7 (standard
 deviation of the intervals between beats, so SDNN only), 55423-8 (steps); ISO/IEEE 11073-10101 (MDC) 147842

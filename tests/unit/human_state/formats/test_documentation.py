@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[4]
-MANUAL = REPOSITORY / "docs" / "how-to" / "human-state-exchange.md"
+MANUAL = REPOSITORY / "docs" / "reference" / "body-signal-formats.md"
 FOLDER = REPOSITORY / "ros_fiware_bridge/handover_ros/messages" / "handover_human_msgs" / "msg"
 
 
