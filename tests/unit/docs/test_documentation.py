@@ -5,6 +5,7 @@ import importlib.util
 import itertools
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -151,9 +152,16 @@ def test_tutorial_shows_a_part_of_its_process() -> None:
 
 def test_files_that_the_architecture_names_exist() -> None:
     architecture = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
-    named = re.findall(r"`((?:services|handover|ros_fiware_bridge|webui)/[\w/.]+)`", architecture)
-    assert len(named) >= 8
+    named = re.findall(r"`((?:services|handover|ros_fiware_bridge|webui|docs)/[\w/.]+)`", architecture)
+    assert len(named) >= 40
     assert [path for path in named if not (REPOSITORY / path).exists()] == []
+
+
+def test_the_picture_of_the_architecture_has_every_package() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    architecture = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    drawn = re.findall(r"\[\"<b>(\w+)</b>", architecture)
+    assert sorted(drawn) == sorted(project["tool"]["importlinter"]["root_packages"])
 
 
 def test_readme_is_short_and_says_what_fast_dds_needs_on_the_first_screen() -> None:
