@@ -72,7 +72,9 @@ class GatewaySettings(GatewayAddress, TrajectoryAddress):
         168.0, gt=0, description="how old a message may be that an edge has buffered"
     )
     device_ack_timeout_s: float = Field(
-        2.0, gt=0, description="a command without an answer for this time is sent again, where that is safe"
+        2.0,
+        gt=0,
+        description="a command without an answer for this time is sent again, if its kind allows it",
     )
     device_task_timeout_s: float = Field(
         600.0, gt=0, description="deadline of a Task's command if the Task has no timeoutS"
