@@ -136,18 +136,26 @@ def handover_commands() -> dict[tuple[str, ...], Any]:
     return dict(installed_commands(app))
 
 
-def test_process_of_the_tutorial_can_be_deployed() -> None:
-    file = REPOSITORY / "docs" / "tutorials" / "check-part.bpmn"
+TUTORIALS = [
+    ("first-cell.md", "check-part", ["go_home", "check_part"]),
+    ("first-component.md", "light-up", ["light"]),
+]
+
+
+@pytest.mark.parametrize(("_", "process", "activities"), TUTORIALS)
+def test_the_process_of_a_tutorial_can_be_deployed(_: str, process: str, activities: list[str]) -> None:
+    file = REPOSITORY / "docs" / "tutorials" / f"{process}.bpmn"
     (definition,) = read_bpmn(file.read_bytes()).definitions
-    assert definition.name == "check-part"
-    assert list(definition.activities()) == ["go_home", "check_part"]
+    assert definition.name == process
+    assert list(definition.activities()) == activities
 
 
-def test_tutorial_shows_a_part_of_its_process() -> None:
-    tutorial = (REPOSITORY / "docs" / "tutorials" / "first-cell.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("page", "process", "_"), TUTORIALS)
+def test_a_tutorial_shows_a_part_of_its_process(page: str, process: str, _: list[str]) -> None:
+    tutorial = (REPOSITORY / "docs" / "tutorials" / page).read_text(encoding="utf-8")
     shown = tutorial.split("```xml\n", 1)[1].split("```", 1)[0]
-    process = (REPOSITORY / "docs" / "tutorials" / "check-part.bpmn").read_text(encoding="utf-8")
-    assert [line.strip() for line in shown.splitlines() if line.strip() not in process] == []
+    file = (REPOSITORY / "docs" / "tutorials" / f"{process}.bpmn").read_text(encoding="utf-8")
+    assert [line.strip() for line in shown.splitlines() if line.strip() not in file] == []
 
 
 def test_files_that_the_architecture_names_exist() -> None:
