@@ -387,7 +387,7 @@ def set_mapping(
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{file} is no YAML: {error}") from None
     if not isinstance(given, dict) or not isinstance(given.get("entries"), list):
-        raise UsageError(f"{file} has no list `entries`; see docs/how-to/processes.md")
+        raise UsageError(f"{file} has no list `entries`; see docs/how-to/resources.md")
     table = ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
     print(f"mapping version {table['version']}: {len(table['entries'])} entries")
 
