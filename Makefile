@@ -93,9 +93,9 @@ test-failed: setup  ## every check, and alone the tests that failed in the last 
 # ROS 2 with Fast DDS from wheels, in a separate environment, because it starts more slowly and its types replace
 # ours. The wheels are for Python 3.11 on Linux.
 ROS_VENV := $(VENV)-ros
-ROS_TESTS := tests/integration/ros_fiware_bridge/graph tests/integration/ros_fiware_bridge/test_fast_dds.py \
-	tests/integration/ros_fiware_bridge/test_unknown_outcomes.py \
-	tests/integration/ros_fiware_bridge/test_humanoid.py tests/integration/ros_fiware_bridge/test_humanoid_link.py
+ROS_TESTS := ros_fiware_bridge/tests/integration/graph ros_fiware_bridge/tests/integration/test_fast_dds.py \
+	ros_fiware_bridge/tests/integration/test_unknown_outcomes.py \
+	ros_fiware_bridge/tests/integration/test_humanoid.py ros_fiware_bridge/tests/integration/test_humanoid_link.py
 
 ros-test: setup  ## the ROS bridge against ROS 2 nodes (rclpy, Fast DDS; Python 3.11 on Linux)
 	@if $(BIN)/python -c 'import sys; sys.exit(not (sys.platform == "linux" and sys.version_info[:2] == (3, 11)))'; then \
@@ -114,7 +114,7 @@ $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 	@touch $@
 
 crashes: setup  ## kill the broker a hundred times while it writes, and check its data
-	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
+	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q services/context_broker/tests/integration/test_crashes*.py $(ARGS)
 
 kill-test: setup  ## kill broker, orchestrator and performer at random moments for ten minutes (ARGS="--seconds 60 --processes 100")
 	@$(BIN)/python -m tests.load.kill_test $(ARGS)

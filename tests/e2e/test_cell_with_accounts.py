@@ -5,9 +5,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.integration.webui.test_signing_in import Browser, invited, set_up
 from tests.kit.cell import new_cell
 from tests.kit.waiting import wait_for
+from webui.tests.integration.test_signing_in import Browser, invited, set_up
 
 SERVICES = (
     "context_broker",

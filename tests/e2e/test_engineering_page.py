@@ -9,9 +9,9 @@ import httpx
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
+from services.task_orchestrator.tests.integration.test_offers import definition, process_file, prop
+from services.task_orchestrator.tests.integration.test_tasklist import FORM, bpmn
 from tests.e2e.conftest import OpenPage
-from tests.integration.task_orchestrator.test_offers import definition, process_file, prop
-from tests.integration.task_orchestrator.test_tasklist import FORM, bpmn
 from tests.kit.cell import Cell
 from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import wait_for

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.whole_body_control.tests.integration.conftest import HumanoidCell
+from services.whole_body_control.tests.integration.people import THROW_S, catching_patient, resume
 from tests.e2e.conftest import OpenPage
-from tests.integration.whole_body_control.conftest import HumanoidCell
-from tests.integration.whole_body_control.people import THROW_S, catching_patient, resume
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 

@@ -14,8 +14,8 @@ from playwright.sync_api import Error, Page, expect
 
 from handover_humanoid.model.kinematics import Kinematics
 from handover_humanoid.robots import humanoid
+from services.whole_body_control.tests.integration.people import THROW_S
 from tests.e2e.conftest import OpenPage
-from tests.integration.whole_body_control.people import THROW_S
 from tests.kit.cell import Cell, new_cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled, wait_for

@@ -9,11 +9,11 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.task_orchestrator.tests.unit.drawing import drawing, end, path, start
 from tests.e2e.conftest import OpenPage, answer, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
-from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

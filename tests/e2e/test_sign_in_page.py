@@ -7,8 +7,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS
-from tests.integration.webui.test_signing_in import PASSWORD, set_up
 from tests.kit.cell import Cell, new_cell
+from webui.tests.integration.test_signing_in import PASSWORD, set_up
 
 pytestmark = pytest.mark.slow
 

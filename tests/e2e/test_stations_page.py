@@ -7,11 +7,11 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from services.task_orchestrator.tests.unit.drawing import drawing, end, path, start
 from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS, type_slowly
-from tests.integration.webui.test_signing_in import PASSWORD, set_up
 from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for
-from tests.unit.task_orchestrator.drawing import drawing, end, path, start
+from webui.tests.integration.test_signing_in import PASSWORD, set_up
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -9,11 +9,11 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 
+from services.task_orchestrator.tests.unit.drawing import drawing, end, path, start
 from tests.e2e.conftest import STILL, OpenPage, appearing
 from tests.e2e.test_operators_page import Wearer
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
-from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

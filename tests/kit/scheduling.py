@@ -12,14 +12,14 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 TOGETHER: Final = {
     "tests/e2e/test_*_page.py": "screen",  # two cores bear one browser at a time
     "tests/e2e/test_humanoid_vr.py": "screen",
-    "tests/integration/context_broker/test_distributed_*.py": "registered brokers",
-    "tests/integration/ros_fiware_bridge/test_both_ways.py": "shared shop with a robot",
-    "tests/integration/ros_fiware_bridge/test_requests.py": "shared shop with a robot",
+    "services/context_broker/tests/integration/test_distributed_*.py": "registered brokers",
+    "ros_fiware_bridge/tests/integration/test_both_ways.py": "shared shop with a robot",
+    "ros_fiware_bridge/tests/integration/test_requests.py": "shared shop with a robot",
 }
 SEPARATE: Final = (
     "tests/e2e/test_demo.py",
-    "tests/integration/context_broker/test_crashes*.py",
-    "tests/integration/webui/test_live.py",
+    "services/context_broker/tests/integration/test_crashes*.py",
+    "webui/tests/integration/test_live.py",
 )
 
 

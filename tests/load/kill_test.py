@@ -27,11 +27,11 @@ import httpx
 import orjson
 
 from handover.outcomes import OUTCOME_UNKNOWN
-from tests.integration.task_orchestrator.cell import Cell, cell
-from tests.integration.task_orchestrator.test_elements import CASES as ELEMENTS
-from tests.integration.task_orchestrator.test_elements import Case
+from services.task_orchestrator.tests.integration.cell import Cell, cell
+from services.task_orchestrator.tests.integration.test_elements import CASES as ELEMENTS
+from services.task_orchestrator.tests.integration.test_elements import Case
+from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, path, start
 from tests.kit.ports import next_free_port
-from tests.unit.task_orchestrator.drawing import activity, drawing, end, path, start
 
 PAUSE_S = (1.0, 5.0)
 """Between two kills."""

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from glove_sdk_bridge.frames import Frame, Hello, parse_frame, parse_hello
+from tests.kit.paths import REPOSITORY
 
-REPOSITORY = Path(__file__).parents[3]
 ACK = b'{"type":"ack","version":1}\n'
 
 

@@ -13,10 +13,10 @@ import pytest
 from glove_sdk_bridge.__main__ import main
 from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.recording import RecordingWriter
+from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled
 
 Bridge = Callable[..., subprocess.Popen[bytes]]
-REPOSITORY = Path(__file__).parents[3]
 
 
 def environment(**more: str) -> dict[str, str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.integration.context_broker.conftest import BrokerProcess
+from services.context_broker.tests.integration.conftest import BrokerProcess
 from tests.kit import processes
 from tests.kit.databases import broker_settings
 from tests.kit.other_broker.abilities import value

@@ -15,7 +15,7 @@ import pytest
 
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.settings import Settings
-from tests.integration.context_broker.conftest import BrokerProcess, Subscriber
+from services.context_broker.tests.integration.conftest import BrokerProcess, Subscriber
 from tests.kit.asgi_server import served
 from tests.kit.other_broker.abilities import NOT_PROBED, PROBES, abilities, has_ability, value
 from tests.kit.other_broker.profiles import ORION_LD, PLAIN, RULES, Profile

@@ -7,9 +7,9 @@ import pytest
 
 from handover_robots.physics import is_available
 from handover_robots.planning import is_available as is_planning_available
+from services.task_orchestrator.tests.unit.drawing import drawing, end, path, start
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
-from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [
     pytest.mark.slow,

@@ -24,9 +24,9 @@ from handover_cell.secure import Plan
 from handover_cell.services import own_services
 from handover_gloves.command_line.glove import bridge_arguments
 from handover_web.settings import WebuiSettings
+from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled, wait_for
 
-REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
 ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", interpolate=False).items()}
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]

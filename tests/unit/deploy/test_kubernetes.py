@@ -14,8 +14,9 @@ import yaml
 from handover.settings import origins
 from handover_cell.services import own_services
 from tests.kit import processes
+from tests.kit.paths import REPOSITORY
 
-FOLDER = Path(__file__).parents[3] / "deploy/kubernetes"
+FOLDER = REPOSITORY / "deploy/kubernetes"
 KUSTOMIZATION: dict[str, Any] = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
 SERVICES = own_services()
 DOCUMENTS: list[dict[str, Any]] = [

@@ -5,7 +5,6 @@ import json
 import re
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,8 +14,9 @@ from prometheus_client import REGISTRY
 
 from docs.site.reference import metrics
 from handover_cell.services import own_services
+from tests.kit.paths import REPOSITORY
 
-HERE = Path(__file__).parents[3] / "deploy" / "observability"
+HERE = REPOSITORY / "deploy" / "observability"
 DASHBOARD: dict[str, Any] = json.loads((HERE / "dashboards" / "handover.json").read_text())
 COUNTING = (
     "handover_ros.metrics",

@@ -1,15 +1,13 @@
 """The poses that the 3D view of the page is checked against are those of the UR10's model."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from handover_robots.robots.ur10 import ROBOT
+from tests.kit.paths import REPOSITORY
 
-KNOWN = json.loads(
-    (Path(__file__).parents[3] / "webui/app/src/robot3d/ur10.poses.json").read_text(encoding="utf-8")
-)
+KNOWN = json.loads((REPOSITORY / "webui/app/src/robot3d/ur10.poses.json").read_text(encoding="utf-8"))
 
 
 def test_the_page_and_the_tool_name_the_joints_alike() -> None:

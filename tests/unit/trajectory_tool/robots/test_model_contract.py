@@ -10,10 +10,9 @@ from handover_robots.model_contract import ModelContract
 from handover_robots.planning import is_available
 from handover_robots.robot_model import RobotModel
 from handover_robots.robots import ROBOTS
+from tests.kit.paths import REPOSITORY
 
-MANUFACTURERS = Path(
-    os.environ.get("HANDOVER_ROBOT_MESHES", Path(__file__).parents[5] / "shared/data/robots")
-)
+MANUFACTURERS = Path(os.environ.get("HANDOVER_ROBOT_MESHES", REPOSITORY.parent / "shared/data/robots"))
 
 
 class TestUR10(ModelContract):

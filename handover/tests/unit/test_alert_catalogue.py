@@ -1,0 +1,47 @@
+"""The catalogue of Alerts: unique, used, known to the page, and documented."""
+
+import re
+
+from handover import alert_catalogue
+from handover.alert_catalogue import CATALOGUE, AlertCategory, AlertType, as_markdown
+from tests.kit.paths import REPOSITORY
+
+
+def test_every_alert_has_its_own_subcategory_and_a_known_category() -> None:
+    sub_categories = [one.sub_category for one in CATALOGUE]
+    assert len(set(sub_categories)) == len(sub_categories)
+    assert {one.category for one in CATALOGUE} <= set(AlertCategory)
+
+
+def test_the_reference_shows_the_catalogue() -> None:
+    page = (REPOSITORY / "docs" / "reference" / "alerts.md").read_text()
+    assert as_markdown() in page
+
+
+def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
+    sources = [
+        file.read_text()
+        for folder in ("services", "ros_fiware_bridge")
+        for file in (REPOSITORY / folder).rglob("*.py")
+    ]
+    sources += [
+        (REPOSITORY / "handover/handover" / f"{name}.py").read_text()
+        for name in ("certificate_watch", "own_subscriptions", "reporting_writer", "watchdog")
+    ]
+    named = {name: one for name, one in vars(alert_catalogue).items() if isinstance(one, AlertType)}
+    assert set(named.values()) == set(CATALOGUE)
+    for name in named:
+        assert any(re.search(rf"\b{name}\b", source) for source in sources), name
+
+
+def test_no_service_writes_a_category_of_its_own() -> None:
+    for folder in ("services", "ros_fiware_bridge", "webui"):
+        for file in (REPOSITORY / folder).rglob("*.py"):
+            assert not re.search(r'\bAlertType\(\s*"', file.read_text()), file
+
+
+def test_the_page_explains_only_alerts_of_the_catalogue() -> None:
+    source = (REPOSITORY / "webui" / "app" / "src" / "alerts" / "attention.ts").read_text()
+    known = re.search(r"knownKinds = new Set\(\[(.*?)\]\)", source)
+    assert known is not None
+    assert set(re.findall(r'"(\w+)"', known.group(1))) <= {one.sub_category for one in CATALOGUE}
