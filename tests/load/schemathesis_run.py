@@ -17,7 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from handover.tests.integration.test_perimeter import SERVICES
+from tests.integration.cell.test_perimeter import SERVICES
 from tests.kit.cell import new_cell
 from tests.kit.described_requests import KEPT_RUNNING
 

@@ -23,8 +23,8 @@ from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.service import create_app
 from handover.settings import Settings
-from handover.tests.unit.security.test_guard import KEY, UR10, bearer, set_up_accounts
 from handover_cell.main import app as command_line
+from tests.kit.bearer_tokens import KEY, UR10, bearer, set_up_accounts
 from tests.kit.waiting import until
 
 ANNA = "urn:ngsi-ld:Person:demo:anna"

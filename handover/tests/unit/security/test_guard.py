@@ -10,7 +10,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from handover.security.access_tokens import SigningKey, key_set
+from handover.security.access_tokens import SigningKey
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import (
     Guard,
@@ -24,9 +24,7 @@ from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.service import create_app
 from handover.settings import Settings
-
-KEY = SigningKey.generate()
-UR10 = "urn:ngsi-ld:Device:demo:ur10-1"
+from tests.kit.bearer_tokens import KEY, UR10, bearer, set_up_accounts
 
 
 def an_app(settings: Settings, revocations: FollowedRevocations) -> FastAPI:
@@ -59,18 +57,6 @@ async def http(tmp_path: Path, revocations: FollowedRevocations) -> AsyncIterato
     app = an_app(Settings(data_dir=tmp_path, _env_file=None), revocations)
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
         yield client
-
-
-def set_up_accounts(folder: Path) -> None:
-    (folder / "security").mkdir()
-    (folder / "security" / PUBLIC_KEYS_FILE).write_bytes(key_set(KEY))
-
-
-def bearer(
-    *grants: Grant, subject: str = "subject-1", revision: int = 0, valid_s: float = 60
-) -> dict[str, str]:
-    caller = Caller(CallerKind.USER, subject, "Anna", grants, revision=revision, session="session-1")
-    return {"Authorization": f"Bearer {KEY.issue(caller, valid_s=valid_s)}"}
 
 
 async def test_without_accounts_a_local_request_may_do_everything(http: httpx.AsyncClient) -> None:

@@ -14,9 +14,9 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant
-from handover.tests.integration.test_rights_of_callers import Uninterrupted
 from handover_body.app import make_app
 from handover_body.settings import HumanStateSettings
+from tests.integration.cell.test_rights_of_callers import Uninterrupted
 from tests.kit.asgi_server import served
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY

@@ -15,7 +15,7 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from handover.extensions import application_of
-from handover.tests.integration.test_rights_of_routes import SERVICES
+from tests.integration.cell.test_rights_of_routes import SERVICES
 from tests.kit.described_requests import DescribedRequests
 from tests.kit.ports import next_free_port
 

@@ -22,12 +22,12 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Requirement, _walk
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import ROLE_PERMISSIONS, Grant, Permission, Role
-from handover.tests.integration.test_rights_of_routes import open_stream
 from handover_cell.services import all_services, service_named
 from handover_humanoid.running.session_store import SessionStore
 from handover_humanoid.settings import WholeBodySettings
 from handover_processes.app import make_app
 from services.task_orchestrator.tests.integration.rest import settings_in
+from tests.integration.cell.test_rights_of_routes import open_stream
 from tests.kit.ports import next_free_port
 
 KEY = SigningKey.generate()

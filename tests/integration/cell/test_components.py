@@ -14,12 +14,12 @@ import httpx
 import pytest
 
 from handover.security.permissions import Grant, Role
-from handover.tests.integration.test_performer import HERE, LAMP, a_task
 from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
 from handover_accounts import grants, users
 from handover_accounts.set_up import opened_store, set_up
 from handover_accounts.settings import AccountsSettings
+from tests.integration.cell.test_performer import HERE, LAMP, a_task
 from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import wait_ready_over_tls

@@ -15,15 +15,15 @@ import pytest
 from handover.broker import BrokerClient
 from handover.extensions import Service
 from handover.settings import Settings
-from handover.tests.integration.busy_service import BusySettings
 from handover_cell.launching.launcher import Launcher
 from handover_datamodels.entities import Alert
+from tests.integration.cell.busy_service import BusySettings
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, until
 
-MODULE = "handover.tests.integration.busy_service"
+MODULE = "tests.integration.cell.busy_service"
 BUSY = Service("busy", MODULE, BusySettings, "busy_port")
 Eventually = Callable[..., None]
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from handover.tests.integration.test_performer import LampProcess, a_task
+from tests.integration.cell.test_performer import LampProcess, a_task
 from tests.kit.cell import Cell, new_cell
 from tests.kit.refusing_proxy import RefusingProxy, refusing_proxy
 from tests.kit.waiting import wait_for

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import httpx
 import pytest
 
-from handover.tests.integration.test_perimeter import SERVICES
+from tests.integration.cell.test_perimeter import SERVICES
 from tests.kit.cell import Cell, new_cell
 from tests.kit.described_requests import DescribedRequest, DescribedRequests
 
