@@ -1,0 +1,1 @@
+"""Tests that cross packages, and the kit of all tests; the others stand beside their packages."""
