@@ -95,6 +95,7 @@ def iri(name: str, minor: int | None) -> str:
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", sorted(TYPES))
 @given(data=st.data())
 @settings(max_examples=5)

@@ -270,6 +270,7 @@ def test_settings_without_a_value_are_not_set() -> None:
     assert Settings.load(_env_file=None, **empty).other_broker_headers() == {}
 
 
+@pytest.mark.nightly
 async def test_tokens_of_a_provider_are_requested_renewed_and_repeated_when_they_are_refused() -> None:
     provider = openid_provider()
     program = provider.add_program()

@@ -18,6 +18,7 @@ from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled
 
 
+@pytest.mark.nightly
 def test_a_walker_is_coached_on_a_heart_rate_from_signals_and_a_seed_repeats_it() -> None:
     said: list[str] = []
     first = walk(PARTICIPANTS[1], Plan(100.0), SEED, said.append)
@@ -86,6 +87,7 @@ def lines_of(text: str) -> list[str]:
     return [line.split(" m/s: ")[1] for line in text.splitlines() if " m/s: " in line]
 
 
+@pytest.mark.nightly
 def test_the_command_lets_a_model_in_another_process_word_what_the_trainer_says() -> None:
     with model_server("obedient") as (url, asked):
         said = lines_of(study(url, "--consent-to-model"))
@@ -102,6 +104,7 @@ def test_the_command_lets_a_model_in_another_process_word_what_the_trainer_says(
             assert participant.name not in text
 
 
+@pytest.mark.nightly
 def test_without_consent_the_command_asks_no_model() -> None:
     with model_server("obedient") as (url, asked):
         said = lines_of(study(url))
@@ -110,6 +113,7 @@ def test_without_consent_the_command_asks_no_model() -> None:
     assert not any("model" in line for line in said)
 
 
+@pytest.mark.nightly
 def test_nonsense_and_silence_of_a_model_leave_the_template() -> None:
     with model_server("nonsense") as (url, asked):
         said = lines_of(study(url, "--consent-to-model"))

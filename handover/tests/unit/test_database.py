@@ -180,6 +180,7 @@ with connect(url).begin() as connection:
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_new", [True, False])
 def test_services_that_share_a_database_make_it_at_the_same_time(tmp_path: Path, is_new: bool) -> None:
     tables = ["lamps", "fans", "belts"]

@@ -50,6 +50,7 @@ def test_a_wrong_statement_is_none(engine: Engine, statement: str) -> None:
     assert outage_problem(fault_of(engine, statement)) is None
 
 
+@pytest.mark.nightly
 async def test_every_route_of_a_service_answers_so(engine: Engine) -> None:
     app = create_app("lamp", description="A lamp.")
 

@@ -33,6 +33,7 @@ async def test_what_was_recorded_is_found_after_a_restart(tmp_path: Path) -> Non
     assert before.path.parent == tmp_path
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("retention_h", "kept_h"), [(24.0, MIN_KEEP_H), (2000.0, 4000.0), (0.0, MIN_KEEP_H)])
 async def test_records_outlive_the_task_in_the_broker(
     tmp_path: Path, retention_h: float, kept_h: float

@@ -98,6 +98,7 @@ async def test_a_key_at_which_the_broker_fails_is_tried_three_times(monkeypatch:
         await target.wait_for({"lamp": 2})
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=30)
 @given(
     st.lists(st.tuples(st.sampled_from("abc"), st.booleans()), max_size=30),

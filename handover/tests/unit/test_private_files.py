@@ -97,6 +97,7 @@ def test_an_explicit_mode_holds_whatever_the_umask(tmp_path: Path) -> None:
     assert mode_of(tmp_path / "cell.json") == 0o600
 
 
+@pytest.mark.nightly
 def test_check_names_what_others_can_read(tmp_path: Path) -> None:
     tmp_path.chmod(0o755)
     checked = subprocess.run(
@@ -108,6 +109,7 @@ def test_check_names_what_others_can_read(tmp_path: Path) -> None:
     assert f"open     {tmp_path} can be read by others (mode 0755)" in checked.stdout
 
 
+@pytest.mark.nightly
 def test_a_command_that_makes_accounts_makes_private_files(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "data"
     command = [sys.executable, "-m", "handover_cell", "accounts", "set-up", "--data-dir", str(folder)]

@@ -55,6 +55,7 @@ def test_workers_of_a_pool_come_from_the_installation(
     assert done.stdout == "120\n", done.stderr
 
 
+@pytest.mark.nightly
 def test_every_command_with_this_interpreter_has_a_safe_path() -> None:
     unsafe = []
     for package in SHIPPED:

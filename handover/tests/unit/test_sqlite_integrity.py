@@ -67,6 +67,7 @@ def wal_of(file: Path) -> Path:
     return file.with_name(f"{file.name}-wal")
 
 
+@pytest.mark.nightly
 def test_a_database_whose_writer_was_killed_at_any_moment_is_complete_and_accepted(tmp_path: Path) -> None:
     file = tmp_path / "lamp.db"
     for commits in (1, 3, 40, 7, 120, 2, 64, 33):
@@ -118,6 +119,7 @@ def flip(file: Path, position: int) -> None:
         opened.write(bytes([byte ^ 1 << position % 8]))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("harm", [without_log, with_a_bit_of_the_log_flipped, with_an_older_copy])
 @pytest.mark.parametrize("seed", range(3))
 def test_lost_commits_are_reported_at_the_start_and_by_the_check(
@@ -138,6 +140,7 @@ def test_lost_commits_are_reported_at_the_start_and_by_the_check(
     assert any("changes are missing" in fault for fault in check_database(file).faults)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_killed", [True, False])
 def test_any_flipped_bit_of_the_file_is_reported(tmp_path: Path, is_killed: bool) -> None:
     file = tmp_path / "lamp.db"
@@ -161,6 +164,7 @@ def test_any_flipped_bit_of_the_file_is_reported(tmp_path: Path, is_killed: bool
     count_of(file)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "content", [b"\xff\xfe\x00", b"", b"6b8b4567", b"6b8b4567\n00000000000000000001 00000000\n"]
 )

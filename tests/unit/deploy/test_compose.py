@@ -471,6 +471,7 @@ def test_every_url_of_the_database_of_the_cell_demands_its_certificate_and_the_r
     assert all(any(mount.endswith(":/tls:ro") for mount in each["volumes"]) for each in users)
 
 
+@pytest.mark.nightly
 def test_postgresql_starts_with_its_certificate_and_loads_a_renewed_one(tmp_path: Path) -> None:
     """The script of the container runs with folders of this machine, and a program in place of the image."""
     each = CONTAINERS["postgres"]

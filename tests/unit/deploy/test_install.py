@@ -39,6 +39,7 @@ def reported(checkout: Path) -> list[str]:
     return [line for line in done.stderr.splitlines() if not line.startswith("make: ")]
 
 
+@pytest.mark.nightly
 def test_without_a_network_there_is_one_message_with_the_way_out(checkout: Path) -> None:
     (line,) = reported(checkout)
     assert line.startswith(
@@ -47,6 +48,7 @@ def test_without_a_network_there_is_one_message_with_the_way_out(checkout: Path)
     assert "Connection refused" in (checkout / ".venv" / "install.log").read_text()
 
 
+@pytest.mark.nightly
 def test_another_fault_is_reported_as_it_is(checkout: Path) -> None:
     (checkout / "requirements" / "uv.lock").write_text("uv=\n")
     assert any("Invalid requirement" in line for line in reported(checkout))

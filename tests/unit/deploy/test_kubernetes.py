@@ -146,6 +146,7 @@ def test_the_broker_may_notify_each_replica_of_the_page() -> None:
     assert {f"webui-{number}.webui-replicas" for number in range(most)} <= set(allowed.split(","))
 
 
+@pytest.mark.nightly
 def test_the_script_makes_every_file_of_the_secrets(tmp_path: Path) -> None:
     """It is run on a copy, with a database of its own."""
     (tmp_path / "secure").write_bytes((FOLDER / "secure").read_bytes())

@@ -50,6 +50,7 @@ def settled(hand: SimulatedHand, code: str, frames: int) -> list[tuple[float, ..
     return [hand.read() for _ in range(frames)]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("gesture", M2O2P_GESTURES)
 def test_every_gesture_is_read_as_itself_with_thresholds_in_the_middle(gesture: str) -> None:
     code = M2O2P_GESTURES[gesture]
@@ -61,6 +62,7 @@ def test_every_gesture_is_read_as_itself_with_thresholds_in_the_middle(gesture: 
     assert sum(finger_states(list(frame), MIDDLE) == code for frame in every) / len(every) > 0.98
 
 
+@pytest.mark.nightly
 def test_a_fist_and_an_open_hand_calibrate_a_glove_that_then_reads_every_gesture() -> None:
     right = dict.fromkeys(M2O2P_GESTURES.values(), 0)
     for seed in range(10):
@@ -73,6 +75,7 @@ def test_a_fist_and_an_open_hand_calibrate_a_glove_that_then_reads_every_gesture
     assert min(shares.values()) > 0.85, shares  # what is missing the operator corrects
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_hand_that_rests_for_an_hour_never_holds_a_gesture() -> None:
     hand, held, longest = SimulatedHand(1, posture=AT_REST), 0, 0
@@ -103,6 +106,7 @@ def test_the_noise_of_a_still_finger_is_that_of_the_recordings(place: int) -> No
     assert noise == pytest.approx(SENSORS[place].noise, rel=0.15)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("place", range(5))
 def test_a_still_finger_wanders_and_drifts_as_in_the_recordings(place: int) -> None:
     sensor, seconds = SENSORS[place], 24

@@ -93,6 +93,7 @@ def test_every_gesture_is_confirmed_and_no_other(gesture: str) -> None:
         assert took_s > MIN_REACTION_S + 1.5
 
 
+@pytest.mark.nightly
 def test_an_operator_who_has_calibrated_once_confirms_every_gesture_while_the_sensors_drift() -> None:
     for seed in range(3):
         hand = SimulatedHand(seed)
@@ -114,6 +115,7 @@ def test_a_careful_operator_takes_as_long_as_a_person() -> None:
     assert 2.3 < times_s[len(times_s) // 2] < 3.6
 
 
+@pytest.mark.nightly
 def test_a_careless_operator_tries_again_until_it_counts_and_no_wrong_gesture_ever_counts() -> None:
     kinds = set()
     for seed in range(4):
@@ -128,6 +130,7 @@ def test_a_careless_operator_tries_again_until_it_counts_and_no_wrong_gesture_ev
     assert kinds == set(Attempt)
 
 
+@pytest.mark.nightly
 def test_mistakes_are_as_frequent_as_asked() -> None:
     tried = bench(3, mistakes=0.15)
     for number in range(200):

@@ -68,6 +68,7 @@ def listed(text: str, title: str) -> list[str]:
     return sorted(line.strip().removeprefix("test_cell.py::") for line in lines[1 : count + 1])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("workers", [(), ("-n", "2")])
 def test_expected_failures_are_reported_and_do_not_fail_the_run(run: str, workers: tuple[str, ...]) -> None:
     code, text = output(run, "strict", *workers)
@@ -83,6 +84,7 @@ def test_expected_failures_are_reported_and_do_not_fail_the_run(run: str, worker
     assert code == 1
 
 
+@pytest.mark.nightly
 def test_where_the_ability_is_there_nothing_is_expected_to_fail(run: str) -> None:
     code, text = output(run, "strict -history")
     assert "there      history" in text

@@ -40,6 +40,7 @@ def add(cell: Path) -> Add:
     return words
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "cell_host", "listens"),
     [

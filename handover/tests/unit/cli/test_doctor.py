@@ -44,6 +44,7 @@ def examined(tmp_path: Path, about: str) -> list[tuple[bool, bool, str]]:
     ]
 
 
+@pytest.mark.nightly
 def test_the_port_of_another_program_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -55,6 +56,7 @@ def test_the_port_of_another_program_is_wrong(tmp_path: Path, monkeypatch: pytes
     assert str(port) in words
 
 
+@pytest.mark.nightly
 def test_a_client_of_docker_without_its_engine_is_not_enough(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,6 +74,7 @@ def test_a_client_of_docker_without_its_engine_is_not_enough(
         assert is_well or "its engine does not answer" in words
 
 
+@pytest.mark.nightly
 def test_a_folder_that_is_missing_is_not_made(tmp_path: Path) -> None:
     ((ok, _, words),) = examined(tmp_path / "new" / "data", "data directory")
     assert ok

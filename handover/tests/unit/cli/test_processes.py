@@ -108,6 +108,7 @@ async def test_the_exit_status_is_that_of_the_module(starter: ProcessStarter, fo
     assert "No module named there_is_no_such_module" in (folder / "log").read_text()
 
 
+@pytest.mark.nightly
 async def test_a_killed_server_ends_its_processes_and_later_ones_are_programs(
     folder: Path,
 ) -> None:

@@ -104,6 +104,7 @@ def test_two_packages_that_register_one_name_are_named(folder: Path) -> None:
         wanted_services()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("url", "is_own"),
     [

@@ -146,6 +146,7 @@ async def test_old_versions_of_tls_are_refused(certificates: Certificates) -> No
         writer.close()
 
 
+@pytest.mark.nightly
 async def test_a_new_certificate_serves_new_connections_and_open_ones_continue(
     certificates: Certificates,
 ) -> None:
@@ -216,6 +217,7 @@ def test_an_encrypted_key_is_refused_instead_of_asking_for_its_password(certific
         ServerCertificate(files.certificate, files.key)
 
 
+@pytest.mark.nightly
 async def test_clients_name_the_fault_of_the_certificate(certificates: Certificates, tmp_path: Path) -> None:
     files = certificates.make("cell-3.example")
     stranger = Certificates(tmp_path / "stranger").make()

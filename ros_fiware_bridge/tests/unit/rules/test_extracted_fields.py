@@ -78,6 +78,7 @@ def rules() -> dict[str, EntityExtractor]:
 READY = rules()
 
 
+@pytest.mark.nightly
 @given(st.data())
 @settings(max_examples=300, deadline=None)
 def test_an_excerpt_and_the_whole_message_extract_the_same(data: st.DataObject) -> None:

@@ -91,6 +91,7 @@ def big_endian(library: Any, data: bytes, type_name: str) -> bytes:
     return bytes(library.serialize_cdr(read, type_name, little_endian=False))
 
 
+@pytest.mark.nightly
 @given(st.data())
 @settings(max_examples=400, deadline=None)
 def test_an_excerpt_equals_the_selected_fields_of_the_message(
@@ -106,6 +107,7 @@ def test_an_excerpt_equals_the_selected_fields_of_the_message(
         assert listed(found) == listed(selected(store.decode(name, message), wanted(asked)))
 
 
+@pytest.mark.nightly
 @given(st.data())
 @settings(max_examples=200, deadline=None)
 def test_a_truncated_message_is_refused_for_any_selection(store: TypeStore, data: st.DataObject) -> None:

@@ -102,6 +102,7 @@ async def test_a_service_does_not_open_because_its_keys_are_missing(
     assert any(fault.startswith(f"{file} is missing") for fault in faults_in(used))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "harm",
     [

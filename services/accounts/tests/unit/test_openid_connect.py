@@ -78,6 +78,7 @@ def a_name() -> str:
     return f"anna-{uuid4().hex[:8]}"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_public", [False, True])
 async def test_a_person_signs_in_at_the_provider_and_gets_the_grants_of_its_groups(
     tmp_path: Path, provider: OpenIdProvider, is_public: bool

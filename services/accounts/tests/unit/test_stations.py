@@ -175,6 +175,7 @@ async def test_pins_are_limited_and_verified_for_tasks(line: Line) -> None:
     assert 429 in tries
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("kind", "value"), [("pin", "12"), ("pin", "0000"), ("pin", "123456"), ("badge", "a b"), ("pin", "12a4")]
 )

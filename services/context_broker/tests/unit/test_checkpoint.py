@@ -119,6 +119,7 @@ def result(one: PendingNotification) -> tuple[Any, ...]:
     return one.tenant, one.subscription, one.entity, one.at, one.body, one.seq, one.headers
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=20)
 @given(made=st.lists(commits, max_size=8))
 def test_many_commits_in_one_transaction_leave_what_each_alone_would(
@@ -137,6 +138,7 @@ def test_many_commits_in_one_transaction_leave_what_each_alone_would(
     assert tables(folder / "together.db") == tables(folder / "alone.db")
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=15)
 @given(made=st.lists(commits, min_size=1, max_size=8))
 def test_the_log_of_a_killed_broker_is_written_to_the_tables_at_the_next_start(
@@ -175,6 +177,7 @@ def test_a_commit_too_long_for_the_log_is_written_at_once_and_in_its_turn(tmp_pa
     journal.close()
 
 
+@pytest.mark.nightly
 def test_a_reader_sees_what_was_committed(tmp_path: Path) -> None:
     journal = opened(tmp_path / "broker.db")
     for place in range(1, 3000):

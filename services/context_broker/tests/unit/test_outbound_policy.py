@@ -197,6 +197,7 @@ def test_with_accounts_only_our_own_services_are_reached_on_this_machine(
     assert asyncio.run(policy.resolved("localhost", 54200))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("pack", [gzip.compress, zlib.compress])
 def test_a_body_is_inflated_up_to_the_limit(pack: Any) -> None:
     assert inflate(pack(b"x" * 1000), 1000) == b"x" * 1000

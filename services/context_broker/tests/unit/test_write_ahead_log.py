@@ -76,6 +76,7 @@ class Writing(RuleBasedStateMachine):
         self.log.close()
 
 
+@pytest.mark.nightly
 def test_every_written_record_is_read_again(tmp_path: Path) -> None:
     Writing.folder = tmp_path / "log"
     Writing.folder.mkdir()

@@ -22,6 +22,7 @@ def activity(classifier: AdlClassifier, recording: np.ndarray, begin_s: float = 
     return [f for pair in zip(imu, mat, strict=True) for packet in pair for f in classifier.feed(packet)]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["Rest", "Self Propulsion", "Washing Hands", "Pressure Relief"])
 def test_an_activity_of_a_person_it_has_not_seen_is_named(name: str) -> None:
     found = activity(AdlClassifier(load_model(), "adl"), simulated_activity(name, person=1000, seconds=20))

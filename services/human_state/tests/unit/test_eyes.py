@@ -105,6 +105,7 @@ def test_a_simulated_tracker_gives_the_rates_of_its_eyes() -> None:
     assert (newest.quality, newest.status, newest.window_s) == (1.0, Status.VALID, BLINK_WINDOW_S)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("blinks_per_minute", [6.0, 17.0, 35.0])
 def test_an_eog_shows_blinks_and_no_saccades_as_blinks(blinks_per_minute: float) -> None:
     found = seen([SignalKind.EOG], blinks_per_minute=blinks_per_minute)

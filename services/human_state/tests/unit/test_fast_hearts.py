@@ -43,6 +43,7 @@ def test_the_shape_of_the_beat_and_the_sampling_rate_do_not_matter(
     assert all(abs(float(f.value) - bpm) < 0.06 * bpm for f in shown if f.status is Status.VALID)
 
 
+@pytest.mark.nightly
 @SLOW
 @given(
     bpm=st.integers(30, 220),
@@ -60,6 +61,7 @@ def test_no_fault_in_the_middle_makes_a_valid_rate_too_low(
     assert seen.valid_again_s(25 + seconds) <= MAX_RECOVERY_S
 
 
+@pytest.mark.nightly
 @SLOW
 @given(
     bpm=st.integers(120, 220),
@@ -74,6 +76,7 @@ def test_beats_of_two_heights_that_alternate_are_not_half_as_many(
     assert course(alternating, heart_rates(alternating)).longest_low_s() <= MAX_LOW_S
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("before", "after"), [(80, 190), (120, 190), (60, 120), (180, 90), (190, 80), (70, 175)]
 )

@@ -23,6 +23,7 @@ def test_another_length_is_refused_with_the_way_out(key: str) -> None:
         HumanStateSettings.load(health_recording_key=key)
 
 
+@pytest.mark.nightly
 def test_the_process_has_the_niceness_of_the_settings_or_keeps_its_own() -> None:
     usual = os.getpriority(os.PRIO_PROCESS, 0)
     code = "import os; from handover_body.__main__ import use_niceness as use; print(*{}, os.nice(0))"

@@ -87,6 +87,7 @@ def test_the_report_on_no_answers_says_so() -> None:
     assert "No answers yet" in text_of(pdf_of(analysis_of([]), "gestures", "en", "2026-03-02"))
 
 
+@pytest.mark.nightly
 def test_nothing_heavy_is_loaded_before_somebody_asks_for_it() -> None:
     import subprocess
     import sys

@@ -82,6 +82,7 @@ def cycle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[subprocess
             process.kill()
 
 
+@pytest.mark.nightly
 def test_the_cycle_outlives_the_process_that_commands_it(
     cycle: subprocess.Popen[str], tmp_path: Path
 ) -> None:
@@ -152,6 +153,7 @@ def traced_bytes() -> int:
     return sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(ours).traces)
 
 
+@pytest.mark.nightly
 def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path) -> None:
     """Equal parts of a walk: what the cycle keeps shows in each part, what another thread keeps does not."""
     deployment = read_deployment(written(tmp_path))
@@ -191,6 +193,7 @@ def heap_bytes() -> int:
     return int(figures.figure_7 + figures.figure_4)  # in the heap, and mapped
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="only glibc counts memory")
 @pytest.mark.parametrize("behaviour", [None, *Behaviour])
 def test_no_behaviour_keeps_memory_of_native_code(tmp_path: Path, behaviour: Behaviour | None) -> None:

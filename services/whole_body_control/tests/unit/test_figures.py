@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from handover_humanoid.behaviours.simulated_person import Lead
@@ -17,6 +18,7 @@ def colours(file: Path) -> int:
         return len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0))
 
 
+@pytest.mark.nightly
 def test_throws_and_the_times_of_the_solver_are_drawn(tmp_path: Path) -> None:
     found = draw_throws(COMAN, tmp_path / "throws.png", throws=1)
     assert len(found.errors_mm) == len(COMAN.grips)
@@ -26,6 +28,7 @@ def test_throws_and_the_times_of_the_solver_are_drawn(tmp_path: Path) -> None:
     assert colours(tmp_path / "throws.png") > 20
 
 
+@pytest.mark.nightly
 def test_a_led_walk_is_drawn(tmp_path: Path) -> None:
     script = [Lead(2.0, ahead_m=0.18), Lead(0.5)]
     record = draw_led_walk(COMAN, tmp_path / "walk.png", "lead", script=script)

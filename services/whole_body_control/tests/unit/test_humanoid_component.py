@@ -149,6 +149,7 @@ def at_hands(state: Mapping[str, float], rest: Mapping[str, np.ndarray], ahead_m
     return person
 
 
+@pytest.mark.nightly
 def test_hands_lead_it_ahead_and_back_and_a_hard_pull_opens_its_hands(cycle: Cycle) -> None:
     assistance = cycle.loop.controller.assistance
     assert assistance is not None

@@ -46,6 +46,7 @@ def require_criterion(parts: list[Followed | Stopped], motion: float) -> None:
             assert part.speed_mps > 0.03
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("hold", [Hold(), Hold(20.0, 4.0)], ids=["usual", "soft"])
 @pytest.mark.parametrize(("name", "motion"), [("forward", 0.0), ("side", 4.0)])
 def test_it_goes_where_the_person_leads_within_half_a_second_and_stops_with_them(
@@ -61,6 +62,7 @@ def test_it_goes_where_the_person_leads_within_half_a_second_and_stops_with_them
             assert part.reaction_s < 1.0
 
 
+@pytest.mark.nightly
 def test_talos_goes_aside_where_it_is_led_though_its_arms_have_dry_friction() -> None:
     try:
         talos = humanoid("talos")
@@ -71,6 +73,7 @@ def test_talos_goes_aside_where_it_is_led_though_its_arms_have_dry_friction() ->
     require_criterion(parts, 0.0)
 
 
+@pytest.mark.nightly
 def test_a_tour_of_all_directions_keeps_the_hands_closed() -> None:
     record, parts = led("tour", seed=2)  # a change of direction was once taken for a fall of the person
     assert not record.faults.any()
@@ -78,6 +81,7 @@ def test_a_tour_of_all_directions_keeps_the_hands_closed() -> None:
     require_criterion(parts, 4.0)
 
 
+@pytest.mark.nightly
 def test_it_turns_with_the_person_on_the_spot() -> None:
     record, _ = led("turn")
     yaw = np.unwrap(record.place[:, 2])
@@ -88,6 +92,7 @@ def test_it_turns_with_the_person_on_the_spot() -> None:
     assert np.linalg.norm(record.place[-1, :2] - record.place[0, :2]) < 0.3
 
 
+@pytest.mark.nightly
 def test_a_person_who_stops_or_lets_go_stops_it() -> None:
     record, parts = led("stop")
     ends = [part for part in parts if isinstance(part, Stopped)]

@@ -119,6 +119,7 @@ async def test_an_error_of_the_planner_refuses_the_throw_and_the_next_one_is_pla
         assert state(throws) == "planned"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # a rehearsal in a process of its own
 async def test_the_first_throw_of_a_hand_is_accepted_at_once_and_follows_its_rehearsal(
     tmp_path: Path,

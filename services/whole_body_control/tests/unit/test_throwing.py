@@ -125,6 +125,7 @@ def test_what_cannot_be_thrown_is_named(landing: list[float], flight_s: float | 
         planner("left_hand").plan(np.array(landing), flight_s)
 
 
+@pytest.mark.nightly
 def test_a_refusal_names_the_place_that_was_asked_for_and_aiming_off_is_never_a_reason() -> None:
     """A hand that throws too short aims beyond the target, which may be out of reach where that is not."""
     practice, base = Practice(), STANDING[:2]

@@ -76,6 +76,7 @@ def test_a_driver_without_commands_holds_the_robot_and_damps_its_fall(tmp_path: 
         Driver(robot, tmp_path)
 
 
+@pytest.mark.nightly
 def test_a_control_process_that_stalls_is_noticed_by_the_process_of_the_robot(tmp_path: Path) -> None:
     file, folder = tmp_path / "deployment.yaml", tmp_path / "ports"
     file.write_text(DEPLOYMENT.format(folder=folder), encoding="utf-8")

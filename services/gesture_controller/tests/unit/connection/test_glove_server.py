@@ -363,6 +363,7 @@ async def test_with_accounts_every_glove_needs_a_token_also_on_loopback(
     await until(is_refused)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("has_site_token", "why"), [(True, "the token is wrong"), (False, "with accounts every glove has one")]
 )

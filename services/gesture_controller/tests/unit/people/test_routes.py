@@ -68,6 +68,7 @@ async def test_a_finger_with_a_small_span_does_not_separate_two_gestures(
     assert (await screen.put(mine, json={"code": "20000"})).status_code == 200
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -144,6 +145,7 @@ async def test_a_profile_that_is_too_long_is_not_read_to_its_end(screen: httpx.A
     assert answer.status_code == 413
 
 
+@pytest.mark.nightly
 async def test_a_large_profile_is_read_and_written_by_another_process(
     screen: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:

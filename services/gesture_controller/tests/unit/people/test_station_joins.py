@@ -48,6 +48,7 @@ async def test_accounts_that_do_not_answer_delay_no_task(settings: AccountsSetti
         assert await StationJoins(guard).proof_of(ANNA, TASK) is None
 
 
+@pytest.mark.nightly
 async def test_a_gesture_without_a_task_joins_and_leaves_the_station_of_the_glove(
     settings: AccountsSettings,
 ) -> None:

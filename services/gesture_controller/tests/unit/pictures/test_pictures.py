@@ -192,6 +192,7 @@ def test_of_the_same_gesture_twice_the_hand_is_seen_to_open_between() -> None:
     assert bends[-1] == (0, 2, 2, 2, 2)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("poses", [BOTH, [Pose("left", ("22222",)), Pose("right", ("22222",))], [IN_TURN]])
 def test_a_gif_of_a_composed_gesture_is_small_too_and_takes_as_long_as_the_svg(poses: list[Pose]) -> None:
     from PIL import Image

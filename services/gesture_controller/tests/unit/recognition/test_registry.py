@@ -84,6 +84,7 @@ def test_where_the_chosen_one_cannot_work_thresholds_do_and_it_is_said(name: str
     assert process_frame(PipelineState(), Frame(0.0, THUMB_UP), config).gesture == "Thumbs up"
 
 
+@pytest.mark.nightly
 def test_a_controller_that_uses_thresholds_does_not_load_numpy() -> None:
     code = "import sys, handover_gloves.app; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0

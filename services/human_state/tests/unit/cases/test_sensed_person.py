@@ -23,6 +23,7 @@ def live(person: SensedPerson, seconds: float) -> SensedPerson:
     return person
 
 
+@pytest.mark.nightly
 def test_the_heart_rate_and_the_steps_of_a_walk_are_found_in_the_signals() -> None:
     person = live(sensed(), 20)
     assert person.heart_rate is not None

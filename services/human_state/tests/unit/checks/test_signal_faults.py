@@ -97,6 +97,7 @@ def warm_ecg() -> tuple[Checks, list[Samples]]:
     return checks, packets
 
 
+@pytest.mark.nightly
 @settings(max_examples=120, deadline=None)
 @given(name=st.sampled_from(FAULTS), seed=st.integers(0, 10_000))
 def test_a_fault_of_an_ecg_is_found_within_a_second_and_no_wrong_rate_follows(
@@ -131,6 +132,7 @@ def test_a_fault_of_an_accelerometer_is_found_within_a_second(name: FaultName, s
         assert not any(checks.used[42:]), "nothing is used while the fault lasts"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("bpm", "share"), [(42, 0.04), (50, 0.0), (60, 0.04), (72, 0.04), (110, 0.04)])
 def test_pauses_of_a_heart_are_no_lost_contact(bpm: float, share: float) -> None:
     for seed in range(3):

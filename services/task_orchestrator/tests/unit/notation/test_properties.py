@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lxml import etree
@@ -170,6 +171,7 @@ def test_any_bytes_are_read_or_refused(xml: bytes) -> None:
     check(xml)
 
 
+@pytest.mark.nightly
 @settings(
     deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
 )
@@ -197,6 +199,7 @@ def test_a_file_with_damaged_bytes_is_read_or_refused(
     check(xml)
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=300)
 @given(st.sampled_from([SHIPPED, CAMUNDA, ZEEBE]), st.data())
 def test_a_file_with_changed_elements_is_read_or_refused(xml: bytes, data: st.DataObject) -> None:
