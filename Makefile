@@ -11,27 +11,43 @@ export UV_NO_PROGRESS := 1
 # Otherwise each of the hundreds of services that the tests start would compile its modules again.
 unexport PYTHONDONTWRITEBYTECODE
 
-# More workers than cores, at most 8, because tests wait for half of their time: for robots, people and time limits.
-# Tests use free ports, so that they do not collide. tests/kit/scheduling.py keeps tests together that share services.
-WORKERS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((cores < 4 ? 5 * cores / 2 : 8)))
-PYTEST := $(BIN)/pytest -n $(WORKERS)
+# More jobs than cores, at most 8, because tests wait for half of their time: for robots, people and time limits.
+# Tests use free ports, so that they do not collide.
+JOBS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((cores < 4 ? 5 * cores / 2 : 8)))
 
 # Lint and tests of the TypeScript, with the Node that built the page.
 PAGE := $(BIN)/python -m handover_web.build
 
-# The page is checked in parallel with the checks of Python and the tests; its output is printed at the end.
-PAGE_LOG := build/page-check.log
-define checks_and_tests
-	@mkdir -p $(dir $(PAGE_LOG))
-	@$(MAKE) --no-print-directory page-check >$(PAGE_LOG) 2>&1 & page=$$!; \
-	trap 'kill $$page' INT TERM; \
-	$(MAKE) --no-print-directory python-check && $(PYTEST) $(1) $(ARGS); tests=$$?; \
-	wait $$page; page=$$?; \
-	cat $(PAGE_LOG); \
-	exit $$((tests ? tests : page))
-endef
+# The folders of the tests of each package, and of what crosses packages: the cell, its page, the project.
+TESTS_accounts := services/accounts/tests
+TESTS_alerts := services/alert_router/tests
+TESTS_body := services/human_state/tests
+TESTS_broker := services/context_broker/tests
+TESTS_cases := services/assistive_devices/tests
+TESTS_cell := tests/integration/cell tests/load
+TESTS_datamodels := datamodels/tests
+TESTS_devices := services/device_gateway/tests
+TESTS_gloves := services/gesture_controller/tests tests/unit/glove_sdk_bridge tests/integration/glove_sdk_bridge
+TESTS_humanoid := services/whole_body_control/tests
+TESTS_kit := handover/tests tests/unit/kit tests/integration/kit
+TESTS_page := tests/e2e
+TESTS_processes := services/task_orchestrator/tests
+TESTS_project := tests/unit/deploy tests/unit/docs tests/unit/requirements tests/integration/docs
+TESTS_robots := services/trajectory_tool/tests
+TESTS_ros := ros_fiware_bridge/tests
+TESTS_study := services/study/tests
+TESTS_web := webui/tests
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test lowest schemathesis nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
+# In the order in which they start: what takes longest first.
+PARTS := page cell broker processes robots devices ros body kit humanoid gloves web project accounts study datamodels \
+	cases alerts
+
+SELECTED ?= not nightly
+
+# Each part is one process, so that each file is compiled and collected once. The results are those of its last run.
+pytest = $(BIN)/pytest -q -o cache_dir=.pytest_cache/$(1)
+
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough orion-test lowest schemathesis humanoid-memory containers nightly check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-cells bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -79,16 +95,28 @@ demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking proces
 up: setup  ## every service, with the simulated robot only
 	@$(BIN)/handover up $(ARGS)
 
-test: setup  ## every check and every test
-	$(call checks_and_tests)
+test: setup  ## every check and the tests of every part, in ten minutes; `make test-broker` and so on runs one part
+	@$(MAKE) --no-print-directory --jobs=$(JOBS) --keep-going --output-sync=target \
+		page-check $(firstword $(PARTS:%=part-%)) python-check $(wordlist 2,99,$(PARTS:%=part-%))
+
+part-%: setup
+	@echo "== tests of $*" && $(call pytest,$*) -n 0 -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
+
+test-%: setup
+	@test -n "$(TESTS_$*)" || { echo "there is no part $*; the parts are: $(sort $(PARTS))" >&2; exit 2; }
+	@$(call pytest,$*) -n $(JOBS) -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
+
+nightly-%: setup
+	@test -n "$(TESTS_$*)" || { echo "there is no part $*; the parts are: $(sort $(PARTS))" >&2; exit 2; }
+	@$(call pytest,$*) -n $(JOBS) -m nightly $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
 
 # Six failed tests are no accident.
-test-failed: setup  ## every check, and alone the tests that failed in the last run, of which there may be five
+test-failed: setup  ## every check, and alone the tests that failed in their last run, of which there may be five
 	@$(MAKE) --no-print-directory python-check page-check
 	@mkdir -p build
-	@$(BIN)/python -c 'import json, sys; failed = json.load(open(".pytest_cache/v/cache/lastfailed")); print(*failed, sep="\n"); sys.exit(not 0 < len(failed) <= 5)' >build/failed-tests.txt
+	@$(BIN)/python -m tests.kit.failed_tests >build/failed-tests.txt
 	@echo "repeated alone:" && cat build/failed-tests.txt
-	@$(BIN)/pytest -n 0 @build/failed-tests.txt $(ARGS)
+	@$(BIN)/pytest -n 0 -o cache_dir=.pytest_cache/repeated @build/failed-tests.txt $(ARGS)
 
 # ROS 2 with Fast DDS from wheels, in a separate environment, because it starts more slowly and its types replace
 # ours. The wheels are for Python 3.11 on Linux.
@@ -114,26 +142,26 @@ $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 	@touch $@
 
 crashes: setup  ## kill the broker a hundred times while it writes, and check its data
-	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q services/context_broker/tests/integration/test_crashes*.py $(ARGS)
+	@HANDOVER_TEST_CRASHES=100 $(call pytest,crashes) -n $(JOBS) services/context_broker/tests/integration/test_crashes*.py $(ARGS)
 
 kill-test: setup  ## kill broker, orchestrator and performer at random moments for ten minutes (ARGS="--seconds 60 --processes 100")
 	@$(BIN)/python -m tests.load.kill_test $(ARGS)
 
 thorough: crashes  ## the crashes, the tests of all databases on PostgreSQL, and many more examples
-	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit $(addprefix tests/integration/,context_broker task_orchestrator gesture_controller device_gateway study) $(ARGS)
+	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(call pytest,thorough) -n $(JOBS) $(foreach part,broker processes gloves devices study kit,$(TESTS_$(part))) $(ARGS)
 
 # tests/kit/other_broker/needs.toml lists the tests that need what a broker may lack.
-ORION_TESTS ?= $(addprefix tests/integration/,alert_router device_gateway gesture_controller handover human_state \
-	ros_fiware_bridge study task_orchestrator trajectory_tool webui whole_body_control)
+ORION_TESTS ?= tests/integration/cell $(foreach part,alerts devices gloves body ros study processes robots web \
+	humanoid,$(firstword $(TESTS_$(part)))/integration)
 
 orion-test: setup  ## the tests of cells with another broker, and what it can do (BROKER=URL; without it one that speaks as Orion-LD)
-	@HANDOVER_TEST_BROKER=$(or $(BROKER),strict) $(PYTEST) $(ORION_TESTS) $(ARGS)
+	@HANDOVER_TEST_BROKER=$(or $(BROKER),strict) $(call pytest,orion) -n $(JOBS) $(ORION_TESTS) $(ARGS)
 
 # The lower bounds of pyproject.toml hold if everything works with them. Nothing is locked here: only the lower
 # bounds count, and of what they depend on in turn the newest versions, as `pip install` chooses them.
 LOWEST_VENV := $(VENV)-lowest
 LOWEST_VERSIONS := build/lowest-versions.txt
-LOWEST_TESTS ?= -m "not slow" tests/unit
+LOWEST_TESTS ?= -m "not slow and not nightly" $(wildcard $(foreach part,$(PARTS),$(TESTS_$(part):%=%/unit)))
 
 lowest: setup  ## the unit tests and the demo with the lowest versions that pyproject.toml allows (ARGS="-k cli")
 	@mkdir -p build && rm -rf $(LOWEST_VENV)
@@ -141,7 +169,7 @@ lowest: setup  ## the unit tests and the demo with the lowest versions that pypr
 	@$(BIN)/python -m venv $(LOWEST_VENV)
 	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(LOWEST_VENV)/bin/python -r $(LOWEST_VERSIONS)
 	@$(BIN)/uv pip install --quiet --python $(LOWEST_VENV)/bin/python --no-deps --no-build-isolation --editable .
-	@$(LOWEST_VENV)/bin/pytest -n $(WORKERS) -p no:cacheprovider $(LOWEST_TESTS) $(ARGS)
+	@$(LOWEST_VENV)/bin/pytest -n $(JOBS) -p no:cacheprovider $(LOWEST_TESTS) $(ARGS)
 	@data=$$(mktemp -d) && $(LOWEST_VENV)/bin/handover demo --once --data-dir "$$data"; ended=$$?; rm -rf "$$data"; exit $$ended
 
 SCHEMATHESIS_VENV := $(VENV)-schemathesis
@@ -155,22 +183,21 @@ $(SCHEMATHESIS_VENV)/.ready: requirements/schemathesis.lock | setup
 schemathesis: $(SCHEMATHESIS_VENV)/.ready  ## schemathesis against the OpenAPI document of every service (ARGS="--service study --examples 100")
 	@$(BIN)/python -m tests.load.schemathesis_run $(SCHEMATHESIS_VENV)/bin/schemathesis $(ARGS)
 
-# Each part fails by itself, after the others have run.
-nightly: setup  ## what takes an hour: cells on another broker, the lowest versions of our dependencies, schemathesis, the memory of the humanoid's control process, the containers (Docker, or root and podman)
-	@failed=; \
-	$(MAKE) --no-print-directory orion-test ARGS= || failed="$$failed orion-test"; \
-	$(MAKE) --no-print-directory lowest ARGS= || failed="$$failed lowest"; \
-	$(MAKE) --no-print-directory schemathesis ARGS= || failed="$$failed schemathesis"; \
-	$(BIN)/python -m benchmarks.whole_body_memory $(ARGS) || failed="$$failed whole_body_memory"; \
-	if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
-		deploy/try-containers || failed="$$failed try-containers"; \
-	else \
-		echo "nightly: the containers were not tried; that takes a Docker engine, or root and podman" >&2; \
-	fi; \
-	[ -z "$$failed" ] || { echo "nightly: failed:$$failed" >&2; exit 1; }
+humanoid-memory: setup
+	@$(BIN)/python -m benchmarks.whole_body_memory
 
-check: setup  ## lint, types, structure and quick tests, for an everyday change
-	$(call checks_and_tests,-m "not slow")
+containers:
+	@if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
+		deploy/try-containers; \
+	else \
+		echo "the containers were not tried; that takes a Docker engine, or root and podman" >&2; \
+	fi
+
+nightly: setup  ## what takes long, in parts (ARGS="--only nightly-broker crashes", ARGS="--changed --minutes 50")
+	@$(BIN)/python -m tests.nightly $(ARGS)
+
+check:  ## lint, types, structure and quick tests, for an everyday change
+	@$(MAKE) --no-print-directory test SELECTED="not nightly and not slow"
 
 lint: python-check  ## lint, types and structure only
 	@$(PAGE) lint
