@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from handover_robots.joint_trajectory import Array, JointTrajectory
-from handover_robots.trajectory import Limits
+from handover_robots.model.joint_trajectory import Array, JointTrajectory
+from handover_robots.model.trajectory import Limits
 
 INTERVALS = 120
 ROUNDS = 12

@@ -17,11 +17,11 @@ from benchmarks.motion import SCALES, cell
 from benchmarks.steal_time import report_steal_time
 from handover_robots.limits.guards import CollisionGuard, Guard
 from handover_robots.limits.limiter import JointLimiter
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import Collisions
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import Course, Setpoint
 
 CYCLE_S = 0.002
 AIM_US = 50.0

@@ -23,7 +23,9 @@ from benchmarks.jerk_reference import optimal_duration_s
 from benchmarks.steal_time import report_steal_time
 from handover.errors import HandoverError
 from handover_robots.limits.guards import TorqueGuard
-from handover_robots.obstacles import Box, Cylinder, Obstacle, World
+from handover_robots.model.obstacles import Box, Cylinder, Obstacle, World
+from handover_robots.model.poses import Pose, pointing_down
+from handover_robots.model.trajectory import duration_s
 from handover_robots.planning import timing, tracked_distances
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import Collisions
@@ -31,9 +33,7 @@ from handover_robots.planning.inverse import Inverse
 from handover_robots.planning.planner import Options, Planner
 from handover_robots.planning.torques import Torques
 from handover_robots.planning.tracked_distances import TrackedDistances
-from handover_robots.poses import Pose, pointing_down
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import duration_s
 
 SCALES = {"ur10": 1.0, "ur5e": 0.7, "panda": 0.6}
 """The size of the cell for the reach of each robot."""

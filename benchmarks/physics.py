@@ -19,19 +19,19 @@ import numpy as np
 
 from benchmarks.steal_time import report_steal_time
 from handover.performer import TaskFailed
-from handover_robots import operations, parameters
-from handover_robots.cell_file import Base, CellPlan, RobotEntry
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell_file import Base, CellPlan, RobotEntry
+from handover_robots.model.poses import NO_TURN, Frame
+from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.robot import PhysicsRobot
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.world_model import STEP_S, build
-from handover_robots.poses import NO_TURN, Frame
 from handover_robots.robots.ur10 import FOLDER, ROBOT
-from handover_robots.scene import Scene, load
+from handover_robots.scene.scene import Scene, load
 from handover_robots.settings import TrajectorySettings
-from handover_robots.trajectory import Course, Setpoint
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks import operations, parameters
+from handover_robots.tasks.work import Work
 
 MAX_SCANS_WITHOUT_PART = 5
 NAME = "ur10-1"

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.steal_time import report_steal_time
-from handover_robots.joint_trajectory import Array
-from handover_robots.planned_course import PlannedCourse
+from handover_robots.model.joint_trajectory import Array
+from handover_robots.model.planned_course import PlannedCourse
+from handover_robots.model.trajectory import Course, Limits
 from handover_robots.planning import retiming, timing
 from handover_robots.planning.arm import Arm
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import Course, Limits
 
 ROBOT_NAMES = ("ur10", "ur5e", "panda")
 EVERY_S = 0.001

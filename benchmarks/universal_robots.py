@@ -21,9 +21,9 @@ import numpy as np
 import psutil
 
 from benchmarks.steal_time import report_steal_time
-from handover_robots.drivers import RobotContext
+from handover_robots.driver_base.context import RobotContext
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene import load
+from handover_robots.scene.scene import load
 from handover_robots.settings import TrajectorySettings
 from handover_robots.universal_robots.driver import UniversalRobot
 from handover_robots.universal_robots.simulator.controller import SimulatedController

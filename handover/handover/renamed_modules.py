@@ -1,4 +1,4 @@
-"""Imports by the names that modules had before each part got an import package of its own, until 1.0.
+"""Imports by the names that modules had before each part got an import package and folders, until 1.0.
 
 `handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
 a checkout, these would find the folders `datamodels` and `services` as namespace packages. Whatever else has
@@ -9,7 +9,8 @@ An old name is the module of the new name, the same object, so that its classes 
     from datamodels import Task                         # handover_datamodels
     from services.trajectory_tool.robots import ROBOTS  # handover_robots.robots
 
-Each renamed package raises one `DeprecationWarning`, at the first import by its old name.
+Each renamed package, and each module that has moved into a folder, raises one `DeprecationWarning`, at the
+first import by its old name.
 """
 
 import sys
@@ -41,6 +42,21 @@ RENAMED: Final = {
     "webui": "handover_web",
 }
 """The packages by their old names."""
+MOVED: Final = {
+    "handover_robots.contents": "handover_robots.scene.contents",
+    "handover_robots.cycles": "handover_robots.driver_base.control_thread",
+    "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",
+    "handover_robots.joint_trajectory": "handover_robots.model.joint_trajectory",
+    "handover_robots.obstacles": "handover_robots.model.obstacles",
+    "handover_robots.poses": "handover_robots.model.poses",
+    "handover_robots.position_file": "handover_robots.driver_base.position_file",
+    "handover_robots.robot": "handover_robots.driver_base.robot",
+    "handover_robots.robot_model": "handover_robots.robots.urdf",
+    "handover_robots.simulated_robot": "handover_robots.drivers.simulated_robot",
+    "handover_robots.trajectory": "handover_robots.model.trajectory",
+    "handover_robots.vision": "handover_robots.scene.vision",
+}
+"""The modules that other packages import, by their old names in the new packages."""
 PARENT: Final = "services"
 """The old package that had nothing but packages."""
 
@@ -72,6 +88,11 @@ def moved_file(path: Path) -> Path:
 
 def new_name(name: str) -> str | None:
     """Return the new name of a module; None if `name` is no old name."""
+    present = _in_new_package(name)
+    return MOVED.get(present or name, present)
+
+
+def _in_new_package(name: str) -> str | None:
     package = name
     while package:
         if package in RENAMED:
@@ -110,8 +131,9 @@ def _is_renamed(parent: str) -> bool:
 
 
 def _may_have_ours(parent: str) -> bool:
-    """Return whether our packages are beside those of the user: in the kit, and in namespace packages."""
-    return parent == "handover" or getattr(sys.modules.get(parent), "__file__", None) is None
+    """Return whether our modules are beside those of the user: in our packages, and in namespace packages."""
+    is_ours = parent == "handover" or any(name.startswith(f"{parent}.") for name in MOVED)
+    return is_ours or getattr(sys.modules.get(parent), "__file__", None) is None
 
 
 def _is_checkout(spec: ModuleSpec) -> bool:
@@ -149,11 +171,14 @@ class _Renamed(InspectLoader):
 
     def exec_module(self, module: ModuleType) -> None:
         name = module.__name__
-        package = next(old for old in RENAMED if name == old or name.startswith(f"{old}."))
-        if package not in _warned:
-            _warned.add(package)
+        old, new = name, self._new
+        if (_in_new_package(name) or name) not in MOVED:
+            old = next(package for package in RENAMED if name == package or name.startswith(f"{package}."))
+            new = RENAMED[old]
+        if old not in _warned:
+            _warned.add(old)
             warnings.warn(
-                f"{package} is now {RENAMED[package]}; import that, the old name works until Handover 1.0",
+                f"{old} is now {new}; import that, the old name works until Handover 1.0",
                 DeprecationWarning,
                 stacklevel=2,
             )

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from handover_robots.robot_model import read_model
+from handover_robots.robots.urdf import read_model
 
 ROBOT = read_model(
     Path(__file__).parent / "rail.urdf",

@@ -2,10 +2,10 @@
 
 import time
 
-from handover_robots.cyclic_robot import CyclicRobot
-from handover_robots.drivers import RobotContext
-from handover_robots.robot import JointState
-from handover_robots.trajectory import Setpoint
+from handover_robots.driver_base.context import RobotContext
+from handover_robots.driver_base.cyclic_robot import CyclicRobot
+from handover_robots.model.joints import JointState
+from handover_robots.model.trajectory import Setpoint
 from rail_robot.controller import Controller
 
 

@@ -8,7 +8,7 @@ from rail_robot.driver import SteadyRobot
 
 from handover_robots.driver_contract import RobotContract, context_of
 from handover_robots.drivers import DRIVERS
-from handover_robots.robot import Joints
+from handover_robots.model.joints import Joints
 from handover_robots.robots import ROBOTS
 
 UR10 = ROBOTS.load("ur10")

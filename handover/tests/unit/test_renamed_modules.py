@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.renamed_modules import RENAMED
+from handover.renamed_modules import MOVED, RENAMED
 from handover.settings import Settings
 from tests.kit.paths import REPOSITORY
 
@@ -40,13 +40,15 @@ def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: P
         "import services.trajectory_tool.poses\n"
         "import ros_fiware_bridge.errors, webui.metrics\n"
         "from handover.cli import services as of_cell\n"
-        "import handover_cell.services, handover_datamodels, handover_robots.poses, handover_ros.errors\n"
+        "import handover_robots.poses\n"
+        "import handover_cell.services, handover_datamodels, handover_robots.model.poses, handover_ros.errors\n"
         "assert Task is handover_datamodels.Task\n"
-        "assert pointing_down is handover_robots.poses.pointing_down\n"
-        "assert services.trajectory_tool.poses is handover_robots.poses\n"
+        "assert pointing_down is handover_robots.model.poses.pointing_down\n"
+        "assert services.trajectory_tool.poses is handover_robots.model.poses\n"
+        "assert handover_robots.poses is handover_robots.model.poses\n"
         "assert ros_fiware_bridge.errors is handover_ros.errors\n"
-        "assert output is handover.command_line.output\n"
-        "assert handover_robots.poses.__spec__.name == 'handover_robots.poses'\n",
+        "assert of_cell is handover_cell.services\n"
+        "assert handover_robots.poses.__spec__.name == 'handover_robots.model.poses'\n",
         REPOSITORY if inside else tmp_path,
         "-W",
         "always::DeprecationWarning",
@@ -57,10 +59,43 @@ def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: P
     assert [line.split()[2] for line in warnings] == [
         "datamodels",
         "services.trajectory_tool",
+        "services.trajectory_tool.poses",
         "ros_fiware_bridge",
         "webui",
         "handover.cli",
+        "handover_robots.poses",
     ]
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items(), ids=MOVED)
+def test_a_module_that_has_moved_is_found_by_its_old_name(old: str, new: str, tmp_path: Path) -> None:
+    done = run(
+        f"import {old} as by_old_name, {new} as by_new_name; assert by_old_name is by_new_name",
+        tmp_path,
+        "-W",
+        "always::DeprecationWarning",
+    )
+    assert done.returncode == 0, done.stderr
+    warnings = [line for line in done.stderr.splitlines() if "DeprecationWarning" in line]
+    assert len(warnings) == 1
+    assert f" {old} is now {new};" in warnings[0]
+
+
+def test_the_interface_of_drivers_is_complete_by_its_old_names(tmp_path: Path) -> None:
+    done = run(
+        "from handover_robots.cyclic_robot import CyclicRobot\n"
+        "from handover_robots.cycles import Cycles\n"
+        "from handover_robots.drivers import DRIVERS, Clock, Peer, RobotContext, RobotFactory\n"
+        "from handover_robots.robot import Joints, JointState, Pace, Robot, Velocity\n"
+        "from handover_robots.robot import SafetyStatus, StopCategory, TruePart\n"
+        "from handover_robots.robot import LeaseEnded, NoPath, RobotFault, UnknownOutcome, Unreachable\n"
+        "from handover_robots.robot_model import AllSolutions, Finger, InverseKinematics, RobotModel\n"
+        "from handover_robots.robot_model import load_srdf, read_model\n"
+        "from handover_robots.scene import Scene, load\n"
+        "from handover_robots.trajectory import Course, Limits, Setpoint\n",
+        tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_old_module_runs_as_a_program(tmp_path: Path) -> None:
@@ -70,7 +105,14 @@ def test_an_old_module_runs_as_a_program(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["datamodels.Nothing", "services.nothing", "services.study.nothing", "webui.nothing"]
+    "name",
+    [
+        "datamodels.Nothing",
+        "handover_robots.nothing",
+        "services.nothing",
+        "services.study.nothing",
+        "webui.nothing",
+    ],
 )
 def test_what_never_existed_is_not_found(name: str, tmp_path: Path) -> None:
     done = run(f"import {name}", tmp_path)

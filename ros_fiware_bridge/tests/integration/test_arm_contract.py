@@ -15,11 +15,12 @@ from handover.broker import BrokerClient
 from handover_datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, ArmVelocity, VelocityOutput
 from handover_datamodels.robot_messages import StreamRefusal
 from handover_robots.driver_contract import RobotContract, context_of
-from handover_robots.robot import Joints, RobotFault
+from handover_robots.drivers.ros_robot import RosRobot, twist
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.ros_robot import RosRobot, twist
 from handover_robots.settings import TrajectorySettings
-from handover_robots.trajectory import Setpoint
 from ros_fiware_bridge.tests.integration.conftest import Shop
 from tests.kit.cell import new_cell
 from tests.kit.ros_arm import TWISTS, VELOCITIES, RosArm

@@ -23,15 +23,17 @@ from typing import Any
 
 import pytest
 
-from handover_robots.drivers import RobotContext
-from handover_robots.joint_trajectory import JointTrajectory
+from handover_robots.driver_base.context import RobotContext
+from handover_robots.driver_base.robot import Robot
 from handover_robots.limits.limiter import JointLimiter
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.joints import Joints
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Limits
 from handover_robots.planning import is_available
-from handover_robots.robot import Joints, Robot, RobotFault
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
-from handover_robots.trajectory import Limits
 
 MAX_WAIT_S = 300.0
 POLL_S = 0.02

@@ -18,15 +18,15 @@ from typing import Any
 import pytest
 from lxml import etree
 
-from handover_robots.device import description
-from handover_robots.obstacles import World
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.device import description
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
+from handover_robots.model.poses import Frame, Pose
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning import is_available
-from handover_robots.poses import Frame, Pose
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots.folder import load_robot
 from handover_robots.settings import TrajectorySettings
-from handover_robots.workcell import Workcell
 
 SEED = 1
 """Of the random positions: the same ones in each run."""

@@ -18,14 +18,14 @@ from websockets.sync.client import ClientConnection, connect
 from handover_datamodels.streams import PeopleReport, SpeedLimitReport
 from handover_robots.app import make_app
 from handover_robots.limits.contact_force import ContactForce
-from handover_robots.limits.report_stream import MAX_REPORTS_PER_S, Rate
 from handover_robots.limits.robot_limits import RobotLimits
 from handover_robots.limits.store import LimitStore, RobotRecord, SafeSpeed
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.people.simulation import SimulatedSensor
 from handover_robots.robots import ROBOTS
-from handover_robots.scene import Scene
+from handover_robots.routes.report_stream import MAX_REPORTS_PER_S, Rate
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
-from handover_robots.trajectory import Setpoint
 
 UR10 = ROBOTS.load("ur10")
 

@@ -11,33 +11,35 @@ import pytest
 
 from handover.errors import UsageError
 from handover.performer import TaskFailed
-from handover_robots import operations, parameters
 from handover_robots.physics import is_available
 from handover_robots.planning import is_available as is_planning_available
+from handover_robots.tasks import operations, parameters
 
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
+from handover_robots.cell.cell import Workcell
+from handover_robots.driver_base.context import Clock
+from handover_robots.driver_base.robot import Robot
 from handover_robots.driver_contract import RobotContract
-from handover_robots.drivers import Clock
+from handover_robots.drivers.simulated_robot import SimulatedRobot
 from handover_robots.limits.limiter import JointLimiter
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import NO_TURN, Frame, Pose
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.physics.pacing import PacedSimulation
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.robot import PhysicsRobot
 from handover_robots.physics.shared_world import SharedWorld
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.world_model import build
-from handover_robots.poses import NO_TURN, Frame, Pose
-from handover_robots.robot import Joints, Robot, RobotFault
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots import panda, ur10
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene import Scene, load
-from handover_robots.scene_routes import scene_view
+from handover_robots.routes.scenes import scene_view
+from handover_robots.scene.scene import Scene, load
 from handover_robots.settings import TrajectorySettings
-from handover_robots.simulated_robot import SimulatedRobot
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks.work import Work
 
 NAME = "ur10-1"
 NEAR = (ROBOT.home[0] + 0.1, *ROBOT.home[1:])

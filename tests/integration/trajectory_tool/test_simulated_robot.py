@@ -5,10 +5,10 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 
 from handover_robots.driver_contract import RobotContract
-from handover_robots.robot import Joints
+from handover_robots.drivers.simulated_robot import SimulatedRobot
+from handover_robots.model.joints import Joints
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.simulated_robot import SimulatedRobot
-from handover_robots.trajectory import Setpoint
 
 
 class TestSimulatedRobot(RobotContract):

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from handover_robots.cell.cell import Workcell
 from handover_robots.settings import TrajectorySettings
-from handover_robots.stop_measurement import StopMeasurement, measure_stop
-from handover_robots.workcell import Workcell
+from handover_robots.tasks.stop_measurement import StopMeasurement, measure_stop
 
 
 async def test_the_stop_of_a_robot_is_measured(tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from handover_robots import operations, parameters
-from handover_robots.drivers import Clock
+from handover_robots.cell.cell import Workcell
+from handover_robots.driver_base.context import Clock
 from handover_robots.settings import TrajectorySettings
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks import operations, parameters
+from handover_robots.tasks.work import Work
 from tests.kit.waiting import until
 
 

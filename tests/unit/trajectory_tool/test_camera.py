@@ -1,4 +1,4 @@
-from handover_robots.camera import Camera
+from handover_robots.scene.vision import Camera
 from handover_robots.settings import TrajectorySettings
 
 PARTS = ["part-1", "part-2"]

@@ -1,9 +1,9 @@
 import pytest
 
-from handover_robots.contents import Contents, Grip, initial
-from handover_robots.poses import Pose, pointing_down
+from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene import load
+from handover_robots.scene.contents import Contents, Grip, initial
+from handover_robots.scene.scene import load
 
 SCENE = load(None, ROBOT)
 

@@ -11,8 +11,8 @@ from handover.broker import BrokerClient
 from handover.finished_tasks import FinishedTasks
 from handover.performer import Job, TaskFailed
 from handover_datamodels.entities import DeviceState, Task
-from handover_robots.controller import Controller, Controllers
 from handover_robots.settings import TrajectorySettings
+from handover_robots.tasks.controller import Controller, Controllers
 
 
 @pytest.fixture

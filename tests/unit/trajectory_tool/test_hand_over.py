@@ -13,12 +13,12 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
-from handover_robots import parameters
 from handover_robots.app import make_app
-from handover_robots.operations import OPERATIONS
+from handover_robots.model.poses import turn
 from handover_robots.planning import is_available
-from handover_robots.poses import turn
-from handover_robots.work import Work
+from handover_robots.tasks import parameters
+from handover_robots.tasks.operations import OPERATIONS
+from handover_robots.tasks.work import Work
 from tests.kit.waiting import until
 
 needs_planning = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")

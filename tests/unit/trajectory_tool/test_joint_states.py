@@ -7,9 +7,9 @@ from typing import Any
 from prometheus_client import REGISTRY
 from starlette.websockets import WebSocket
 
-from handover_robots.joint_states import stream, written
-from handover_robots.robot import JointState
+from handover_robots.model.joints import JointState
 from handover_robots.robots.ur10 import ROBOT
+from handover_robots.routes.joint_states import stream
 
 TARGET = (1.0, -1.2, 1.1, -1.4, -1.5, 0.3)
 
@@ -41,7 +41,7 @@ def dropped() -> float:
 
 
 def test_joints_are_written_as_ros_names_them() -> None:
-    message = written(JointState(1700000000.5, TARGET, (0.0,) * 6, (1.5,) * 6), ROBOT.joint_names)
+    message = JointState(1700000000.5, TARGET, (0.0,) * 6, (1.5,) * 6).written(ROBOT.joint_names)
     assert message["stamp"] == 1700000000.5
     assert message["name"] == ROBOT.joint_names
     assert message["position"] == list(TARGET)

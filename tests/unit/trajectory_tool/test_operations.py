@@ -7,7 +7,7 @@ import pytest
 from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
 from handover_datamodels.streams import SpeedLimitReport
-from handover_robots.robot import RobotFault
+from handover_robots.model.faults import RobotFault
 from handover_robots.settings import TrajectorySettings
 
 

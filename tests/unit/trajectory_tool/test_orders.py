@@ -6,7 +6,7 @@ import pytest
 
 from handover.broker import BrokerClient
 from handover.settings import Settings
-from handover_robots.orders import Orders
+from handover_robots.drivers.orders import Orders
 
 
 def orders(cell: str, robot: str) -> Orders:

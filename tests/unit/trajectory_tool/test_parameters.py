@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from handover.performer import TaskFailed
-from handover_robots import operations, parameters
+from handover_robots.tasks import operations, parameters
 
 
 def read(operation: str, /, **given: Any) -> Any:

@@ -12,14 +12,14 @@ import pytest
 
 from handover.errors import UsageError
 from handover.performer import TaskFailed
-from handover_robots import motion
-from handover_robots.cell import Cell
-from handover_robots.obstacles import Box, Obstacle
+from handover_robots.cell import motion
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.robot_unit import Cell
+from handover_robots.model.obstacles import Box, Obstacle
+from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.planning import is_available
-from handover_robots.poses import Pose, pointing_down
 from handover_robots.robots import ur10
 from handover_robots.settings import TrajectorySettings
-from handover_robots.workcell import Workcell
 from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -149,7 +149,7 @@ def test_a_cell_without_obstacles_does_not_load_the_planner(settings: Trajectory
     program = (
         "import sys\n"
         "import handover_robots.app\n"
-        "from handover_robots.workcell import Workcell\n"
+        "from handover_robots.cell.cell import Workcell\n"
         "from handover_robots.settings import TrajectorySettings\n"
         "cell = Workcell(TrajectorySettings.load()).only\n"
         "assert not cell.planning.avoids_obstacles\n"

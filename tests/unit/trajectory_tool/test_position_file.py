@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from handover_robots.position_file import PositionFile
+from handover_robots.driver_base.position_file import PositionFile
 
 HOME = (0.0, -1.5)
 

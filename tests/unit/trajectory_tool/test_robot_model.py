@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from handover_robots import robot_model
+from handover_robots.model.faults import Unreachable
+from handover_robots.model.poses import pointing_down
+from handover_robots.model.robot_model import Finger, RobotModel
 from handover_robots.planning import is_available
-from handover_robots.poses import pointing_down
-from handover_robots.robot import Unreachable
-from handover_robots.robot_model import Finger, RobotModel, read_model
+from handover_robots.robots import urdf
+from handover_robots.robots.urdf import read_model
 
 TWO_JOINTS = """<robot name="crane">
   <link name="world"/><link name="base"/><link name="mast"/><link name="boom"/>
@@ -74,7 +75,7 @@ def test_a_pose_is_reached_without_a_closed_form(tmp_path: Path) -> None:
 def test_a_pose_needs_inverse_kinematics_or_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_model, "is_available", lambda: False)
+    monkeypatch.setattr(urdf, "is_available", lambda: False)
     with pytest.raises(Unreachable, match='Crane has no inverse kinematics; give "joints"'):
         crane(tmp_path).reach(pointing_down((1.0, 0.0, 0.5)), (0.0, 0.0))
 

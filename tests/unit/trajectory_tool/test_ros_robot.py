@@ -3,12 +3,12 @@
 import pytest
 
 from handover_datamodels.arm_stream import MAX_POINTS as MAX_MESSAGE_POINTS
+from handover_robots.drivers.ros_link import in_order
+from handover_robots.drivers.ros_robot import FOLLOWING_RAD, MAX_POINTS, Way, points
 from handover_robots.limits.limiter import JointLimiter
-from handover_robots.robot import RobotFault
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.ros_link import in_order
-from handover_robots.ros_robot import FOLLOWING_RAD, MAX_POINTS, Way, points
-from handover_robots.trajectory import Course, Setpoint
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 JOINT_NAMES = ROBOT.joint_names

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
+from handover_robots.cell.cell import Workcell
+from handover_robots.model.poses import pointing_down
 from handover_robots.planning import is_available
-from handover_robots.poses import pointing_down
-from handover_robots.scene_entities import things_of
-from handover_robots.scene_shapes import drawn_shapes
+from handover_robots.routes.scenes import drawn_shapes
+from handover_robots.scene.scene_entities import things_of
 from handover_robots.settings import TrajectorySettings
-from handover_robots.workcell import Workcell
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 

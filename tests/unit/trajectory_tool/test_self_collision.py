@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from handover.performer import TaskFailed
+from handover_robots.model.faults import RobotFault
 from handover_robots.planning import is_available
-from handover_robots.robot import RobotFault
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 

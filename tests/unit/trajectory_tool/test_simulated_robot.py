@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from prometheus_client import REGISTRY
 
-from handover_robots.drivers import Clock
-from handover_robots.robot import RobotFault
+from handover_robots.driver_base.context import Clock
+from handover_robots.drivers.simulated_robot import SimulatedRobot
+from handover_robots.model.faults import RobotFault
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.simulated_robot import SimulatedRobot
 from tests.kit.waiting import Bound
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

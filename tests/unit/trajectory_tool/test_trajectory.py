@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_robots.robot import Joints, RobotFault
-from handover_robots.trajectory import Course, Limits, Setpoint, duration_s
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.trajectory import Course, Limits, Setpoint, duration_s
 
 unhurried = settings(deadline=None)
 UR10 = Limits((2.09, 2.09, 3.14, 3.14, 3.14, 3.14), (8.0,) * 6, (80.0,) * 6)

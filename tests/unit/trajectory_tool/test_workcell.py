@@ -13,18 +13,19 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.performer import Job, TaskFailed
 from handover_datamodels.entities import DeviceState, Task
-from handover_robots import operations, parameters
-from handover_robots.cell import Cell
-from handover_robots.controller import Controllers
-from handover_robots.drivers import DRIVERS, RobotContext
-from handover_robots.obstacles import Box, Capsule, Cylinder, Obstacle, World
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.robot_unit import Cell
+from handover_robots.driver_base.context import RobotContext
+from handover_robots.drivers import DRIVERS
+from handover_robots.drivers.simulated_robot import SimulatedRobot
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.obstacles import Box, Capsule, Cylinder, Obstacle, World
+from handover_robots.model.poses import Frame, pointing_down
 from handover_robots.planning import is_available
-from handover_robots.poses import Frame, pointing_down
-from handover_robots.robot import RobotFault
 from handover_robots.settings import TrajectorySettings
-from handover_robots.simulated_robot import SimulatedRobot
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks import operations, parameters
+from handover_robots.tasks.controller import Controllers
+from handover_robots.tasks.work import Work
 from tests.kit.waiting import until
 
 if is_available():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from handover_robots.obstacles import Box
+from handover_robots.model.obstacles import Box
+from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.planning import is_available
-from handover_robots.poses import Pose, pointing_down
 from handover_robots.robots import ROBOTS
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 HALF = math.sqrt(0.5)
 AT = [0, 3, 0]
@@ -84,7 +84,7 @@ def test_the_poses_of_a_mounted_robot_are_those_of_the_cell(name: str) -> None:
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 @pytest.mark.parametrize("name", ["ur10", "panda"])
 def test_a_mounted_robot_is_planned_in_the_frame_of_the_cell(name: str) -> None:
-    from handover_robots.obstacles import Obstacle, World
+    from handover_robots.model.obstacles import Obstacle, World
     from handover_robots.planning.arm import Arm
     from handover_robots.planning.collision import Collisions
 

@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 from handover_robots.case_study.seen import SeenObject, Target
-from handover_robots.poses import Frame, Pose, Vector
+from handover_robots.model.poses import Frame, Pose, Vector
 
 Message = dict[str, Any]
 Phase = Callable[[Frame, Target, bool, float], dict[str, Any]]

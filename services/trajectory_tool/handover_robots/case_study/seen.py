@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handover_robots.model.poses import NO_TURN, Frame, Pose, Vector
 from handover_robots.perception.depth_image import Array
 from handover_robots.perception.grasps import Fingers
 from handover_robots.perception.pinches import best_pinch
 from handover_robots.physics.loose_objects import OBJECTS
 from handover_robots.physics.simulation import Simulation
-from handover_robots.poses import NO_TURN, Frame, Pose, Vector
-from handover_robots.scene import OpenBox
+from handover_robots.scene.scene import OpenBox
 
 SAMPLES = 7
 """Points along each side of a patch that are seen."""

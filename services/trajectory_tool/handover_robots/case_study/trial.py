@@ -27,20 +27,20 @@ import yaml
 from handover.control.lease import Leases
 from handover.performer import TaskFailed
 from handover_datamodels.streams import HumanInput
-from handover_robots import operations, parameters
 from handover_robots.case_study.operators import EVERY_S, Operator, Person, Supervisor, view_of
 from handover_robots.case_study.seen import SeenObject
-from handover_robots.cell import Cell
-from handover_robots.cell_file import CellPlan, RobotEntry
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell_file import CellPlan, RobotEntry
+from handover_robots.cell.robot_unit import Cell
 from handover_robots.control.recording import Recording
 from handover_robots.control.session import ControlSession
-from handover_robots.cycles import Cycles
-from handover_robots.drivers import Clock
+from handover_robots.driver_base.context import Clock
+from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.physics.robot import PhysicsRobot
 from handover_robots.physics.world_model import STEP_S, fingers_of
 from handover_robots.settings import TrajectorySettings
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks import operations, parameters
+from handover_robots.tasks.work import Work
 
 ROBOT: Final = "panda-1"
 TIME_LIMIT_S: Final = 120.0

@@ -87,9 +87,9 @@ def measure_stop(
 
     The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
     """
+    from handover_robots.cell.cell import Workcell  # noqa: PLC0415
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415
-    from handover_robots.stop_measurement import measure_stop as measure  # noqa: PLC0415
-    from handover_robots.workcell import Workcell  # noqa: PLC0415
+    from handover_robots.tasks.stop_measurement import measure_stop as measure  # noqa: PLC0415
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
 
@@ -118,9 +118,9 @@ def _base(url: str | None) -> str:
 
 
 async def _send_measured(base: str, name: str, places: list[str], seconds: float, period_s: float) -> None:
+    from handover_robots.cell.cell import VIEW_ONLY  # noqa: PLC0415
     from handover_robots.people.simulation import SimulatedSensor  # noqa: PLC0415
-    from handover_robots.scene import Scene  # noqa: PLC0415
-    from handover_robots.workcell import VIEW_ONLY  # noqa: PLC0415
+    from handover_robots.scene.scene import Scene  # noqa: PLC0415
 
     try:
         async with httpx.AsyncClient(

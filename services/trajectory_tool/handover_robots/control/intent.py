@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_robots.poses import Pose
+from handover_robots.model.poses import Pose
 
 Array = NDArray[np.float64]
 

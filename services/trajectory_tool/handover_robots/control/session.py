@@ -19,7 +19,7 @@ from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.errors import HandoverError
 from handover.messages import message
 from handover_datamodels.streams import HumanInput
-from handover_robots.cell import Cell
+from handover_robots.cell.robot_unit import Cell
 from handover_robots.control.intent import IntentPrediction
 from handover_robots.control.recording import Recording
 from handover_robots.control.shared_control import (
@@ -32,11 +32,11 @@ from handover_robots.control.shared_control import (
     steers_away,
 )
 from handover_robots.control.tool_motion import in_base, joint_velocities, scaled
-from handover_robots.cyclic_robot import CyclicRobot
-from handover_robots.joint_states import written
+from handover_robots.driver_base.cyclic_robot import CyclicRobot
 from handover_robots.metrics import CONTROL_LATENCY, CONTROL_STOP, CONTROL_STOP_BEGIN
-from handover_robots.poses import Pose
-from handover_robots.robot import Joints, RobotFault
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Pose
 
 MAX_TOOL_MPS: Final = 0.25
 """The speed of the tool that a person commands at most (reduced speed, ISO 10218-1)."""
@@ -368,7 +368,7 @@ class ControlSession:
         return {
             "type": "state",
             "seq": self._input.seq,
-            "joints": written(self.cell.robot.state(), self.cell.model.joint_names),
+            "joints": self.cell.robot.state().written(self.cell.model.joint_names),
             "toolPose": self.cell.tool_pose.written(),
             "moves": self._dead_man.permits(now_s) and self._is_wanted(),
             "needsRelease": self._dead_man.needs_release(now_s),

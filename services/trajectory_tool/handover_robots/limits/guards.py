@@ -12,12 +12,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from handover_robots.obstacles import World
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.planning import is_available
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Zone
-from handover_robots.trajectory import Setpoint
+from handover_robots.scene.scene import Zone
 
 MARGIN_M = 0.002
 LADDER_M = tuple(0.004 * 2.0**step for step in range(9))

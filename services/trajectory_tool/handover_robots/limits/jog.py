@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 from handover_robots.limits.limiter import Limiter
-from handover_robots.robot import Joints, Velocity
-from handover_robots.trajectory import Setpoint
+from handover_robots.model.joints import Joints, Velocity
+from handover_robots.model.trajectory import Setpoint
 
 
 class Jog:

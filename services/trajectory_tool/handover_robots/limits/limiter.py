@@ -21,8 +21,9 @@ from ruckig import Trajectory as RuckigProfile
 
 from handover.messages import message, text_of
 from handover_robots.limits.guards import Guard
-from handover_robots.robot import Joints, RobotFault
-from handover_robots.trajectory import NOTHING_RAD, Limits, Setpoint
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.trajectory import NOTHING_RAD, Limits, Setpoint
 
 TOLERANCE = 1.01
 EPSILON = 1e-6

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_robots.obstacles import Attached
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel
-from handover_robots.trajectory import Setpoint
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import Attached
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Setpoint
 
 if TYPE_CHECKING:
     from handover_robots.planning.capsules import LinkCapsules

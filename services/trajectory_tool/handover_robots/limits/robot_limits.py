@@ -28,10 +28,10 @@ from handover_robots.limits.separation import (
 )
 from handover_robots.limits.store import LimitStore, MeasuredStop, Mode, RobotRecord, SafeSpeed
 from handover_robots.metrics import ALLOWED_PACE, LIMIT_STOPS
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Zone
-from handover_robots.trajectory import Setpoint, rounded_pace
+from handover_robots.model.joints import Joints
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Setpoint, rounded_pace
+from handover_robots.scene.scene import Zone
 
 EVALUATE_EVERY_S = 0.04
 OVERDUE_S = 0.5

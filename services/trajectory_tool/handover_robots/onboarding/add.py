@@ -12,7 +12,10 @@ from lxml import etree
 
 from handover.errors import UsageError
 from handover.robot_xml import number_of
-from handover_robots.obstacles import World
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.srdf import Srdf
 from handover_robots.onboarding import urdf
 from handover_robots.onboarding.comparison import (
     DEFAULT_CONFIGURATIONS,
@@ -33,10 +36,8 @@ from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import Collisions
 from handover_robots.planning.planner import Planner
 from handover_robots.planning.torques import Torques
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel, load_srdf
 from handover_robots.robots.folder import FILE, read_folder
-from handover_robots.srdf import Srdf
+from handover_robots.robots.urdf import load_srdf
 
 DEFAULT_SAMPLES = 3000
 NOT_CHECKED = {

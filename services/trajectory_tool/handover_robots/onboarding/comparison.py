@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from handover_robots.obstacles import World
+from handover_robots.model.obstacles import World
+from handover_robots.model.srdf import LinkPair
 from handover_robots.onboarding.meshes import Surfaces
 from handover_robots.planning.arm import Arm, Array
 from handover_robots.planning.collision import Collisions, link_of
 from handover_robots.planning.planner import Options
-from handover_robots.srdf import LinkPair
 
 MAX_FALSELY_REFUSED = 0.02
 DEFAULT_CONFIGURATIONS = 1000

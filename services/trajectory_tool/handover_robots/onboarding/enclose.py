@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from handover_robots.model.srdf import Srdf
 from handover_robots.onboarding.enclosure import mapped_surfaces
 from handover_robots.onboarding.hulls import pieces_of
 from handover_robots.onboarding.meshes import Surface
@@ -21,7 +22,6 @@ from handover_robots.onboarding.refinement import Shaping
 from handover_robots.onboarding.semantics import write_pairs
 from handover_robots.onboarding.urdf import Finding
 from handover_robots.robots import ROBOTS
-from handover_robots.srdf import Srdf
 
 SAMPLES = 3000
 

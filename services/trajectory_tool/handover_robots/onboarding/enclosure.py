@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 
 from handover.errors import UsageError
 from handover.robot_xml import parse_robot_xml
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.onboarding.comparison import Comparison, compare, decide
 from handover_robots.onboarding.hulls import surface_points
 from handover_robots.onboarding.mapping import Mapping, map_links
@@ -20,7 +21,6 @@ from handover_robots.onboarding.sources import find_urdf
 from handover_robots.onboarding.urdf import Finding, read_urdf
 from handover_robots.planning.arm import Arm, Array, corners_of
 from handover_robots.planning.collision import link_of
-from handover_robots.robot_model import RobotModel
 
 POINTS = 20_000
 """The points on each mesh, beside its corners."""

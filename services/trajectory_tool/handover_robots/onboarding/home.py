@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from handover.errors import UsageError
-from handover_robots.obstacles import World
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
 from handover_robots.planning.arm import Arm, Array
 from handover_robots.planning.collision import Collisions
-from handover_robots.robot import Joints
 
 CLEARANCES_M = (0.03, 0.02, 0.01, 0.005, 0.0025)
 """The largest one that some position has. A motion needs 2 mm at its start, see `Options.margins_m`."""

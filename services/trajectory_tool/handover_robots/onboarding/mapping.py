@@ -20,9 +20,9 @@ import pinocchio as pin
 from lxml import etree
 
 from handover.errors import UsageError
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.onboarding.meshes import Surface, Surfaces
 from handover_robots.planning.arm import Array
-from handover_robots.robot_model import RobotModel
 
 CONFIGURATIONS = 12
 TOLERANCE_M = 5e-4

@@ -10,6 +10,8 @@ from typing import Any
 
 from lxml import etree
 
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.srdf import LinkPair, Srdf
 from handover_robots.onboarding.comparison import (
     Decided,
     MeshPairs,
@@ -27,8 +29,6 @@ from handover_robots.onboarding.semantics import (
 from handover_robots.onboarding.shapes import write_pieces
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import link_of
-from handover_robots.robot_model import RobotModel
-from handover_robots.srdf import LinkPair, Srdf
 
 SEED = 1
 """Of the configurations by which shapes are cut and pairs are excluded."""

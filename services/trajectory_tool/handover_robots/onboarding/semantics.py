@@ -17,12 +17,12 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from handover_robots.obstacles import World
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
+from handover_robots.model.srdf import LinkPair, Srdf
 from handover_robots.onboarding.comparison import Decided, link_pairs, shapes_within
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import Collisions, link_of
-from handover_robots.robot import Joints
-from handover_robots.srdf import LinkPair, Srdf
 
 ALWAYS_SHARE = 0.95
 MAX_JOINTS_BETWEEN = 2

@@ -14,11 +14,11 @@ import numpy as np
 
 from handover.control.speed_limits import RefusedReport, require_new
 from handover_datamodels.streams import MAX_PEOPLE, DepthReport, PeopleReport, ScanReport
+from handover_robots.model.poses import Vector
 from handover_robots.people.surroundings import Array, Surroundings, distances_from_chains
 from handover_robots.people.tracking import Tracker, clusters
 from handover_robots.perception.depth_image import DepthImage, Intrinsics
-from handover_robots.poses import Vector
-from handover_robots.scene import PeopleSensor, Scene
+from handover_robots.scene.scene import PeopleSensor, Scene
 
 ON_THING_M = 0.08
 """What is this near to the scene belongs to it."""

@@ -8,11 +8,11 @@ import numpy as np
 
 from handover_datamodels.streams import DepthReport, ScanReport
 from handover_robots.limits.separation import Point
-from handover_robots.obstacles import Box, Cylinder, Obstacle
+from handover_robots.model.obstacles import Box, Cylinder, Obstacle
+from handover_robots.model.poses import Pose
 from handover_robots.people.surroundings import Array, Surroundings
 from handover_robots.perception.depth_image import Intrinsics
-from handover_robots.poses import Pose
-from handover_robots.scene import PeopleSensor, Scene
+from handover_robots.scene.scene import PeopleSensor, Scene
 
 PERSON_RADIUS_M, PERSON_M = 0.22, 1.75
 GROUND_M = 20.0

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_robots.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
-from handover_robots.poses import Vector
+from handover_robots.model.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
+from handover_robots.model.poses import Vector
 
 Array = NDArray[np.float64]
 STEP_M = 0.002

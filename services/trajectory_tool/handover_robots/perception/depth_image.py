@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_robots.poses import Frame
+from handover_robots.model.poses import Frame
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

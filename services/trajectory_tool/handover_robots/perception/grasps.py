@@ -14,9 +14,9 @@ from itertools import product
 import numpy as np
 
 from handover.messages import Message, message
+from handover_robots.model.poses import NO_TURN, Frame
 from handover_robots.perception.depth_image import Array, DepthImage, Mask, frame_of
 from handover_robots.perception.segmentation import Inside, SeenPart, contents_of
-from handover_robots.poses import NO_TURN, Frame
 
 Bounds = tuple[float, float]
 AT_TIP = Frame(NO_TURN, (0.0, 0.0, 0.0))

@@ -16,9 +16,9 @@ import numpy as np
 
 from handover.errors import HandoverError
 from handover.messages import message
+from handover_robots.model.poses import Frame, Vector
 from handover_robots.perception.depth_image import Array, DepthImage, frame_of
-from handover_robots.poses import Frame, Vector
-from handover_robots.vision import SeenBall
+from handover_robots.scene.vision import SeenBall
 
 MIN_IMAGES = 5
 MIN_BALLS = 3

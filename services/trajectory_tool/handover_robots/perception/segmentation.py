@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from handover_robots.model.poses import Frame
 from handover_robots.perception.depth_image import Array, DepthImage, Mask, frame_of
-from handover_robots.poses import Frame
 
 BOTTOM_M = 0.005
 WALL_M = 0.003

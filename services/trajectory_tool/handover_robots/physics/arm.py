@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Frame
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.physics.world_model import ArmNames
-from handover_robots.poses import Frame
-from handover_robots.robot import Joints
-from handover_robots.trajectory import Setpoint
 
 Array = NDArray[np.float64]
 

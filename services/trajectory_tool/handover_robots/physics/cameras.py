@@ -10,13 +10,13 @@ from pathlib import Path
 
 from handover.durable_files import replace_durably
 from handover.telemetry import get_logger
+from handover_robots.model.poses import NO_TURN, Frame, Pose
 from handover_robots.perception.depth_image import Intrinsics
 from handover_robots.perception.grasps import AT_TIP
 from handover_robots.physics.arm import Arm
 from handover_robots.physics.depth_camera import CameraMount, DepthCamera, misaligned
 from handover_robots.physics.simulation import Simulation
-from handover_robots.poses import NO_TURN, Frame, Pose
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 log = get_logger(__name__)
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handover_robots.model.poses import Frame
 from handover_robots.perception.depth_image import DepthImage, Intrinsics
 from handover_robots.physics.arm import Arm
 from handover_robots.physics.simulation import Simulation
-from handover_robots.poses import Frame
 
 MAX_RANGE_M = 3.0
 

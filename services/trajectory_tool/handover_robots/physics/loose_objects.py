@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from handover_robots.obstacles import Box, Capsule, Shape, Sphere
-from handover_robots.poses import NO_TURN, Frame, Pose, Vector
+from handover_robots.model.obstacles import Box, Capsule, Shape, Sphere
+from handover_robots.model.poses import NO_TURN, Frame, Pose, Vector
 
 ALONG_X: Final = (1.0, 0.0, 0.0)
 ALONG_Y: Final = (0.0, 1.0, 0.0)

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from handover_robots.model.poses import Pose, Vector
 from handover_robots.physics.simulation import Simulation
-from handover_robots.poses import Pose, Vector
-from handover_robots.scene import OpenBox, Scene
+from handover_robots.scene.scene import OpenBox, Scene
 
 DROP_FROM_M = 0.03
 """Parts fall into a bin from this height above its rim."""

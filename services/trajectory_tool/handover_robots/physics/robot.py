@@ -14,20 +14,22 @@ from concurrent.futures import Future
 from typing import Self, TypeVar
 
 from handover.messages import message
-from handover_robots.cycles import Cycles
-from handover_robots.cyclic_robot import CyclicRobot
-from handover_robots.drivers import Clock, RobotContext
+from handover_robots.driver_base.context import Clock, RobotContext
+from handover_robots.driver_base.control_thread import Cycles
+from handover_robots.driver_base.cyclic_robot import CyclicRobot
+from handover_robots.driver_base.position_file import PositionFile
+from handover_robots.driver_base.robot import TruePart
 from handover_robots.limits.limiter import JointLimiter, Limiter
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import JointState
+from handover_robots.model.poses import Frame
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Limits, Setpoint
 from handover_robots.physics.cameras import Cameras
 from handover_robots.physics.shared_world import SharedWorld
 from handover_robots.physics.vision import PhysicsVision
 from handover_robots.physics.world_model import STEP_S
-from handover_robots.poses import Frame
-from handover_robots.position_file import PositionFile
-from handover_robots.robot import JointState, RobotFault, TruePart
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Scene
-from handover_robots.trajectory import Limits, Setpoint
+from handover_robots.scene.scene import Scene
 
 T = TypeVar("T")
 

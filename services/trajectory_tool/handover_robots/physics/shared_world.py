@@ -8,15 +8,15 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import TypeVar
 
 from handover.errors import UsageError
-from handover_robots.cycles import Cycles
-from handover_robots.drivers import RobotContext
+from handover_robots.driver_base.context import RobotContext
+from handover_robots.driver_base.control_thread import Cycles
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.physics.pacing import PacedSimulation
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.saved_state import SavedState
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.world_model import build, objects_of
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 T = TypeVar("T")
 

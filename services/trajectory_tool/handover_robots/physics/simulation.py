@@ -11,11 +11,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Pose, Vector
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.physics.arm import Arm, Array, frame_of
 from handover_robots.physics.world_model import CAMERA_GROUP, STEP_S, WorldModel, parked_at
-from handover_robots.poses import Pose, Vector
-from handover_robots.robot import Joints
-from handover_robots.trajectory import Setpoint
 
 STILL_MPS = 0.002
 

@@ -5,7 +5,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from handover.messages import Message, message
-from handover_robots.contents import Grip
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.poses import NO_TURN, Frame, Pose, Vector
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.perception import hand_eye
 from handover_robots.perception.depth_image import DepthImage
 from handover_robots.perception.grasps import AT_TIP, MIN_BELOW_M, Fingers, GraspFinder
@@ -14,11 +16,9 @@ from handover_robots.perception.segmentation import Inside, SeenPart, find_parts
 from handover_robots.physics.cameras import HAND_CAMERA, Cameras
 from handover_robots.physics.shared_world import SharedWorld
 from handover_robots.physics.world_model import DEFAULT_PART_SIZE_M, fingers_of
-from handover_robots.poses import NO_TURN, Frame, Pose, Vector
-from handover_robots.robot import RobotFault
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import OpenBox, Scene
-from handover_robots.vision import SeenBall, SeenGrasp, Sighting
+from handover_robots.scene.contents import Grip
+from handover_robots.scene.scene import OpenBox, Scene
+from handover_robots.scene.vision import SeenBall, SeenGrasp, Sighting
 
 MAX_GRASPS = 16
 MAX_REPEATS_M = 0.002

@@ -17,7 +17,9 @@ import numpy as np
 from lxml import etree
 
 from handover.errors import UsageError
-from handover_robots.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from handover_robots.model.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from handover_robots.model.poses import Frame, Pose
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.perception.depth_image import Array
 from handover_robots.perception.grasps import AT_TIP, Fingers
 from handover_robots.physics.loose_objects import (
@@ -27,9 +29,7 @@ from handover_robots.physics.loose_objects import (
     OBJECTS,
     LooseObject,
 )
-from handover_robots.poses import Frame, Pose
-from handover_robots.robot_model import RobotModel
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 STEP_S = 0.002
 GRAVITY_MPS2 = 9.81

@@ -18,8 +18,8 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from handover.errors import UsageError
-from handover_robots.poses import Frame, Pose
-from handover_robots.robot_model import RobotModel
+from handover_robots.model.poses import Frame, Pose
+from handover_robots.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

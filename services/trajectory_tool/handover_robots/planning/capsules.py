@@ -9,11 +9,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handover_robots.obstacles import Attached, Box, Capsule, Cylinder, Shape, Sphere
+from handover_robots.model.obstacles import Attached, Box, Capsule, Cylinder, Shape, Sphere
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning.arm import Arm, Array, corners_of, se3_of
 from handover_robots.planning.collision import geometry_of
 from handover_robots.planning.volumes import plain
-from handover_robots.robot_model import RobotModel
 
 
 @dataclass(frozen=True, slots=True)

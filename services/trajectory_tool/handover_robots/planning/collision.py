@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from handover.errors import UsageError
-from handover_robots.obstacles import (
+from handover_robots.model.obstacles import (
     Attached,
     Box,
     Capsule,

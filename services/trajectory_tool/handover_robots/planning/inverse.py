@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import LinAlgError
 
+from handover_robots.model.poses import Pose
 from handover_robots.planning.arm import Arm, Array, pose_of, se3_of
-from handover_robots.poses import Pose
 
 POSITION_TOLERANCE_M = 1e-6
 ORIENTATION_TOLERANCE_RAD = 1e-5

@@ -21,8 +21,13 @@ import numpy as np
 import pinocchio as pin
 
 from handover.messages import Message, message
-from handover_robots.joint_trajectory import JointTrajectory
-from handover_robots.obstacles import World
+from handover_robots.model.faults import NoPath, Unreachable
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import World
+from handover_robots.model.poses import Pose, Vector
+from handover_robots.model.robot_model import RobotModel
+from handover_robots.model.trajectory import Limits
 from handover_robots.planning import retiming, timing
 from handover_robots.planning.arm import Arm, Array, se3_of
 from handover_robots.planning.collision import Clearance, Collisions
@@ -32,10 +37,6 @@ from handover_robots.planning.search import search, shorten
 from handover_robots.planning.straight import Obstructed, ToolLine, tool_line
 from handover_robots.planning.torques import Overload, Torques
 from handover_robots.planning.tracked_distances import TrackedDistances
-from handover_robots.poses import Pose, Vector
-from handover_robots.robot import Joints, NoPath, Unreachable
-from handover_robots.robot_model import RobotModel
-from handover_robots.trajectory import Limits
 
 CHECK_STEP_S = 0.004
 BLEND_SHARES = (0.45, 0.2, 0.08)

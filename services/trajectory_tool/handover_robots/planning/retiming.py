@@ -24,9 +24,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import LinAlgError, solveh_banded
 
-from handover_robots.joint_trajectory import Array, JointTrajectory, spline_weights
+from handover_robots.model.joint_trajectory import Array, JointTrajectory, spline_weights
+from handover_robots.model.trajectory import Limits
 from handover_robots.planning import timing
-from handover_robots.trajectory import Limits
 
 INTERVAL_S, QUICK_INTERVAL_S = 0.012, 0.03
 """About the length of the intervals of b; shorter ones give a shorter motion and cost more.

@@ -25,9 +25,9 @@ from ruckig import InputParameter, Result, Ruckig
 from ruckig import Trajectory as RuckigProfile
 from toppra import algorithm, constraint, interpolator
 
-from handover_robots.joint_trajectory import JointTrajectory
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.trajectory import Limits
 from handover_robots.planning.arm import Array
-from handover_robots.trajectory import Limits
 
 SPACING_S = 0.002
 MAX_POINTS = 4000

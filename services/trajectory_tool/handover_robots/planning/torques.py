@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from handover_robots.joint_trajectory import JointTrajectory
+from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.planning.arm import Arm, Array
 
 COARSE_EVERY_S = 0.02

@@ -12,11 +12,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handover_robots.joint_trajectory import JointTrajectory
-from handover_robots.obstacles import Attached, Box, Capsule, Cylinder, Obstacle, Shape, Sphere
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import Attached, Box, Capsule, Cylinder, Obstacle, Shape, Sphere
 from handover_robots.planning.arm import Arm, pose_of, se3_of
 from handover_robots.planning.collision import geometry_of, link_of
-from handover_robots.robot import Joints
 
 STEP_M = 0.08
 SAMPLE_EVERY_S = 0.01

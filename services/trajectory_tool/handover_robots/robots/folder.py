@@ -24,8 +24,9 @@ from handover.errors import UsageError
 from handover.extensions import UnknownExtension
 from handover.telemetry import get_logger
 from handover.validation import fault_lines
-from handover_robots.robot_model import Finger, RobotModel, read_model
+from handover_robots.model.robot_model import Finger, RobotModel
 from handover_robots.robots import ROBOTS
+from handover_robots.robots.urdf import read_model
 
 log = get_logger(__name__)
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handover.messages import Message, message
-from handover_robots.poses import Frame
-from handover_robots.robot import Joints, Unreachable
-from handover_robots.robot_model import Finger, RobotModel, read_model
+from handover_robots.model.faults import Unreachable
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Frame
+from handover_robots.model.robot_model import Finger, RobotModel
+from handover_robots.robots.urdf import read_model
 
 JOINT_LIMIT_RAD = 2 * math.pi
 """Each joint turns by one full turn in both directions."""

@@ -18,12 +18,14 @@ from fastapi import FastAPI
 from handover.errors import UsageError
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
-from handover_robots.cyclic_robot import CyclicRobot
-from handover_robots.drivers import Clock, RobotContext
-from handover_robots.joint_trajectory import JointTrajectory
-from handover_robots.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
-from handover_robots.robot import SafetyStatus as ReportedSafety
-from handover_robots.trajectory import Setpoint
+from handover_robots.driver_base.context import Clock, RobotContext
+from handover_robots.driver_base.cyclic_robot import CyclicRobot
+from handover_robots.driver_base.robot import SafetyStatus as ReportedSafety
+from handover_robots.driver_base.robot import StopCategory
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.joints import Joints, JointState, Pace, Velocity
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.universal_robots.arm_model import expected_model, other_model, other_series
 from handover_robots.universal_robots.dashboard import Dashboard, DashboardError
 from handover_robots.universal_robots.exchange_process import ExchangeProcess

@@ -10,7 +10,7 @@ from threading import Lock
 
 from handover.python_processes import module_command
 from handover.telemetry import get_logger
-from handover_robots.trajectory import Limits, Setpoint
+from handover_robots.model.trajectory import Limits, Setpoint
 from handover_robots.universal_robots.exchange import ExchangeParameters
 from handover_robots.universal_robots.options import UrOptions
 from handover_robots.universal_robots.shared_memory import Command, Report, SharedMemory

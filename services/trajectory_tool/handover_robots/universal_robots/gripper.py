@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
 from handover.messages import message
-from handover_robots.robot import RobotFault
+from handover_robots.model.faults import RobotFault
 from handover_robots.universal_robots.options import UrOptions
 from handover_robots.universal_robots.shared_memory import Report
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from handover_robots.driver_base.context import RobotContext
 from handover_robots.driver_contract import context_of
-from handover_robots.drivers import RobotContext
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.universal_robots.driver import UniversalRobot
 from handover_robots.universal_robots.simulator.controller import SimulatedController

@@ -16,8 +16,8 @@ from handover.errors import UsageError
 from handover.security.guard import Guard
 from handover.service import create_app
 from handover.settings import Settings
-from handover_robots.drivers import RobotContext
-from handover_robots.robot import RobotFault
+from handover_robots.driver_base.context import RobotContext
+from handover_robots.model.faults import RobotFault
 from handover_robots.robots.panda import ROBOT as PANDA
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.universal_robots import rtde

@@ -12,7 +12,7 @@ from handover_robots.case_study import report, study
 from handover_robots.case_study.operators import DELAY_S, DeadManControl, Supervisor, View
 from handover_robots.case_study.trial import Mode, Outcome
 from handover_robots.control.recording import COLUMNS
-from handover_robots.poses import NO_TURN, Frame
+from handover_robots.model.poses import NO_TURN, Frame
 
 
 @pytest.mark.slow

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.control.lease import Leases
+from handover_robots.cell.kinematics import Kinematics
 from handover_robots.control import tool_motion
 from handover_robots.control.intent import IntentPrediction
-from handover_robots.control.kinematics import Kinematics
 from handover_robots.control.shared_control import (
     BESIDE_AT_M,
     DEEP_M,
@@ -25,8 +25,8 @@ from handover_robots.control.shared_control import (
     steers_away,
 )
 from handover_robots.control.tool_motion import joint_velocities
+from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.planning import is_available
-from handover_robots.poses import Pose, pointing_down
 from handover_robots.robots import ROBOTS
 
 UNIT = (0.0, 0.0, 0.0, 1.0)

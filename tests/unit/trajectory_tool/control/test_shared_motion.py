@@ -10,8 +10,8 @@ import pytest
 
 from handover_datamodels.streams import HumanInput
 from handover_robots.control.session import ControlSession
-from handover_robots.poses import Pose, Vector
-from handover_robots.robot import Joints
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Pose, Vector
 from tests.unit.trajectory_tool.conftest import Worker
 
 EVERY_S = 0.02

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from handover.performer import TaskFailed
 from handover_datamodels.streams import PeopleReport
+from handover_robots.cell.cell import Workcell
 from handover_robots.limits.contact_table import BodyRegion, ContactEntry, ContactSpeed, speed_mps
 from handover_robots.limits.robot_limits import RobotLimits
 from handover_robots.limits.store import LimitStore
-from handover_robots.obstacles import Box
-from handover_robots.poses import Pose
+from handover_robots.model.obstacles import Box
+from handover_robots.model.poses import Pose
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.robots import ROBOTS
-from handover_robots.scene import Zone
+from handover_robots.scene.scene import Zone
 from handover_robots.settings import TrajectorySettings
-from handover_robots.trajectory import Setpoint
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks.work import Work
 from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
 
 UR10 = ROBOTS.load("ur10")

@@ -17,12 +17,13 @@ from handover_robots.limits.guards import (
 )
 from handover_robots.limits.jog import Jog
 from handover_robots.limits.limiter import JointLimiter, WayToRest
-from handover_robots.obstacles import Box, Obstacle, World
+from handover_robots.model.faults import RobotFault
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import Box, Obstacle, World
+from handover_robots.model.poses import Pose
+from handover_robots.model.trajectory import Course, Limits, Setpoint
 from handover_robots.planning import is_available
-from handover_robots.poses import Pose
-from handover_robots.robot import Joints, RobotFault
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import Course, Limits, Setpoint
 
 CYCLE_S = 0.001
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)

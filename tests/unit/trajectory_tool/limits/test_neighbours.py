@@ -10,11 +10,11 @@ import pytest
 from handover_robots.limits.jog import Jog
 from handover_robots.limits.limiter import JointLimiter
 from handover_robots.limits.neighbours import CLEARANCE_M, MovingRobots, NeighbourGuard
-from handover_robots.obstacles import Attached, Box, World
+from handover_robots.model.joints import Joints
+from handover_robots.model.obstacles import Attached, Box, World
+from handover_robots.model.poses import Pose
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning import is_available
-from handover_robots.poses import Pose
-from handover_robots.robot import Joints
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots import ROBOTS
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")

@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 import yaml
 
-from handover_robots.cell import Cell
+from handover_robots.cell.cell import Workcell
+from handover_robots.cell.robot_unit import Cell
+from handover_robots.drivers.simulated_robot import SimulatedRobot
 from handover_robots.limits.guards import tool_speed_mps
 from handover_robots.limits.store import MeasuredStop, SafeSpeed
+from handover_robots.model.joints import Velocity
+from handover_robots.model.trajectory import Setpoint
 from handover_robots.planning import is_available
-from handover_robots.robot import Velocity
-from handover_robots.scene import Zone
+from handover_robots.scene.scene import Zone
 from handover_robots.settings import TrajectorySettings
-from handover_robots.simulated_robot import SimulatedRobot
-from handover_robots.trajectory import Setpoint
-from handover_robots.work import Work
-from handover_robots.workcell import Workcell
+from handover_robots.tasks.work import Work
 from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

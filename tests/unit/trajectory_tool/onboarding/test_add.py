@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 from handover.errors import UsageError
 from handover_cell.main import app
-from handover_robots.obstacles import Mesh, World
+from handover_robots.cell.cell import Workcell
+from handover_robots.model.obstacles import Mesh, World
 from handover_robots.planning import is_available
-from handover_robots.robot_model import read_model
 from handover_robots.robots import ROBOTS, ur5e
 from handover_robots.robots.folder import load_robot
+from handover_robots.robots.urdf import read_model
 from handover_robots.settings import TrajectorySettings
-from handover_robots.workcell import Workcell
 
 if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)

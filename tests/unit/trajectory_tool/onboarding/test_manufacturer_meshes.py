@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from handover.errors import UsageError
 from handover_cell.main import app
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning import is_available
-from handover_robots.robot_model import RobotModel, read_model
 from handover_robots.robots import ROBOTS
+from handover_robots.robots.urdf import read_model
 
 if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)

@@ -12,13 +12,13 @@ import pytest
 from handover.control.speed_limits import RefusedReport
 from handover_datamodels.streams import DepthReport, PeopleReport, ScanReport
 from handover_robots.limits.separation import Separation, SeparationRule, distance_from
-from handover_robots.obstacles import Box, Cylinder, Obstacle, Sphere
+from handover_robots.model.obstacles import Box, Cylinder, Obstacle, Sphere
+from handover_robots.model.poses import Pose
 from handover_robots.people.measured import SceneSensors
 from handover_robots.people.simulation import SimulatedSensor
 from handover_robots.people.surroundings import Surroundings
 from handover_robots.people.tracking import Cluster, Tracker, clusters
-from handover_robots.poses import Pose
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ARM = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.8), (0.6, 0.0, 0.8)]

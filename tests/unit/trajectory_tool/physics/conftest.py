@@ -14,7 +14,7 @@ else:
     from handover_robots.physics.world_model import build
 
 from handover_robots.robots.ur10 import FOLDER, ROBOT
-from handover_robots.scene import Scene, load
+from handover_robots.scene.scene import Scene, load
 
 
 @pytest.fixture(scope="session")

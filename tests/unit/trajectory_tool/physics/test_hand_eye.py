@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from handover_robots.calibration import views
+from handover_robots.model.poses import NO_TURN, Frame, Vector
 from handover_robots.perception.depth_image import DepthImage, Intrinsics
 from handover_robots.perception.hand_eye import NotCalibrated, find_ball, fixed, in_hand
 from handover_robots.physics.cameras import HAND_MOUNT
 from handover_robots.physics.depth_camera import CameraMount, misaligned
-from handover_robots.poses import NO_TURN, Frame, Vector
-from handover_robots.vision import SeenBall
+from handover_robots.scene.vision import SeenBall
+from handover_robots.tasks.calibration import views
 
 BALL: Vector = (0.35, -0.65, 0.15)
 

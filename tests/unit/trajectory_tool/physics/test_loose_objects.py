@@ -13,7 +13,7 @@ from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.vision import inside_of
 from handover_robots.physics.world_model import build, fingers_of, objects_of
 from handover_robots.robots import ROBOTS
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 PANDA = ROBOTS.load("panda")
 TRAY = {

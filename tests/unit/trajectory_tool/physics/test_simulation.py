@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handover_robots.model.poses import Pose
+from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.world_model import GRAVITY_MPS2, STEP_S, build
-from handover_robots.poses import Pose
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene import Scene, Thing
-from handover_robots.trajectory import Course, Setpoint
+from handover_robots.scene.scene import Scene, Thing
 
 NAME = "ur10-1"
 NEST = (-0.60, 0.40)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from handover.messages import Message
+from handover_robots.model.poses import Pose
 from handover_robots.perception.grasps import Fingers, Grasp, GraspFinder
 from handover_robots.perception.segmentation import SeenPart, find_parts
 from handover_robots.physics.cameras import HAND_CAMERA, Cameras
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.vision import inside_of
 from handover_robots.physics.world_model import build, fingers_of
-from handover_robots.poses import Pose
 from handover_robots.robots import ROBOTS
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene import Scene
+from handover_robots.scene.scene import Scene
 
 X, Y, BOTTOM = -0.55, -0.535, 0.012
 LYING_M = BOTTOM + 0.012

@@ -9,8 +9,8 @@ from handover_robots.planning import is_available
 if not is_available():  # Windows, for which the libraries have no wheels
     collect_ignore_glob = ["test_*.py"]
 
-from handover_robots.obstacles import Box, Cylinder, Obstacle, World
-from handover_robots.poses import Pose
+from handover_robots.model.obstacles import Box, Cylinder, Obstacle, World
+from handover_robots.model.poses import Pose
 
 
 def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Pose:

@@ -10,21 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from handover_robots.obstacles import (
-    Attached,
-    Box,
-    Capsule,
-    Cylinder,
-    Mesh,
-    Obstacle,
-    Sphere,
-    World,
-)
+from handover_robots.model.obstacles import Attached, Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, World
+from handover_robots.model.poses import Pose
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.collision import Collisions, geometry_of
 from handover_robots.planning.motions import Motions
 from handover_robots.planning.tracked_distances import HORIZON_M, SHARE, TrackedDistances
-from handover_robots.poses import Pose
 from handover_robots.robots import ROBOTS
 
 MARGIN_M = 0.01

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handover_robots.model.poses import pointing_down
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.inverse import Inverse
-from handover_robots.poses import pointing_down
 from handover_robots.robots import ROBOTS
 
 

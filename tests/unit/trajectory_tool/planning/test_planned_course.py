@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.joint_trajectory import JointTrajectory
-from handover_robots.planned_course import PlannedCourse
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.planned_course import PlannedCourse
+from handover_robots.model.trajectory import Limits
 from handover_robots.planning import timing
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import Limits
 
 EVERY_S = 0.001
 ROUNDING = 1 + 1e-4

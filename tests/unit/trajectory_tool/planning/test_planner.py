@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import HandoverError
-from handover_robots.obstacles import Attached, Box, World
+from handover_robots.model.faults import Unreachable
+from handover_robots.model.obstacles import Attached, Box, World
+from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.planning.planner import NoPath, Options, Plan, Planner, Tilt
-from handover_robots.poses import Pose, pointing_down
-from handover_robots.robot import Unreachable
 from handover_robots.robots import ROBOTS
 
 EVERY_S = 0.001

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.jerk_reference import optimal_duration_s
-from handover_robots.joint_trajectory import JointTrajectory
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.trajectory import Limits, duration_s
 from handover_robots.planning import retiming, timing
 from handover_robots.robots import ROBOTS
-from handover_robots.trajectory import Limits, duration_s
 
 UR10 = ROBOTS.load("ur10")
 UR5E = ROBOTS.load("ur5e")

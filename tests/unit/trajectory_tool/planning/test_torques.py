@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.joint_trajectory import JointTrajectory
-from handover_robots.obstacles import World
+from handover_robots.model.faults import NoPath
+from handover_robots.model.joint_trajectory import JointTrajectory
+from handover_robots.model.obstacles import World
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning import timing
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.planner import Planner
 from handover_robots.planning.torques import Overload, Torques
-from handover_robots.robot import NoPath
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots import ROBOTS
 
 EVERY_S = 0.001

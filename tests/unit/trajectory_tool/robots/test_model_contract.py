@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from handover_robots.model.robot_model import RobotModel
 from handover_robots.model_contract import ModelContract
 from handover_robots.planning import is_available
-from handover_robots.robot_model import RobotModel
 from handover_robots.robots import ROBOTS
 from tests.kit.paths import REPOSITORY
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from handover.errors import UsageError
-from handover_robots.obstacles import World
+from handover_robots.model.faults import NoPath
+from handover_robots.model.obstacles import World
 from handover_robots.planning.planner import Planner
-from handover_robots.robot import NoPath
 from handover_robots.robots import ROBOTS
 from handover_robots.robots.folder import read_folder
-from handover_robots.scene import read_scene
+from handover_robots.scene.scene import read_scene
 
 OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
 PLANNERS = {name: Planner(model) for name, model in OWN.items()}

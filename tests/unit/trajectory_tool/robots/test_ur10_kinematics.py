@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_robots.poses import Frame, Pose, pointing_down
-from handover_robots.robot import Joints, Unreachable
+from handover_robots.model.faults import Unreachable
+from handover_robots.model.joints import Joints
+from handover_robots.model.poses import Frame, Pose, pointing_down
 from handover_robots.robots.universal_robots import JOINT_LIMIT_RAD
 from handover_robots.robots.ur10 import KINEMATICS, ROBOT
 

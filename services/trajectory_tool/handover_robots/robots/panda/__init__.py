@@ -5,7 +5,8 @@ Limits: Franka Control Interface, "Robot and interface specifications".
 
 from pathlib import Path
 
-from handover_robots.robot_model import Finger, read_model
+from handover_robots.model.robot_model import Finger
+from handover_robots.robots.urdf import read_model
 
 FOLDER = Path(__file__).parent
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))

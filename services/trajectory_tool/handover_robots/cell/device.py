@@ -1,0 +1,136 @@
+"""The Device entity of the robot and its ResourceSpecification, kept current without delaying a motion.
+
+The Device is written when the state of the robot changes, with the joints at that time; not during a motion.
+The specification is written at the start: joints with their limits, home, gripper and the URL of the URDF.
+"""
+
+from datetime import UTC, datetime
+from typing import Any, Self
+
+from handover.broker import BrokerClient
+from handover.content_digest import with_digest
+from handover.reporting_writer import reporting_writer
+from handover_datamodels.entities import DeviceState
+from handover_datamodels.times import iso
+from handover_robots.cell.robot_unit import Cell
+from handover_robots.metrics import DEVICE_WRITES_REJECTED
+from handover_robots.model.poses import Pose
+from handover_robots.settings import TrajectorySettings
+
+
+class RobotDevice:
+    """The Device of the robot; an asynchronous context manager while it is written."""
+
+    def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
+        self.id = settings.entity_id("Device", cell.name)
+        self.specification_id = settings.entity_id("ResourceSpecification", cell.name)
+        self._urdf_url = f"{settings.trajectory_tool}/robots/{cell.name}/urdf"
+        self.state = DeviceState.IDLE
+        self._cell = cell
+        self._broker = broker
+        self._writer = reporting_writer("trajectory-tool", settings, broker, DEVICE_WRITES_REJECTED)
+
+    async def __aenter__(self) -> Self:
+        await self._writer.__aenter__()
+        specification = self._specification()
+        self._writer.put(self.specification_id, lambda: self._broker.upsert([specification]))
+        self.set_state(self.state)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._writer.__aexit__()
+
+    def set_state(self, state: DeviceState) -> None:
+        """Write the robot's state in the background; the latest state replaces a waiting one."""
+        self.state = state
+        entity = self._entity()
+        self._writer.put(self.id, lambda: self._broker.upsert([entity]))
+
+    def _entity(self) -> dict[str, Any]:
+        cell, now = self._cell, iso(datetime.now(UTC))
+        value = {
+            "joints": [round(angle, 4) for angle in cell.joints],
+            "pose": cell.tool_pose.written(),
+            "gripper": "closed" if cell.robot.gripper_closed else "open",
+            "holds": cell.held or "nothing",
+        }
+        return {
+            "id": self.id,
+            "type": "Device",
+            "category": {"type": "Property", "value": ["robot"]},
+            "controlledProperty": {"type": "Property", "value": ["pose"]},
+            "deviceState": {"type": "Property", "value": self.state.value, "observedAt": now},
+            "value": {"type": "Property", "value": value, "observedAt": now},
+            "isSpecifiedBy": {
+                "type": "Property",
+                "value": [{"type": "Relationship", "object": self.specification_id}],
+            },
+        }
+
+    def _specification(self) -> dict[str, Any]:
+        model = self._cell.model
+        parameters = {
+            "model": model.name,
+            "degreesOfFreedom": len(model.joints),
+            "joints": [
+                {name: value for name, value in joint.items() if name != "labels"}
+                for joint in described_joints(self._cell)
+            ],
+            "home": list(self._cell.home),
+            "gripper": bool(model.fingers),
+            "urdf": self._urdf_url,
+        }
+        entity = {
+            "id": self.specification_id,
+            "type": "ResourceSpecification",
+            "name": {"type": "Property", "value": model.name},
+            "resourceType": {"type": "Property", "value": "robot"},
+            "parameters": {"type": "Property", "value": parameters},
+        }
+        return with_digest(entity)
+
+
+def described_joints(cell: Cell) -> list[dict[str, Any]]:
+    """Return the joints of the robot with their limits as JSON: rad and s, for prismatic joints m and s.
+
+    `lower` and `upper` are null for a continuous joint. The limits of motion are those in force: of the
+    settings, or of the robot.
+    """
+    limits = cell.limits
+    return [
+        {
+            "name": joint.name,
+            "type": joint.kind,
+            "unit": joint.unit,
+            "lower": joint.lower,
+            "upper": joint.upper,
+            "maxVelocity": limits.velocity[number],
+            "maxAcceleration": limits.acceleration[number],
+            "maxJerk": limits.jerk[number],
+            "labels": dict(joint.labels),
+        }
+        for number, joint in enumerate(cell.model.joints)
+    ]
+
+
+def description(cell: Cell) -> dict[str, Any]:
+    """Return everything that a page needs to show the robot, as JSON."""
+    model = cell.model
+    return {
+        "model": model.name,
+        "revision": model.revision,
+        "base": Pose.of(model.base).written(),
+        "joints": described_joints(cell),
+        "home": list(cell.home),
+        "tip": model.tip,
+        "fingers": [
+            {
+                "joint": finger.joint,
+                "opened": finger.opened,
+                "closed": finger.closed,
+                "holding": finger.holding,
+            }
+            for finger in model.fingers
+        ],
+        "urdf": model.urdf,
+    }

@@ -1,0 +1,192 @@
+"""REST: the robots of the cell with their Tasks, what they can do, and their grippers."""
+
+import inspect
+from typing import Any
+
+from fastapi import FastAPI, Response
+from pydantic import ConfigDict
+from starlette.requests import HTTPConnection
+
+from handover.api_description import sends
+from handover.control.lease import Leases
+from handover.errors import Problem
+from handover.messages import message, text_of
+from handover.security.guard import ResourceOf, in_path, require, require_somewhere
+from handover.security.permissions import Permission
+from handover.strict_json import StrictModel
+from handover_robots.cell.device import description
+from handover_robots.model.faults import RobotFault
+from handover_robots.routes.scenes import scene_view
+from handover_robots.tasks.controller import Controller, Controllers
+from handover_robots.tasks.operations import OPERATIONS
+
+of_robot = in_path("Device", "robot")
+
+RobotView = dict[str, Any]
+
+
+class Seen(StrictModel):
+    """The Task that a person has confirmed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    task: str
+
+
+def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> None:
+    """Add the routes of robots and of what they can do."""
+
+    @app.get("/robots", tags=["robots"], dependencies=[require(Permission.READ)])
+    async def robots() -> list[RobotView]:
+        """Return the state of every robot."""
+        return [view_of(controller, leases) for controller in controllers.by_name.values()]
+
+    @app.get("/robots/{robot}", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
+    async def one_robot(robot: str) -> RobotView:
+        """Return the state of a robot: joints, tool pose, gripper, and its Task."""
+        return view_of(controller_of(controllers, robot), leases)
+
+    @app.get(
+        "/robots/{robot}/description", tags=["robots"], dependencies=[require(Permission.READ, of_robot)]
+    )
+    async def describe(robot: str) -> dict[str, Any]:
+        """Return what the robot is: joints with limits, home, gripper, and the URDF that draws it.
+
+        It is constant while the tool runs; `revision` differs for every other description.
+        """
+        controller = controller_of(controllers, robot)
+        return {"id": controller.robot_name, **description(controller.cell)}
+
+    @app.get(
+        "/robots/{robot}/urdf",
+        tags=["robots"],
+        response_class=Response,
+        responses=sends("application/xml"),
+        dependencies=[require(Permission.READ, of_robot)],
+    )
+    async def urdf(robot: str) -> Response:
+        """Return the URDF of the robot."""
+        return Response(controller_of(controllers, robot).cell.model.urdf, media_type="application/xml")
+
+    @app.get("/robots/{robot}/scene", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
+    async def scene(robot: str) -> dict[str, Any]:
+        """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
+        controller_of(controllers, robot)
+        return scene_view(controllers.workcell)
+
+    @app.get("/operations", tags=["robots"], dependencies=[require_somewhere(Permission.READ)])
+    async def operations_known() -> dict[str, Any]:
+        """Return the operations of robots, each with the JSON Schema of its workParameters."""
+        return {
+            name: {
+                "description": inspect.getdoc(operation.perform),
+                "parameters": operation.parameters.model_json_schema(by_alias=True),
+            }
+            for name, operation in OPERATIONS.items()
+        }
+
+    @app.post(
+        "/robots/{robot}/confirm",
+        tags=["robots"],
+        dependencies=[require(Permission.PERFORM_TASKS, _of_work(controllers))],
+    )
+    async def confirm(robot: str, seen: Seen | None = None) -> RobotView:
+        """Confirm a hand-over: the person holds the part; 409 while there is nothing to confirm.
+
+        With `task`, only that Task is confirmed: another one may have begun since the person looked.
+        """
+        controller = controller_of(controllers, robot)
+        work = controller.work
+        is_other = seen is not None and work is not None and work.task != seen.task
+        if work is None or is_other or not work.confirm():
+            raise Problem(
+                409,
+                "Nothing to confirm",
+                message("robot.nothing_to_confirm", "{robot} waits for no confirmation", robot=robot),
+            )
+        return view_of(controller, leases)
+
+    @app.post(
+        "/robots/{robot}/gripper/free",
+        tags=["robots"],
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
+    async def free(robot: str) -> RobotView:
+        """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
+        controller = controller_of(controllers, robot)
+        if controller.work is not None:
+            raise Problem(
+                409,
+                "Robot at work",
+                message(
+                    "robot.robot_at_work",
+                    "{robot} executes {task}; wait for its end or cancel it",
+                    robot=robot,
+                    task=controller.work.task,
+                ),
+            )
+        try:
+            await controller.cell.free()
+        except RobotFault as fault:
+            raise Problem(
+                503,
+                "Robot fault",
+                message("robot.robot_fault", "the gripper cannot be opened: {fault}", fault=text_of(fault)),
+            ) from fault
+        controller.device.set_state(controller.device.state)
+        return view_of(controller, leases)
+
+
+def controller_of(controllers: Controllers, robot: str) -> Controller:
+    """Return the controller of a robot. Raises `Problem` for an unknown one."""
+    controller = controllers.of(robot)
+    if controller is None:
+        raise Problem(
+            404,
+            "No such robot",
+            message(
+                "robot.no_such_robot",
+                'there is no robot "{robot}"; there is {known}',
+                robot=robot,
+                known=", ".join(controllers.by_name),
+            ),
+        )
+    return controller
+
+
+def view_of(controller: Controller, leases: Leases) -> RobotView:
+    """Return the present state of the robot."""
+    cell, work = controller.cell, controller.work
+    lease = leases.of(cell.name)
+    return {
+        "id": controller.robot_name,
+        "device": controller.device.id,
+        "deviceState": controller.device.state.value,
+        "model": cell.model.name,
+        "revision": cell.model.revision,
+        "scene": cell.scene.digest,
+        "joints": cell.robot.state().written(cell.model.joint_names),
+        "toolPose": cell.tool_pose.written(),
+        "gripper": {
+            "closed": cell.robot.gripper_closed,
+            "holds": cell.held,
+            "interrupted": cell.begun.kind if cell.begun is not None and work is None else None,
+        },
+        "task": None if work is None else work.task,
+        "awaitsConfirmation": work is not None and work.awaits_confirmation,
+        "operation": None if work is None else work.operation,
+        "progress": None if work is None else round(work.progress(), 3),
+        "remainingS": None if work is None else round(work.remaining_s(), 2),
+        "controlledBy": None if lease is None else lease.name,
+        "waitingForControl": [{"id": one.session, "name": one.name} for one in leases.waiting(cell.name)],
+    }
+
+
+def _of_work(controllers: Controllers) -> ResourceOf:
+    def resources(connection: HTTPConnection) -> tuple[str, ...]:
+        controller = controllers.of(str(connection.path_params["robot"]))
+        work = None if controller is None else controller.work
+        return (of_robot(connection), *(() if work is None else work.involves))
+
+    resources.__doc__ = "Device `{robot}`, or a resource that its Task involves"
+    return resources
