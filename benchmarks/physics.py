@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.steal_time import report_steal_time
 from handover.performer import TaskFailed
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.cell.cell_file import Base, CellPlan, RobotEntry
 from handover_robots.model.poses import NO_TURN, Frame
 from handover_robots.model.trajectory import Course, Setpoint
@@ -88,14 +88,12 @@ async def measure_drivers(scene: Scene, folder: Path) -> None:
     }
     settings = TrajectorySettings(data_dir=folder, simulation_pace=0)
     plan = CellPlan(robots, scene.model_dump(mode="json"), FOLDER)
-    async with Workcell(settings, plan=plan) as workcell:
-        world = next(iter(workcell.cells.values())).robot.world  # type: ignore[attr-defined]
+    async with Cell(settings, plan=plan) as cell:
+        world = next(iter(cell.units.values())).robot.world  # type: ignore[attr-defined]
         targets = (tuple(turn + away for turn in ROBOT.home[:1]) + ROBOT.home[1:] for away in (0.5, 0.0) * 5)
         began, began_s = time.process_time(), world.simulation.time_s
         for target in targets:
-            await asyncio.gather(
-                *(cell.robot.move(target, 0.5, lambda: 1.0) for cell in workcell.cells.values())
-            )
+            await asyncio.gather(*(unit.robot.move(target, 0.5, lambda: 1.0) for unit in cell.units.values()))
         cpu_s, simulated_s = time.process_time() - began, world.simulation.time_s - began_s
     print(
         f"  2 arms by their drivers, with limiter and collision check: "
@@ -141,9 +139,9 @@ class Picking:
         settings = TrajectorySettings(
             data_dir=folder, robot="physics", simulation_pace=0, scan_seed=seed, robot_speed=1.0
         )
-        self.workcell = Workcell(settings)
-        self.cell = self.workcell.only
-        robot = self.cell.robot
+        self.cell = Cell(settings)
+        self.unit = self.cell.only
+        robot = self.unit.robot
         assert isinstance(robot, PhysicsRobot)
         self.simulation = robot.simulation
         self.parts: Parts = robot.vision.parts  # type: ignore[union-attr]
@@ -152,14 +150,14 @@ class Picking:
 
     async def do(self, operation: str, **asked: Any) -> dict[str, Any]:
         """Execute an operation; raises `TaskFailed`."""
-        known = operations.known(operation)
-        read = parameters.read(known.parameters, operation, asked)
+        performed = operations.operation_named(operation)
+        read = parameters.read(performed.parameters, operation, asked)
         task = f"task-{operation}-{self.tried}"
-        return await known.perform(Work(task, operation, self.cell, Freely(), 1.0), read)
+        return await performed.perform(Work(task, operation, self.unit, Freely(), 1.0), read)
 
     async def run(self, count: int) -> None:
         """Pick and place `count` parts."""
-        async with self.workcell:
+        async with self.cell:
             print(f"  calibrateCamera: {await self.do('calibrateCamera')}")
             without = 0
             while self.tried < count and without < MAX_SCANS_WITHOUT_PART:

@@ -13,7 +13,7 @@ from handover.security.guard import Guard
 from handover.service import create_app
 from handover.storage import storage_check
 from handover_datamodels.entities import DeviceState
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.robot import Robot
 from handover_robots.limits.robot_limits import RobotLimits
 from handover_robots.routes import control as control_routes
@@ -53,10 +53,10 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
     )
     app.state.controllers = controllers
     controllers.mount(app)
-    add_scene_routes(app, controllers.workcell)
+    add_scene_routes(app, controllers.cell)
     add_robot_routes(app, controllers, leases)
     add_joint_state_route(app, find)
-    people_routes.add_routes(app, controllers.workcell.people_sensors, controllers.workcell.receive_people)
+    people_routes.add_routes(app, controllers.cell.people_sensors, controllers.cell.receive_people)
     limit_routes.add_routes(app, lambda robot: _limits_of(find(robot)))
     control_routes.add_routes(
         app, lambda robot: _controlled(controllers, find(robot)), leases, settings.data_dir
@@ -66,10 +66,10 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
 
 def _controlled(
     controllers: Controllers, controller: Controller
-) -> tuple[Cell, tuple[Cell, ...], Callable[[DeviceState], None]]:
-    others = (one.cell for one in controllers.by_name.values() if one is not controller)
-    return controller.cell, tuple(others), controller.device.set_state
+) -> tuple[RobotUnit, tuple[RobotUnit, ...], Callable[[DeviceState], None]]:
+    others = (other.unit for other in controllers.by_name.values() if other is not controller)
+    return controller.unit, tuple(others), controller.device.set_state
 
 
 def _limits_of(controller: Controller) -> tuple[RobotLimits, Robot]:
-    return controller.cell.speed, controller.cell.robot
+    return controller.unit.speed, controller.unit.robot

@@ -18,7 +18,7 @@ from handover_robots.tasks import operations, parameters
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.robot import Robot
 from handover_robots.driver_contract import RobotContract
@@ -127,9 +127,9 @@ class PhysicsCell:
         settings = TrajectorySettings(
             data_dir=folder, robot="physics", simulation_pace=0, robot_speed=1.0, **others
         )
-        self.workcell = Workcell(settings)
-        self.cell = next(iter(self.workcell.cells.values()))
-        robot = self.cell.robot
+        self.cell = Cell(settings)
+        self.unit = next(iter(self.cell.units.values()))
+        robot = self.unit.robot
         assert isinstance(robot, PhysicsRobot)
         self.robot = robot
         self.parts: Parts = robot.world.parts
@@ -137,89 +137,91 @@ class PhysicsCell:
 
     async def do(self, operation: str, *, robot: str = "", **asked: Any) -> dict[str, Any]:
         self._tasks += 1
-        known = operations.known(operation)
-        read = parameters.read(known.parameters, operation, asked)
-        cell = self.workcell.cells[robot] if robot else self.cell
-        return await known.perform(Work(f"task-{self._tasks}", operation, cell, Freely(), 1.0), read)
+        performed = operations.operation_named(operation)
+        read = parameters.read(performed.parameters, operation, asked)
+        unit = self.cell.units[robot] if robot else self.unit
+        return await performed.perform(Work(f"task-{self._tasks}", operation, unit, Freely(), 1.0), read)
 
 
 @pytest.fixture
-async def cell(tmp_path: Path) -> AsyncIterator[PhysicsCell]:
+async def physics(tmp_path: Path) -> AsyncIterator[PhysicsCell]:
     made = PhysicsCell(tmp_path)
-    async with made.workcell:
+    async with made.cell:
         yield made
 
 
-async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(cell: PhysicsCell) -> None:
-    before = len(cell.parts.in_bin("bin-1"))
-    seen = await cell.do("scan", bin="bin-1")
+async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(physics: PhysicsCell) -> None:
+    before = len(physics.parts.in_bin("bin-1"))
+    seen = await physics.do("scan", bin="bin-1")
     assert seen["found"]
-    picked = await cell.do("pick", part=seen["part"], pose=seen["pose"])
+    picked = await physics.do("pick", part=seen["part"], pose=seen["pose"])
     assert picked == {"part": seen["part"], "gripped": True}
-    assert cell.robot.is_holding
-    held = cell.robot.simulation.gripped_part(NAME)
-    await cell.do("place", location="fixture-1")
-    assert not cell.robot.is_holding
-    assert cell.parts.in_fixture("fixture-1") == [held]
-    assert len(cell.parts.in_bin("bin-1")) == before - 1
+    assert physics.robot.is_holding
+    held = physics.robot.simulation.gripped_part(NAME)
+    await physics.do("place", location="fixture-1")
+    assert not physics.robot.is_holding
+    assert physics.parts.in_fixture("fixture-1") == [held]
+    assert len(physics.parts.in_bin("bin-1")) == before - 1
 
 
-async def test_a_part_that_a_person_holds_out_is_gripped_and_placed(cell: PhysicsCell) -> None:
+async def test_a_part_that_a_person_holds_out_is_gripped_and_placed(physics: PhysicsCell) -> None:
     async def confirm(work: Work) -> None:
         while not work.confirm():
             await asyncio.sleep(0.01)
 
     async def take() -> dict[str, Any]:
         wanted = {"direction": "take", "part": "housing", "pose": {"position": [-0.7, 0.3, 0.55]}}
-        known = operations.known("handOver")
-        read = parameters.read(known.parameters, "handOver", wanted)
-        work = Work("task-take", "handOver", cell.cell, Freely(), 1.0)
-        done, _ = await asyncio.gather(known.perform(work, read), confirm(work))
+        operation = operations.operation_named("handOver")
+        read = parameters.read(operation.parameters, "handOver", wanted)
+        work = Work("task-take", "handOver", physics.unit, Freely(), 1.0)
+        done, _ = await asyncio.gather(operation.perform(work, read), confirm(work))
         return done
 
     await take()
-    held = cell.robot.simulation.gripped_part(NAME)
+    held = physics.robot.simulation.gripped_part(NAME)
     assert held is not None
-    assert not cell.robot.simulation.is_parked(held), "it has its weight"
-    assert (await cell.do("place", location="fixture-1"))["part"] == "housing"
-    assert cell.parts.in_fixture("fixture-1") == [held]
-    for part in range(len(cell.robot.simulation.world.parts)):
-        cell.robot.simulation.set_friction(part, 0.001)
+    assert not physics.robot.simulation.is_parked(held), "it has its weight"
+    assert (await physics.do("place", location="fixture-1"))["part"] == "housing"
+    assert physics.parts.in_fixture("fixture-1") == [held]
+    for part in range(len(physics.robot.simulation.world.parts)):
+        physics.robot.simulation.set_friction(part, 0.001)
     with pytest.raises(TaskFailed, match="nothing was between the fingers"):
         await take()
-    assert not cell.robot.gripper_closed
+    assert not physics.robot.gripper_closed
 
 
 async def test_a_panda_with_seven_joints_and_its_own_gripper_picks_and_places(tmp_path: Path) -> None:
-    cell = PhysicsCell(tmp_path, robot_model="panda", scan_seed=174)
-    async with cell.workcell:
+    physics = PhysicsCell(tmp_path, robot_model="panda", scan_seed=174)
+    async with physics.cell:
         for count in (1, 2):
-            seen = await cell.do("scan", bin="bin-1")
-            await cell.do("pick", part=seen["part"], pose=seen["pose"])
-            await cell.do("place", location="fixture-1")
-            assert len(cell.parts.in_fixture("fixture-1")) == count
+            seen = await physics.do("scan", bin="bin-1")
+            await physics.do("pick", part=seen["part"], pose=seen["pose"])
+            await physics.do("place", location="fixture-1")
+            assert len(physics.parts.in_fixture("fixture-1")) == count
 
 
-async def test_a_part_that_slips_out_of_the_gripper_fails_the_task_with_the_reason(cell: PhysicsCell) -> None:
-    seen = await cell.do("scan", bin="bin-1")
-    for part in cell.parts.in_bin("bin-1"):
-        cell.robot.simulation.set_friction(part, 0.001)
+async def test_a_part_that_slips_out_of_the_gripper_fails_the_task_with_a_reason(
+    physics: PhysicsCell,
+) -> None:
+    seen = await physics.do("scan", bin="bin-1")
+    for part in physics.parts.in_bin("bin-1"):
+        physics.robot.simulation.set_friction(part, 0.001)
     with pytest.raises(Exception, match=r"slipped|no part at"):
-        await cell.do("pick", part=seen["part"], pose=seen["pose"])
-    assert cell.cell.held is None
-    assert not cell.robot.gripper_closed
+        await physics.do("pick", part=seen["part"], pose=seen["pose"])
+    assert physics.unit.held is None
+    assert not physics.robot.gripper_closed
 
 
 async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
-    async with first.workcell:
+    async with first.cell:
         seen = await first.do("scan", bin="bin-1")
         await first.do("pick", part=seen["part"], pose=seen["pose"])
         lying = [first.robot.simulation.part_pose(part) for part in first.parts.in_bin("bin-1")]
     second = PhysicsCell(tmp_path)
-    async with second.workcell:
+    async with second.cell:
         assert second.robot.is_holding
-        assert second.cell.held == seen["part"]
+        assert second.unit.held == seen["part"]
         found = [second.robot.simulation.part_pose(part) for part in second.parts.in_bin("bin-1")]
         assert max(one.distance_m(other) for one, other in zip(found, lying, strict=True)) < 1e-4
         placed = await second.do("place", location="fixture-1")
@@ -228,16 +230,16 @@ async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: P
 
 async def test_a_part_is_put_into_a_fixture_that_was_moved_while_the_robot_held_it(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
-    async with first.workcell:
+    async with first.cell:
         seen = await first.do("scan", bin="bin-1")
         await first.do("pick", part=seen["part"], pose=seen["pose"])
         time_s, lying = first.robot.simulation.time_s, first.parts.in_bin("bin-1")
         before = [first.robot.simulation.part_pose(part) for part in lying]
-        scene = first.workcell.scene.model_dump(mode="json")
+        scene = first.cell.scene.model_dump(mode="json")
         fixture = scene["fixtures"]["fixture-1"]
         for one in (fixture["body"], *fixture["nests"]):
             one["position"][0] += 0.06
-        await first.workcell.change_scene(scene)
+        await first.cell.change_scene(scene)
         assert first.robot.simulation.time_s == time_s
         assert first.robot.is_holding
         after = [first.robot.simulation.part_pose(part) for part in lying]
@@ -250,12 +252,12 @@ async def test_a_part_is_put_into_a_fixture_that_was_moved_while_the_robot_held_
     assert second.parts.in_fixture("fixture-1") == [part]
 
 
-async def test_a_scene_that_cannot_be_simulated_is_refused_and_changes_nothing(cell: PhysicsCell) -> None:
-    scene = cell.workcell.scene.model_dump(mode="json")
+async def test_a_scene_that_cannot_be_simulated_is_refused_and_changes_nothing(physics: PhysicsCell) -> None:
+    scene = physics.cell.scene.model_dump(mode="json")
     scene["bins"]["bin-1"]["walls"] = None
     with pytest.raises(UsageError, match="has no walls"):
-        await cell.workcell.change_scene(scene)
-    assert cell.workcell.revision == 0
+        await physics.cell.change_scene(scene)
+    assert physics.cell.revision == 0
 
 
 BALLS = {"ball-1": (0.6, -0.5, 0.1), "ball-2": (0.5, -0.25, 0.3), "ball-3": (0.25, -0.4, 0.2)}
@@ -263,19 +265,19 @@ BALLS = {"ball-1": (0.6, -0.5, 0.1), "ball-2": (0.5, -0.25, 0.3), "ball-3": (0.2
 
 async def test_a_fixed_camera_is_calibrated_by_balls_while_the_robot_rests(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
-    async with first.workcell:
+    async with first.cell:
         with pytest.raises(TaskFailed, match='no camera "above"; the scene has none'):
             await first.do("calibrateCamera", camera="above")
-        scene = first.workcell.scene.model_dump(mode="json")
+        scene = first.cell.scene.model_dump(mode="json")
         scene["cameras"]["above"] = {"position": [0.45, -0.45, 1.2]}
         for name, place in BALLS.items():
             scene["obstacles"][name] = {"sphere": 0.03, "position": place}
-        await first.workcell.change_scene(scene)
+        await first.cell.change_scene(scene)
         with pytest.raises(TaskFailed, match="sees 2 balls, and 3 are needed"):
             await first.do("calibrateCamera", camera="above", targets=["ball-1", "ball-2"])
-        joints = first.cell.joints
+        joints = first.unit.joints
         found = await first.do("calibrateCamera", camera="above")
-        assert first.cell.joints == pytest.approx(joints, abs=1e-6)
+        assert first.unit.joints == pytest.approx(joints, abs=1e-6)
     assert found["balls"] == 4
     assert found["residualMm"] < 1.5
     assert 0.5 < found["movedMm"] < 4.0
@@ -288,16 +290,16 @@ async def test_a_fixed_camera_is_calibrated_by_balls_while_the_robot_rests(tmp_p
 
 
 async def test_the_scene_shows_the_true_parts_of_the_simulation_and_those_that_are_known(
-    cell: PhysicsCell,
+    physics: PhysicsCell,
 ) -> None:
-    view = scene_view(cell.workcell)
+    view = scene_view(physics.cell)
     assert view["parts"] == []
-    assert len(view["trueParts"]) == len(cell.parts.in_bin("bin-1"))
+    assert len(view["trueParts"]) == len(physics.parts.in_bin("bin-1"))
     assert view["trueParts"][0]["size"] == [0.024, 0.06, 0.024]
-    seen = await cell.do("scan", bin="bin-1")
-    await cell.do("pick", part=seen["part"], pose=seen["pose"])
-    assert len(scene_view(cell.workcell)["trueParts"]) == len(view["trueParts"]) - 1
-    await cell.workcell.change_scene(scene_view(cell.workcell))
+    seen = await physics.do("scan", bin="bin-1")
+    await physics.do("pick", part=seen["part"], pose=seen["pose"])
+    assert len(scene_view(physics.cell)["trueParts"]) == len(view["trueParts"]) - 1
+    await physics.cell.change_scene(scene_view(physics.cell))
 
 
 async def test_after_a_crash_in_a_motion_the_arm_and_its_part_are_where_they_were(tmp_path: Path) -> None:
@@ -311,22 +313,22 @@ async def test_after_a_crash_in_a_motion_the_arm_and_its_part_are_where_they_wer
         stopped += 1
         return 1.0 if stopped < 300 else 0.0
 
-    base = first.cell.joints
+    base = first.unit.joints
     assert not await first.robot.move(ROBOT.home, 1.0, stop_on_the_way)
-    there = first.cell.joints  # the tool is not left in good order: nothing is stored now
+    there = first.unit.joints  # the tool is not left in good order: nothing is stored now
     assert max(abs(a - b) for a, b in zip(there, base, strict=True)) > 0.05
     second = PhysicsCell(tmp_path)
-    assert second.cell.joints == pytest.approx(there, abs=1e-3)
-    async with second.workcell:
+    assert second.unit.joints == pytest.approx(there, abs=1e-3)
+    async with second.cell:
         assert second.robot.is_holding
         assert (await second.do("place", location="fixture-1"))["part"] == seen["part"]
 
 
-async def test_an_arm_whose_way_leads_into_the_table_does_not_begin(cell: PhysicsCell) -> None:
+async def test_an_arm_whose_way_leads_into_the_table_does_not_begin(physics: PhysicsCell) -> None:
     home = ROBOT.home
     with pytest.raises(RobotFault, match="would touch"):
-        await cell.robot.move((home[0], home[1] + 1.6, *home[2:]), 1.0, lambda: 1.0)
-    assert cell.robot.state().positions == pytest.approx(home, abs=0.001)
+        await physics.robot.move((home[0], home[1] + 1.6, *home[2:]), 1.0, lambda: 1.0)
+    assert physics.robot.state().positions == pytest.approx(home, abs=0.001)
 
 
 async def test_a_simulation_that_fails_is_a_fault_and_runs_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,8 +345,8 @@ async def test_a_simulation_that_fails_is_a_fault_and_runs_again(monkeypatch: py
         assert await robot.move(NEAR, 1.0, lambda: 1.0)
 
 
-async def test_an_arm_that_is_blocked_reports_a_fault_and_moves_again(cell: PhysicsCell) -> None:
-    robot, home = cell.robot, ROBOT.home
+async def test_an_arm_that_is_blocked_reports_a_fault_and_moves_again(physics: PhysicsCell) -> None:
+    robot, home = physics.robot, ROBOT.home
     robot.limiter = JointLimiter(ROBOT.limits)  # it knows nothing of the table
     into_the_table = (home[0], home[1] + 1.6, *home[2:])
     with pytest.raises(RobotFault, match="meets something"):
@@ -418,40 +420,40 @@ robots:
   right: {{model: ur10, driver: physics, speed: 1, base: {{position: [-1.3, 0.9, 0], yaw_deg: 180}}}}
 """
     )
-    cell = PhysicsCell(tmp_path, cell_file=cell_file)
-    async with cell.workcell:
+    physics = PhysicsCell(tmp_path, cell_file=cell_file)
+    async with physics.cell:
         home = ROBOT.home
 
         async def left() -> dict[str, Any]:
-            seen = await cell.do("scan", bin="bin-1")
-            await cell.do("pick", part=seen["part"], pose=seen["pose"])
-            placed = await cell.do("place", location="fixture-1")
-            await cell.do("home")
+            seen = await physics.do("scan", bin="bin-1")
+            await physics.do("pick", part=seen["part"], pose=seen["pose"])
+            placed = await physics.do("place", location="fixture-1")
+            await physics.do("home")
             return placed
 
         async def right() -> None:
             for turn in (0.4, 0.0):
-                await cell.do("moveTo", robot="right", joints=(home[0] + turn, *home[1:]))
+                await physics.do("moveTo", robot="right", joints=(home[0] + turn, *home[1:]))
 
         placed, _ = await asyncio.gather(left(), right())
-        (part,) = cell.parts.in_fixture("fixture-1")
-        await cell.do("pick", robot="right", part=placed["part"], pose=placed["pose"])
-        await cell.do("home", robot="right")
-        simulation = cell.robot.simulation
+        (part,) = physics.parts.in_fixture("fixture-1")
+        await physics.do("pick", robot="right", part=placed["part"], pose=placed["pose"])
+        await physics.do("home", robot="right")
+        simulation = physics.robot.simulation
         assert (simulation.gripped_part("left"), simulation.gripped_part("right")) == (None, part)
-        shown = scene_view(cell.workcell)["trueParts"]
-        assert len(shown) == len(cell.parts.in_bin("bin-1")), "each part once, without the held one"
+        shown = scene_view(physics.cell)["trueParts"]
+        assert len(shown) == len(physics.parts.in_bin("bin-1")), "each part once, without the held one"
     again = PhysicsCell(tmp_path, cell_file=cell_file)
-    assert again.workcell.cells["right"].held == placed["part"]
+    assert again.cell.units["right"].held == placed["part"]
     assert again.robot.simulation.gripped_part("right") == part
 
 
 async def test_a_scene_without_bins_gets_one_while_the_robot_works(tmp_path: Path) -> None:
     empty = tmp_path / "empty.yaml"
     empty.write_text("name: empty\n")
-    cell = PhysicsCell(tmp_path, scene_file=empty)
+    physics = PhysicsCell(tmp_path, scene_file=empty)
     full = load(ur10.FOLDER / "bin_picking_physics.yaml", ROBOT)
-    async with cell.workcell:
-        await cell.workcell.change_scene(full.model_dump(mode="json"))
-        assert len(cell.parts.in_bin("bin-1")) == 6
-        assert (await cell.do("scan", bin="bin-1"))["found"]
+    async with physics.cell:
+        await physics.cell.change_scene(full.model_dump(mode="json"))
+        assert len(physics.parts.in_bin("bin-1")) == 6
+        assert (await physics.do("scan", bin="bin-1"))["found"]

@@ -2,16 +2,16 @@ from pathlib import Path
 
 import pytest
 
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.stop_measurement import StopMeasurement, measure_stop
 
 
 async def test_the_stop_of_a_robot_is_measured(tmp_path: Path) -> None:
     settings = TrajectorySettings.load(data_dir=tmp_path)
-    async with Workcell(settings) as workcell:
-        cell = workcell.only
-        found = await measure_stop(cell, (cell.home[0] + 3.0, *cell.home[1:]), 0.4)
+    async with Cell(settings) as cell:
+        unit = cell.only
+        found = await measure_stop(unit, (unit.home[0] + 3.0, *unit.home[1:]), 0.4)
     assert found.speed_mps > 0.05
     assert 0 <= found.delay_s <= found.duration_s
     assert found.distance_m > 0.0

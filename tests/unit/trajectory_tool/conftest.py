@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.driver_base.context import Clock
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
@@ -49,8 +49,8 @@ class Worker:
     def __init__(self, settings: TrajectorySettings, time: JumpingTime) -> None:
         self.settings = settings
         self.time = time
-        self.workcell = Workcell(settings, time.clock)
-        self.cell = self.workcell.only
+        self.cell = Cell(settings, time.clock)
+        self.unit = self.cell.only
         self.work: Work | None = None
         self._tasks = 0
 
@@ -58,11 +58,11 @@ class Worker:
         self, operation: str, *, task: str | None = None, steering: Any = None, **asked: Any
     ) -> dict[str, Any]:
         self._tasks += 1
-        known = operations.known(operation)
-        read = parameters.read(known.parameters, operation, asked)
+        performed = operations.operation_named(operation)
+        read = parameters.read(performed.parameters, operation, asked)
         speed = self.settings.robot_speed * read.speed
-        self.work = Work(task or f"task-{self._tasks}", operation, self.cell, steering or Freely(), speed)
-        return await known.perform(self.work, read)
+        self.work = Work(task or f"task-{self._tasks}", operation, self.unit, steering or Freely(), speed)
+        return await performed.perform(self.work, read)
 
     def after_a_power_cut(self) -> "Worker":
         """Return the worker that finds the cell as the memory file has it."""
@@ -83,7 +83,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TrajectorySetti
 @pytest.fixture
 async def worker(settings: TrajectorySettings, time: JumpingTime) -> AsyncIterator[Worker]:
     made = Worker(settings, time)
-    async with made.cell:
+    async with made.unit:
         yield made
 
 

@@ -22,7 +22,7 @@ async def controller(tmp_path: Path, free_port: Any) -> AsyncIterator[Controller
     )
     async with BrokerClient(settings) as broker:
         made = Controllers(settings, broker).by_name["ur10-1"]
-        async with made.cell:
+        async with made.unit:
             yield made
 
 
@@ -79,7 +79,7 @@ async def test_unknown_operations_are_counted_together(controller: Controller) -
 
 
 async def test_a_fault_of_the_robot_fails_the_task_and_shows_on_the_device(controller: Controller) -> None:
-    async with controller.cell.robot:
+    async with controller.unit.robot:
         pass  # somebody has switched it off
     with pytest.raises(TaskFailed, match="the robot cannot move: the robot is switched off"):
         await controller.perform(a_job(controller))
@@ -87,7 +87,7 @@ async def test_a_fault_of_the_robot_fails_the_task_and_shows_on_the_device(contr
 
 
 async def test_a_full_disk_fails_the_task_with_the_reason(controller: Controller) -> None:
-    in_the_way = controller.cell.file.path.with_suffix(".new")
+    in_the_way = controller.unit.file.path.with_suffix(".new")
     in_the_way.mkdir(parents=True)
     with pytest.raises(TaskFailed, match=r"cannot be stored in .*cell\.json: .*HANDOVER_DATA_DIR"):
         await controller.perform(a_job(controller))
@@ -100,6 +100,6 @@ async def test_the_joints_are_stored_when_the_robot_is_switched_off(tmp_path: Pa
     settings = TrajectorySettings.load(data_dir=tmp_path)
     async with BrokerClient(settings) as broker:
         controller = Controllers(settings, broker).by_name["ur10-1"]
-        async with controller.cell as cell:
-            await cell.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: 1.0)
-        assert Controllers(settings, broker).workcell.only.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)
+        async with controller.unit as unit:
+            await unit.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: 1.0)
+        assert Controllers(settings, broker).cell.only.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)

@@ -45,13 +45,13 @@ async def test_a_part_is_given_after_the_person_confirms(worker: Any) -> None:
     await worker.do("pick", bin="bin-1")
     giving = asyncio.create_task(worker.do("handOver", direction="give", **AT))
     await until(lambda: worker.work.operation == "handOver" and worker.work.awaits_confirmation)
-    assert worker.cell.held == "part-1"
-    assert worker.cell.robot.gripper_closed
+    assert worker.unit.held == "part-1"
+    assert worker.unit.robot.gripper_closed
     assert worker.work.confirm()
     assert await giving == {"part": "part-1", "direction": "give", "handedOver": True}
-    assert worker.cell.held is None
-    assert not worker.cell.robot.gripper_closed
-    assert worker.cell.contents.find("part-1") is None
+    assert worker.unit.held is None
+    assert not worker.unit.robot.gripper_closed
+    assert worker.unit.contents.find("part-1") is None
     assert not worker.work.confirm()
 
 
@@ -60,7 +60,7 @@ async def test_a_part_is_taken_from_a_person_and_placed(worker: Any) -> None:
     await until(lambda: worker.work is not None and worker.work.awaits_confirmation)
     worker.work.confirm()
     assert (await taking)["part"] == "housing"
-    assert worker.cell.held == "housing"
+    assert worker.unit.held == "housing"
     assert (await worker.do("place", location="fixture-1"))["part"] == "housing"
 
 
@@ -81,7 +81,7 @@ async def test_an_operator_of_the_task_may_confirm_and_moves_no_robot(settings: 
     operator = Grant(Role.OPERATOR, anna)
     assert await asked("/confirm", operator) == 403, "the robot has no Task with Anna"
     steering = CancelsWhileWaiting(worker)
-    controller.work = work = Work("task", "handOver", worker.cell, steering, 1.0, involves=(anna,))
+    controller.work = work = Work("task", "handOver", worker.unit, steering, 1.0, involves=(anna,))
     work.awaits_confirmation = True
     assert await asked("/confirm", Grant(Role.OPERATOR, "urn:ngsi-ld:Person:demo:ben")) == 403
     assert await asked("/confirm", Grant(Role.VIEWER)) == 403
@@ -94,17 +94,17 @@ async def test_nobody_confirms_and_the_gripper_stays_as_it_is(worker: Any) -> No
     await worker.do("pick", bin="bin-1")
     with pytest.raises(TaskFailed, match=r"nobody confirmed the hand-over within 0\.1 s"):
         await worker.do("handOver", direction="give", timeoutS=0.1, **AT)
-    assert worker.cell.held == "part-1"
-    assert worker.cell.robot.gripper_closed
+    assert worker.unit.held == "part-1"
+    assert worker.unit.robot.gripper_closed
 
 
 async def test_a_cancelled_hand_over_moves_nothing_and_keeps_the_part(worker: Any) -> None:
     await worker.do("pick", bin="bin-1")
     with pytest.raises(Cancelled):
         await worker.do("handOver", direction="give", steering=CancelsWhileWaiting(worker), **AT)
-    joints = worker.cell.joints
-    assert worker.cell.held == "part-1"
-    assert worker.cell.joints == joints
+    joints = worker.unit.joints
+    assert worker.unit.held == "part-1"
+    assert worker.unit.joints == joints
 
 
 @pytest.mark.parametrize(
@@ -120,16 +120,16 @@ async def test_a_cancelled_hand_over_moves_nothing_and_keeps_the_part(worker: An
 async def test_a_hand_over_that_cannot_be_done_is_refused_before_a_motion(
     worker: Any, asked: dict[str, Any], why: str
 ) -> None:
-    joints = worker.cell.joints
+    joints = worker.unit.joints
     with pytest.raises(TaskFailed, match=why):
         await worker.do("handOver", **asked)
-    assert worker.cell.joints == joints
+    assert worker.unit.joints == joints
 
 
 async def test_a_robot_moves_to_a_named_position(worker: Any) -> None:
     await worker.do("moveTo", joints=[0.3, -1.2, 1.4, -1.5, -1.5, 0.2])
     await worker.do("moveTo", named="home")
-    assert worker.cell.joints == pytest.approx(worker.cell.home)
+    assert worker.unit.joints == pytest.approx(worker.unit.home)
 
 
 WAYPOINTS = [[0.4, -1.4, 1.5, -1.5, -1.5, 0.0], [0.8, -1.2, 1.2, -1.4, -1.5, 0.3]]
@@ -139,10 +139,10 @@ END = [1.2, -1.5, 1.4, -1.5, -1.3, 0.0]
 @needs_planning
 async def test_waypoints_are_passed_without_a_stop(worker: Any, time: Any) -> None:
     path: list[Any] = []
-    time.on_wait = lambda _: path.append(worker.cell.robot.state())
+    time.on_wait = lambda _: path.append(worker.unit.robot.state())
     through = [{"joints": joints} for joints in WAYPOINTS]
     await worker.do("moveTo", joints=END, through=through)
-    assert worker.cell.joints == pytest.approx(END)
+    assert worker.unit.joints == pytest.approx(END)
     positions = np.array([state.positions for state in path])
     for waypoint in WAYPOINTS:
         assert float(np.abs(positions - waypoint).max(axis=1).min()) < 0.1
@@ -159,39 +159,39 @@ async def test_after_a_pause_only_the_rest_of_the_waypoints_is_passed(worker: An
         rested = False
 
         def may_go(self) -> bool:
-            return self.rested or worker.cell.joints[0] < 0.6
+            return self.rested or worker.unit.joints[0] < 0.6
 
         async def rest(self) -> None:
             self.rested = True
             path.clear()
 
-    time.on_wait = lambda _: path.append(worker.cell.joints)
+    time.on_wait = lambda _: path.append(worker.unit.joints)
     through = [{"joints": joints} for joints in WAYPOINTS]
     await worker.do("moveTo", joints=END, through=through, steering=PausesAfterTheFirst())
     pans = [joints[0] for joints in path]
     assert min(pans) > 0.55
     assert pans == sorted(pans)
-    assert worker.cell.joints == pytest.approx(END)
+    assert worker.unit.joints == pytest.approx(END)
 
 
 @needs_planning
 async def test_a_tilt_is_kept_on_the_whole_way(worker: Any, time: Any) -> None:
     await worker.do("moveTo", pose={"position": [-0.6, -0.4, 0.4]})
     path: list[Any] = []
-    time.on_wait = lambda _: path.append(worker.cell.joints)
+    time.on_wait = lambda _: path.append(worker.unit.joints)
     await worker.do("moveTo", pose={"position": [-0.6, 0.4, 0.5]}, tilt={"maxAngleDeg": 15})
     assert path
     for joints in path[::5]:
-        down = turn(worker.cell.model.tool_pose(joints).frame().rotation, (0.0, 0.0, 1.0))
+        down = turn(worker.unit.model.tool_pose(joints).frame().rotation, (0.0, 0.0, 1.0))
         assert math.degrees(math.acos(min(-down[2], 1.0))) < 16
 
 
 async def test_the_tool_approaches_and_leaves_as_far_as_the_task_says(worker: Any, time: Any) -> None:
     heights: list[float] = []
-    time.on_wait = lambda _: heights.append(worker.cell.tool_pose.position[2])
+    time.on_wait = lambda _: heights.append(worker.unit.tool_pose.position[2])
     await worker.do("pick", bin="bin-1", approachM=0.3, retreatM=0.05)
-    part_m = worker.cell.last_act.pose.position[2]
-    assert worker.cell.tool_pose.position[2] == pytest.approx(part_m + 0.05, abs=1e-3)
+    part_m = worker.unit.last_act.pose.position[2]
+    assert worker.unit.tool_pose.position[2] == pytest.approx(part_m + 0.05, abs=1e-3)
     assert max(heights) >= part_m + 0.29
 
 
@@ -200,7 +200,7 @@ async def test_the_tool_approaches_along_its_own_axis(worker: Any) -> None:
     level = {"position": [-0.7, 0.1, 0.5], "orientation": [0.0, -half, 0.0, half]}
     await worker.do("pick", bin="bin-1")
     await worker.do("place", pose=level, approachAlong="tool", retreatM=0.1)
-    away = np.array(worker.cell.tool_pose.position) - (-0.7, 0.1, 0.5)
+    away = np.array(worker.unit.tool_pose.position) - (-0.7, 0.1, 0.5)
     assert np.linalg.norm(away) == pytest.approx(0.1, abs=1e-3)
     assert abs(away[2]) < 0.01
 

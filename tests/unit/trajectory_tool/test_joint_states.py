@@ -51,7 +51,7 @@ def test_joints_are_written_as_ros_names_them() -> None:
 
 async def test_the_stream_ends_when_its_reader_leaves(worker: Any, eventually_true: Any) -> None:
     reader = Reader()
-    streaming = asyncio.create_task(stream(worker.cell.robot, ROBOT.joint_names, reader.socket, 125.0))
+    streaming = asyncio.create_task(stream(worker.unit.robot, ROBOT.joint_names, reader.socket, 125.0))
     reader.says.put_nowait({"type": "websocket.receive", "bytes": b"\xff"})
     await eventually_true(lambda: len(reader.got) >= 3)
     reader.leave()
@@ -62,7 +62,7 @@ async def test_the_stream_ends_when_its_reader_leaves(worker: Any, eventually_tr
 async def test_a_slow_reader_gets_fewer_joints_and_the_newest(worker: Any, eventually_true: Any) -> None:
     reader = Reader(takes_s=0.1)
     before = dropped()
-    streaming = asyncio.create_task(stream(worker.cell.robot, ROBOT.joint_names, reader.socket, 125.0))
+    streaming = asyncio.create_task(stream(worker.unit.robot, ROBOT.joint_names, reader.socket, 125.0))
     await eventually_true(lambda: reader.got)
     await worker.do("moveTo", joints=list(TARGET))
     after = len(reader.got)

@@ -24,12 +24,12 @@ async def test_a_part_is_scanned_picked_and_placed(worker: Any) -> None:
         "part": seen["part"],
         "gripped": True,
     }
-    assert worker.cell.held == seen["part"]
+    assert worker.unit.held == seen["part"]
     placed = await worker.do("place", location="fixture-1")
     assert placed["part"] == seen["part"]
     assert placed["location"] == "fixture-1"
-    assert worker.cell.held is None
-    lying = worker.cell.contents.find(seen["part"])
+    assert worker.unit.held is None
+    lying = worker.unit.contents.find(seen["part"])
     assert lying.place == "fixture-1"
     assert lying.pose.written() == placed["pose"]
 
@@ -37,20 +37,20 @@ async def test_a_part_is_scanned_picked_and_placed(worker: Any) -> None:
 async def test_home_and_joint_targets_are_reached(worker: Any) -> None:
     target = [0.1, -1.2, 1.1, -1.4, -1.5, 0.3]
     assert (await worker.do("moveTo", joints=target))["joints"] == target
-    assert worker.cell.joints == tuple(target)
+    assert worker.unit.joints == tuple(target)
     await worker.do("home")
-    assert worker.cell.joints == worker.cell.home
+    assert worker.unit.joints == worker.unit.home
 
 
 async def test_a_pose_is_reached_with_the_tip_of_the_tool(worker: Any) -> None:
     await worker.do("moveTo", pose={"position": [-0.4, 0.5, 0.4], "orientation": [0, 1, 0, 0]})
-    tool = worker.cell.tool_pose
+    tool = worker.unit.tool_pose
     assert tool.position == pytest.approx((-0.4, 0.5, 0.4), abs=1e-6)
     assert [abs(value) for value in tool.orientation] == pytest.approx([0, 1, 0, 0], abs=1e-6)
 
 
 async def test_speed_scales_the_time_a_motion_takes(worker: Any) -> None:
-    there, back = [1.0, -1.2, 1.1, -1.4, -1.5, 0.3], list(worker.cell.home)
+    there, back = [1.0, -1.2, 1.1, -1.4, -1.5, 0.3], list(worker.unit.home)
     durations = []
     for speed in (1.0, 0.25):
         began_s = worker.time.time_s
@@ -61,12 +61,12 @@ async def test_speed_scales_the_time_a_motion_takes(worker: Any) -> None:
 
 
 async def test_an_unreachable_pose_says_how_far_the_reach_is_and_moves_nothing(worker: Any) -> None:
-    before = worker.cell.joints
+    before = worker.unit.joints
     with pytest.raises(TaskFailed, match=r'"pose" of moveTo: .*\(2\.000, 0\.000, 0\.500\).*reaches 1\.30 m'):
         await worker.do("moveTo", pose={"position": [2, 0, 0.5]})
     with pytest.raises(TaskFailed, match=r'"joints" of moveTo: elbow_joint cannot be at 9\.000 rad'):
         await worker.do("moveTo", joints=[0, 0, 9, 0, 0, 0])
-    assert worker.cell.joints == before
+    assert worker.unit.joints == before
 
 
 async def test_a_bin_that_does_not_exist_is_refused_with_the_known_ones(worker: Any) -> None:
@@ -77,7 +77,7 @@ async def test_a_bin_that_does_not_exist_is_refused_with_the_known_ones(worker: 
 
 
 async def test_an_empty_bin_is_not_found_empty_twice_where_people_fill_it(worker: Any) -> None:
-    worker.cell.contents = worker.cell.contents.emptied("bin-1")
+    worker.unit.contents = worker.unit.contents.emptied("bin-1")
     with pytest.raises(TaskFailed, match="bin-1 is empty"):
         await worker.do("pick", bin="bin-1")
     seen = await worker.do("scan", bin="bin-1")
@@ -87,7 +87,7 @@ async def test_an_empty_bin_is_not_found_empty_twice_where_people_fill_it(worker
 
 async def test_a_part_that_the_camera_misses_is_not_found(worker: Any, settings: TrajectorySettings) -> None:
     blind = type(worker)(settings.model_copy(update={"detection_rate": 0.0}), worker.time)
-    async with blind.cell:
+    async with blind.unit:
         seen = await blind.do("scan", bin="bin-1")
     assert seen == {"found": False, "bin": "bin-1", "reason": "no part lies free in bin-1"}
 
@@ -95,17 +95,17 @@ async def test_a_part_that_the_camera_misses_is_not_found(worker: Any, settings:
 async def test_a_pick_where_no_part_lies_fails_with_the_gripper_open_and_the_arm_up(worker: Any) -> None:
     with pytest.raises(TaskFailed, match=r"no part at \(-0\.550, -0\.550, 0\.200\) m; scan the bin again"):
         await worker.do("pick", pose={"position": [-0.55, -0.55, 0.2]})
-    assert not worker.cell.robot.gripper_closed
-    assert worker.cell.held is None
-    assert worker.cell.tool_pose.position[2] == pytest.approx(0.35, abs=1e-6)
+    assert not worker.unit.robot.gripper_closed
+    assert worker.unit.held is None
+    assert worker.unit.tool_pose.position[2] == pytest.approx(0.35, abs=1e-6)
 
 
 async def test_a_pick_of_another_part_than_lies_there_puts_it_back(worker: Any) -> None:
-    lying = worker.cell.contents.find("part-2")
+    lying = worker.unit.contents.find("part-2")
     with pytest.raises(TaskFailed, match=r'"part-2" lies at .* where "part-1" was requested'):
         await worker.do("pick", part="part-1", pose=lying.pose.written())
-    assert worker.cell.held is None
-    assert worker.cell.contents.find("part-2").place == "bin-1"
+    assert worker.unit.held is None
+    assert worker.unit.contents.find("part-2").place == "bin-1"
 
 
 async def test_a_pick_without_parameters_takes_the_part_last_seen(worker: Any) -> None:
@@ -137,7 +137,7 @@ async def test_a_place_that_does_not_exist_is_refused_with_the_known_ones(worker
     await picked(worker)
     with pytest.raises(TaskFailed, match=r'no fixture "shelf"; the cell has fixture-1'):
         await worker.do("place", location="shelf")
-    assert worker.cell.held == "part-1"
+    assert worker.unit.held == "part-1"
 
 
 async def test_a_part_placed_at_a_pose_lies_there_and_can_be_picked_again(worker: Any) -> None:
@@ -155,7 +155,7 @@ async def test_a_full_fixture_is_emptied_by_the_next_station(worker: Any) -> Non
         nests.append((await worker.do("place", location="fixture-1"))["pose"]["position"])
     assert len({tuple(nest) for nest in nests}) == 4
     assert nests[4] == nests[0]
-    assert len(worker.cell.parts_in("fixture-1")) == 1
+    assert len(worker.unit.parts_in("fixture-1")) == 1
 
 
 async def test_a_target_needs_a_position_for_each_joint(worker: Any) -> None:
@@ -166,38 +166,38 @@ async def test_a_target_needs_a_position_for_each_joint(worker: Any) -> None:
 async def test_a_fixture_that_nobody_empties_is_full(worker: Any, tmp_path: Any) -> None:
     own = tmp_path / "scene.yaml"
     own.write_text(
-        worker.cell.model.scene.read_text(encoding="utf-8").replace("emptied: true", "emptied: false")
+        worker.unit.model.scene.read_text(encoding="utf-8").replace("emptied: true", "emptied: false")
     )
     strict = type(worker)(
         worker.settings.model_copy(update={"scene_file": own, "robot_name": "ur10-2"}), worker.time
     )
-    async with strict.cell:
+    async with strict.unit:
         for _ in range(4):
             await picked(strict)
             await strict.do("place", location="fixture-1")
         await picked(strict)
         with pytest.raises(TaskFailed, match="all nests of fixture-1 are full"):
             await strict.do("place", location="fixture-1")
-        assert strict.cell.held == "part-5"
+        assert strict.unit.held == "part-5"
 
 
 async def test_a_person_can_take_the_part_out_of_the_gripper(worker: Any) -> None:
     await picked(worker)
-    assert await worker.cell.free() == "part-1"
-    assert worker.cell.held is None
-    assert worker.cell.contents.find("part-1") is None
+    assert await worker.unit.free() == "part-1"
+    assert worker.unit.held is None
+    assert worker.unit.contents.find("part-1") is None
     assert (await worker.do("pick", part="part-2"))["part"] == "part-2"
 
 
 class AfterTheGripper:
     """Ends the work, as a power cut would, after the gripper has acted and before the Task is done."""
 
-    def __init__(self, cell: Any, held: bool) -> None:
-        self.cell, self.held = cell, held
+    def __init__(self, unit: Any, held: bool) -> None:
+        self.unit, self.held = unit, held
         self.acted = False
 
     def may_go(self) -> bool:
-        self.acted = self.acted or (self.cell.held is not None) is self.held
+        self.acted = self.acted or (self.unit.held is not None) is self.held
         return not self.acted
 
     async def rest(self) -> None:
@@ -206,30 +206,30 @@ class AfterTheGripper:
 
 async def test_a_pick_cut_short_after_the_grip_is_not_done_twice(worker: Any) -> None:
     with pytest.raises(TaskCancelled):
-        await worker.do("pick", task="pick", bin="bin-1", steering=AfterTheGripper(worker.cell, held=True))
-    down = worker.cell.tool_pose
+        await worker.do("pick", task="pick", bin="bin-1", steering=AfterTheGripper(worker.unit, held=True))
+    down = worker.unit.tool_pose
     again = worker.after_a_power_cut()
-    async with again.cell:
-        assert again.cell.held == "part-1"
-        assert again.cell.robot.gripper_closed
-        assert again.cell.tool_pose.distance_m(down) < 1e-6
+    async with again.unit:
+        assert again.unit.held == "part-1"
+        assert again.unit.robot.gripper_closed
+        assert again.unit.tool_pose.distance_m(down) < 1e-6
         assert await again.do("pick", task="pick", bin="bin-1") == {"part": "part-1", "gripped": True}
-        assert len(again.cell.parts_in("bin-1")) == 5
-        assert again.cell.tool_pose.position[2] > down.position[2] + 0.1
+        assert len(again.unit.parts_in("bin-1")) == 5
+        assert again.unit.tool_pose.position[2] > down.position[2] + 0.1
 
 
 async def test_a_place_cut_short_after_the_release_is_not_done_twice(worker: Any) -> None:
     await picked(worker)
     with pytest.raises(TaskCancelled):
         await worker.do(
-            "place", task="place", location="fixture-1", steering=AfterTheGripper(worker.cell, held=False)
+            "place", task="place", location="fixture-1", steering=AfterTheGripper(worker.unit, held=False)
         )
     again = worker.after_a_power_cut()
-    async with again.cell:
+    async with again.unit:
         placed = await again.do("place", task="place", location="fixture-1")
         assert placed["part"] == "part-1"
         assert placed["location"] == "fixture-1"
-        assert [one.part for one in again.cell.parts_in("fixture-1")] == ["part-1"]
+        assert [one.part for one in again.unit.parts_in("fixture-1")] == ["part-1"]
         with pytest.raises(TaskFailed, match="the gripper is empty"):
             await again.do("place", task="another", location="fixture-1")
 
@@ -254,21 +254,21 @@ async def test_an_act_of_the_gripper_without_a_record_has_an_unknown_outcome(
     async def cut() -> bool:
         raise PowerCut
 
-    monkeypatch.setattr(worker.cell.robot, act, cut)
+    monkeypatch.setattr(worker.unit.robot, act, cut)
     with pytest.raises(PowerCut):
         await worker.do(operation, task="t", **asked)
     again = worker.after_a_power_cut()
-    async with again.cell:
-        here = again.cell.joints
+    async with again.unit:
+        here = again.unit.joints
         with pytest.raises(TaskFailed, match=why) as failed:
             await again.do(operation, task="t", **asked)
         assert is_outcome_unknown({"reason": failed.value.reason})
         with pytest.raises(TaskFailed, match=why) as failed:
             await again.do("pick", task="another", bin="bin-1")
         assert not is_outcome_unknown({"reason": failed.value.reason}), "nothing was begun for this Task"
-        assert again.cell.joints == here
+        assert again.unit.joints == here
         await again.do("home")
-        await again.cell.free()
+        await again.unit.free()
         assert (await again.do("pick", bin="bin-1"))["gripped"]
 
 
@@ -282,14 +282,14 @@ class PausedAt:
 
     def __init__(self, worker: Any, after_s: float) -> None:
         self.time, self.at_s = worker.time, worker.time.time_s + after_s
-        self.cell = worker.cell
+        self.unit = worker.unit
         self.rests: list[Any] = []
 
     def may_go(self) -> bool:
         return bool(self.rests) or self.time.time_s < self.at_s
 
     async def rest(self) -> None:
-        self.rests.append(self.cell.robot.state())
+        self.rests.append(self.unit.robot.state())
 
 
 async def test_a_pause_in_the_middle_rests_and_then_reaches_the_target(worker: Any) -> None:
@@ -299,7 +299,7 @@ async def test_a_pause_in_the_middle_rests_and_then_reaches_the_target(worker: A
     assert len(pause.rests) == 1
     assert pause.rests[0].velocities == (0.0,) * 6
     assert 0.1 < pause.rests[0].positions[0] < 1.9
-    assert worker.cell.joints == tuple(target)
+    assert worker.unit.joints == tuple(target)
 
 
 async def test_a_stop_on_the_way_is_no_progress(worker: Any) -> None:
@@ -348,7 +348,7 @@ async def test_each_robot_task_of_the_process_takes_a_few_seconds(worker: Any) -
 
 async def test_a_robot_that_is_switched_off_does_not_move(worker: Any, settings: TrajectorySettings) -> None:
     other = worker.after_a_power_cut()
-    async with other.cell:
+    async with other.unit:
         pass
     with pytest.raises(RobotFault, match="switched off"):
         await other.do("moveTo", joints=[0.0, -1.0, 1.0, -1.0, -1.0, 0.0])
@@ -360,7 +360,7 @@ async def test_reduced_mode_slows_a_motion_down(worker: Any) -> None:
     await worker.do("moveTo", joints=target)
     full_s = worker.time.time_s - began_s
     await worker.do("home")
-    await worker.cell.speed.set_mode("reduced", "Aino")
+    await worker.unit.speed.set_mode("reduced", "Aino")
     began_s = worker.time.time_s
     await worker.do("moveTo", joints=target)
     assert worker.time.time_s - began_s > 2 * full_s
@@ -369,19 +369,19 @@ async def test_reduced_mode_slows_a_motion_down(worker: Any) -> None:
 async def test_a_stop_by_a_limit_lasts_until_its_end_and_the_target_is_reached(worker: Any) -> None:
     target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
     stop = SpeedLimitReport(source="heart", stamp=real_time.time(), fraction=0.0, reason="heart rate")
-    await worker.cell.speed.receive_limit(stop)
+    await worker.unit.speed.receive_limit(stop)
     moving = asyncio.create_task(worker.do("moveTo", joints=target))
     await asyncio.sleep(0.2)
-    assert worker.cell.joints == worker.cell.home
-    await worker.cell.speed.remove("heart", "Aino", "a test")
+    assert worker.unit.joints == worker.unit.home
+    await worker.unit.speed.remove("heart", "Aino", "a test")
     await moving
-    assert worker.cell.joints == tuple(target)
+    assert worker.unit.joints == tuple(target)
 
 
 async def test_a_scan_looks_from_an_adjusted_position(worker: Any) -> None:
-    view = worker.cell.scene.bins["bin-1"].view.pose
+    view = worker.unit.scene.bins["bin-1"].view.pose
     await worker.do("scan", bin="bin-1", offset=[0.02, -0.03, 0.04])
-    assert worker.cell.tool_pose.distance_m(view.moved((0.02, -0.03, 0.04))) < 0.001
+    assert worker.unit.tool_pose.distance_m(view.moved((0.02, -0.03, 0.04))) < 0.001
 
 
 async def test_a_scan_from_a_view_that_the_bin_does_not_have_is_refused(worker: Any) -> None:

@@ -8,7 +8,7 @@ from handover_robots.tasks import operations, parameters
 
 
 def read(operation: str, /, **given: Any) -> Any:
-    return parameters.read(operations.known(operation).parameters, operation, given)
+    return parameters.read(operations.operation_named(operation).parameters, operation, given)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_an_unknown_operation_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         TaskFailed, match=r'no operation "dance".*moveTo, moveLinear, scan, pick, place, home'
     ):
-        operations.known("dance")
+        operations.operation_named("dance")
 
 
 def test_a_urn_names_a_bin_by_its_last_part() -> None:

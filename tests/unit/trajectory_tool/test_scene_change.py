@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.model.poses import pointing_down
 from handover_robots.planning import is_available
 from handover_robots.routes.scenes import drawn_shapes
@@ -20,21 +20,21 @@ OVER_THE_FIXTURE = {"position": [-0.55, 0.45, 0.4]}
 CRATE = {"box": [0.2, 0.06, 0.6], "position": [-0.75, 0.2, 0.3]}
 
 
-def written(workcell: Workcell, **changed: Any) -> dict[str, Any]:
+def written(cell: Cell, **changed: Any) -> dict[str, Any]:
     """Return the scene as GET answers, some of it changed."""
-    return {**workcell.scene.model_dump(mode="json"), "digest": "x", "revision": 1, "parts": [], **changed}
+    return {**cell.scene.model_dump(mode="json"), "digest": "x", "revision": 1, "parts": [], **changed}
 
 
 async def test_an_obstacle_that_appears_on_the_way_is_avoided(worker: Any, time: Any) -> None:
     await worker.do("moveTo", pose=OVER_THE_BIN)
-    cell, workcell = worker.cell, worker.workcell
-    content = written(workcell, obstacles={"crate": CRATE})
-    await workcell.change_scene(written(workcell))
-    began = cell.planning.revision
+    unit, cell = worker.unit, worker.cell
+    content = written(cell, obstacles={"crate": CRATE})
+    await cell.change_scene(written(cell))
+    began = unit.planning.revision
     path: list[Any] = []
     changes_s = time.time_s + 0.4
     solids = (
-        type(workcell.scene)
+        type(cell.scene)
         .model_validate(
             {key: value for key, value in content.items() if key not in {"digest", "revision", "parts"}}
         )
@@ -42,31 +42,31 @@ async def test_an_obstacle_that_appears_on_the_way_is_avoided(worker: Any, time:
     )
 
     def change(now_s: float) -> None:
-        path.append(cell.joints)
-        if now_s > changes_s and cell.planning.revision == began:
-            cell.planning.set_obstacles(solids)
+        path.append(unit.joints)
+        if now_s > changes_s and unit.planning.revision == began:
+            unit.planning.set_obstacles(solids)
             path.clear()
 
     time.on_wait = change
     await worker.do("moveTo", pose=OVER_THE_FIXTURE)
-    assert cell.planning.revision == began + 1
-    assert cell.tool_pose.distance_m(pointing_down((-0.55, 0.45, 0.4))) < 1e-4
+    assert unit.planning.revision == began + 1
+    assert unit.tool_pose.distance_m(pointing_down((-0.55, 0.45, 0.4))) < 1e-4
 
     def contacts(planner: Any) -> list[str]:
         return [str(why) for joints in path[::3] if (why := planner.why_not_free(joints)) is not None]
 
-    assert await cell.planning.plan(contacts) == []
+    assert await unit.planning.plan(contacts) == []
 
 
 async def test_a_change_is_kept_and_counted(settings: TrajectorySettings) -> None:
-    first = Workcell(settings)
+    first = Cell(settings)
     before = first.scene.digest
     notified: list[int] = []
     first.on_scene_change = lambda: notified.append(first.revision)
     await first.change_scene(written(first, obstacles={"crate": CRATE}))
     assert notified == [1]
     assert first.scene.digest != before
-    again = Workcell(settings)
+    again = Cell(settings)
     assert again.revision == 1
     assert again.scene.digest == first.scene.digest
     assert "crate" in again.scene.obstacles
@@ -82,22 +82,22 @@ async def test_a_change_is_kept_and_counted(settings: TrajectorySettings) -> Non
 async def test_another_scene_file_takes_the_place_of_a_change(
     settings: TrajectorySettings, tmp_path: Path
 ) -> None:
-    await (first := Workcell(settings)).change_scene(written(first, obstacles={"crate": CRATE}))
+    await (first := Cell(settings)).change_scene(written(first, obstacles={"crate": CRATE}))
     file = tmp_path / "scene.yaml"
     file.write_text("name: other\n")
-    other = Workcell(settings.model_copy(update={"scene_file": file}))
+    other = Cell(settings.model_copy(update={"scene_file": file}))
     assert (other.scene.name, other.revision, other.scene.obstacles) == ("other", 0, {})
 
 
 async def test_parts_follow_the_bins_and_fixtures(settings: TrajectorySettings) -> None:
-    workcell = Workcell(settings)
-    bin_1 = workcell.scene.model_dump(mode="json")["bins"]["bin-1"]
+    cell = Cell(settings)
+    bin_1 = cell.scene.model_dump(mode="json")["bins"]["bin-1"]
     moved = {**bin_1, "parts": bin_1["parts"][:2]}
-    await workcell.change_scene(written(workcell, bins={"bin-1": bin_1, "bin-2": moved}))
-    assert len(workcell.contents.in_place("bin-1")) == 6
-    assert [one.part for one in workcell.contents.in_place("bin-2")] == ["part-7", "part-8"]
-    await workcell.change_scene(written(workcell, bins={"bin-2": moved}))
-    assert {one.place for one in workcell.contents.lying} == {"bin-2"}
+    await cell.change_scene(written(cell, bins={"bin-1": bin_1, "bin-2": moved}))
+    assert len(cell.contents.in_place("bin-1")) == 6
+    assert [one.part for one in cell.contents.in_place("bin-2")] == ["part-7", "part-8"]
+    await cell.change_scene(written(cell, bins={"bin-2": moved}))
+    assert {one.place for one in cell.contents.lying} == {"bin-2"}
 
 
 @pytest.mark.parametrize(
@@ -117,45 +117,45 @@ async def test_parts_follow_the_bins_and_fixtures(settings: TrajectorySettings) 
 async def test_a_faulty_change_is_refused_and_nothing_changes(
     settings: TrajectorySettings, changed: dict[str, Any], fault: str
 ) -> None:
-    workcell = Workcell(settings)
-    before = workcell.scene.digest
+    cell = Cell(settings)
+    before = cell.scene.digest
     with pytest.raises(UsageError, match=fault):
-        await workcell.change_scene(written(workcell, **changed))
-    assert (workcell.scene.digest, workcell.revision) == (before, 0)
-    assert Workcell(settings).revision == 0
+        await cell.change_scene(written(cell, **changed))
+    assert (cell.scene.digest, cell.revision) == (before, 0)
+    assert Cell(settings).revision == 0
 
 
 async def test_a_robot_that_a_new_obstacle_touches_is_named(settings: TrajectorySettings) -> None:
-    workcell = Workcell(settings)
-    x, y, z = workcell.only.tool_pose.position
+    cell = Cell(settings)
+    x, y, z = cell.only.tool_pose.position
     around_tool = {"box": [0.3, 0.3, 0.3], "position": [x, y, z]}
-    await workcell.change_scene(written(workcell, obstacles={"crate": around_tool}))
-    (contact,) = await workcell.contacts()
+    await cell.change_scene(written(cell, obstacles={"crate": around_tool}))
+    (contact,) = await cell.contacts()
     assert contact.startswith("ur10-1: ")
     assert "crate" in contact
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"origin": 1}'])
 async def test_a_damaged_change_is_refused_with_the_way_out(settings: TrajectorySettings, text: str) -> None:
-    await (workcell := Workcell(settings)).change_scene(written(workcell))
+    await (cell := Cell(settings)).change_scene(written(cell))
     (settings.data_dir / "trajectory_tool" / "scene.json").write_text(text)
     with pytest.raises(UsageError, match=r"scene\.json is damaged; delete it"):
-        Workcell(settings)
+        Cell(settings)
 
 
 async def test_each_thing_is_drawn_and_written(settings: TrajectorySettings) -> None:
-    workcell = Workcell(settings)
+    cell = Cell(settings)
     sphere = {"sphere": 0.1, "position": [1, 1, 1]}
-    await workcell.change_scene(
+    await cell.change_scene(
         written(
-            workcell,
+            cell,
             obstacles={"crate": CRATE},
             fences={"fence": {"points": [[1, 1], [1, 2]]}},
             cameras={"camera": {"position": [0, 0, 2]}},
             zones={"walkway": {**sphere, "kind": "reducedSpeed"}, "gap": {**sphere, "kind": "keepOut"}},
         )
     )
-    drawn = {one["name"]: one["kind"] for one in drawn_shapes(workcell.scene)}
+    drawn = {one["name"]: one["kind"] for one in drawn_shapes(cell.scene)}
     assert drawn == {
         "crate": "obstacle",
         "fence": "fence",
@@ -163,5 +163,5 @@ async def test_each_thing_is_drawn_and_written(settings: TrajectorySettings) -> 
         "walkway": "reducedSpeed",
         "gap": "keepOut",
     }
-    things = things_of(workcell.scene)
+    things = things_of(cell.scene)
     assert {name for kind in things.values() for name in kind} == {*drawn, "bin-1", "fixture-1"}

@@ -20,15 +20,15 @@ THROUGH_ITSELF = ((-0.3, -2.0, 2.6, -3.0, -0.4, -1.2), (-1.1, -2.5, 2.6, -0.1, -
 
 @pytest.fixture
 def alone(worker: Any) -> Any:
-    assert not worker.cell.planning.avoids_obstacles
+    assert not worker.unit.planning.avoids_obstacles
     return worker
 
 
 async def test_a_position_in_which_the_robot_touches_itself_is_refused_before_it_moves(alone: Any) -> None:
-    before = alone.cell.joints
+    before = alone.unit.joints
     with pytest.raises(TaskFailed, match="touches"):
         await alone.do("moveTo", joints=FOLDED)
-    assert alone.cell.joints == before
+    assert alone.unit.joints == before
 
 
 async def test_a_way_through_the_robot_itself_is_planned_around(alone: Any) -> None:
@@ -40,8 +40,8 @@ async def test_a_way_through_the_robot_itself_is_planned_around(alone: Any) -> N
 
 async def test_the_limiter_stops_a_motion_into_the_robot_itself(alone: Any) -> None:
     with pytest.raises(RobotFault, match="would touch"):
-        await alone.cell.robot.move(tuple(FOLDED), 1.0, lambda: 1.0)
-    assert alone.cell.joints[2] < FOLDED[2] - 0.01, "it came to rest before the target"
+        await alone.unit.robot.move(tuple(FOLDED), 1.0, lambda: 1.0)
+    assert alone.unit.joints[2] < FOLDED[2] - 0.01, "it came to rest before the target"
 
 
 async def test_commanded_velocities_do_not_lead_the_robot_into_itself(alone: Any) -> None:
@@ -50,7 +50,7 @@ async def test_commanded_velocities_do_not_lead_the_robot_into_itself(alone: Any
     def bend_the_elbow() -> tuple[float, ...]:
         return (0.0, 0.0, 0.8, 0.0, 0.0, 0.0)
 
-    await alone.cell.robot.servo(bend_the_elbow, lambda: alone.time.time_s > ends_s, lambda: 1.0)
-    assert 2.0 < alone.cell.joints[2] < 3.1
-    why = await alone.cell.planning.plan(lambda planner: planner.why_not_free(alone.cell.joints))
+    await alone.unit.robot.servo(bend_the_elbow, lambda: alone.time.time_s > ends_s, lambda: 1.0)
+    assert 2.0 < alone.unit.joints[2] < 3.1
+    why = await alone.unit.planning.plan(lambda planner: planner.why_not_free(alone.unit.joints))
     assert why is None

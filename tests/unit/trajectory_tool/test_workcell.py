@@ -13,8 +13,8 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.performer import Job, TaskFailed
 from handover_datamodels.entities import DeviceState, Task
-from handover_robots.cell.cell import Workcell
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.cell import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.drivers import DRIVERS
 from handover_robots.drivers.simulated_robot import SimulatedRobot
@@ -50,11 +50,11 @@ BETWEEN = {"position": [0.5, 0.05, 0.25]}
 
 
 @pytest.fixture
-def cell_of(settings: TrajectorySettings, tmp_path: Path, time: Any) -> Callable[[str], Workcell]:
-    def make(text: str) -> Workcell:
+def cell_of(settings: TrajectorySettings, tmp_path: Path, time: Any) -> Callable[[str], Cell]:
+    def make(text: str) -> Cell:
         file = tmp_path / "cell.yaml"
         file.write_text(text)
-        return Workcell(settings.model_copy(update={"cell_file": file, "neighbour_wait_s": 0.5}), time.clock)
+        return Cell(settings.model_copy(update={"cell_file": file, "neighbour_wait_s": 0.5}), time.clock)
 
     return make
 
@@ -67,21 +67,21 @@ class Freely:
         raise AssertionError("no rest was requested")
 
 
-async def do(cell: Cell, operation: str, **asked: Any) -> dict[str, Any]:
-    known = operations.known(operation)
-    read = parameters.read(known.parameters, operation, asked)
-    return await known.perform(Work("task", operation, cell, Freely(), 0.6), read)
+async def do(unit: RobotUnit, operation: str, **asked: Any) -> dict[str, Any]:
+    performed = operations.operation_named(operation)
+    read = parameters.read(performed.parameters, operation, asked)
+    return await performed.perform(Work("task", operation, unit, Freely(), 0.6), read)
 
 
 @needs_planning
 def test_each_robot_has_its_model_place_and_limits(cell_of: Any) -> None:
-    cells = cell_of(TWO_ARMS).cells
-    assert list(cells) == ["left", "right"]
-    assert cells["left"].model.name == "UR5e"
-    assert cells["left"].entry.speed == 0.5
-    assert cells["right"].limits.velocity == (1, 1, 1, 1, 2, 2, 2)
-    assert cells["right"].limits.jerk == cells["right"].model.limits.jerk
-    assert cells["right"].tool_pose.position == pytest.approx((1.0 - 0.306891, 0.0, 0.486882), abs=1e-4)
+    units = cell_of(TWO_ARMS).units
+    assert list(units) == ["left", "right"]
+    assert units["left"].model.name == "UR5e"
+    assert units["left"].entry.speed == 0.5
+    assert units["right"].limits.velocity == (1, 1, 1, 1, 2, 2, 2)
+    assert units["right"].limits.jerk == units["right"].model.limits.jerk
+    assert units["right"].tool_pose.position == pytest.approx((1.0 - 0.306891, 0.0, 0.486882), abs=1e-4)
 
 
 @needs_planning
@@ -91,12 +91,12 @@ async def test_robots_that_move_at_the_same_time_never_meet(
     file = tmp_path / "cell.yaml"
     file.write_text(TWO_ARMS)
     seen: list[tuple[Any, Any]] = []
-    async with Workcell(settings.model_copy(update={"cell_file": file})) as workcell:
-        left, right = workcell.cells.values()
+    async with Cell(settings.model_copy(update={"cell_file": file})) as cell:
+        left, right = cell.units.values()
 
-        async def repeat(cell: Cell, x: float, *sides: float) -> None:
+        async def repeat(unit: RobotUnit, x: float, *sides: float) -> None:
             for y in sides:
-                await do(cell, "moveTo", pose={"position": [x, y, 0.3]})
+                await do(unit, "moveTo", pose={"position": [x, y, 0.3]})
 
         async def record() -> None:
             while True:
@@ -115,17 +115,17 @@ async def test_robots_that_move_at_the_same_time_never_meet(
             assert not touches(left, right, joints, others)
 
 
-def touches(one: Cell, other: Cell, joints: Any, others: Any) -> bool:
+def touches(one: RobotUnit, other: RobotUnit, joints: Any, others: Any) -> bool:
     volume = tuple(occupied("other", Arm(other.model), others, (), 0.0))
     return not Collisions(Arm(one.model), World(volume)).is_free(np.array(joints))
 
 
 @needs_planning
 async def test_a_swept_volume_contains_the_links_at_every_time(cell_of: Any) -> None:
-    cell = cell_of("robots: {left: {model: ur5e}}").only
+    unit = cell_of("robots: {left: {model: ur5e}}").only
     target = (1.2, -1.0, 1.0, -1.5, -1.2, 0.5)
-    plan = await cell.planning.plan(lambda planner: planner.to_joints(cell.home, target))
-    arm = Arm(cell.model)
+    plan = await unit.planning.plan(lambda planner: planner.to_joints(unit.home, target))
+    arm = Arm(unit.model)
     copies: dict[str, list[Obstacle]] = {}
     for one in swept("left", arm, plan.trajectory, (), 0.03):
         copies.setdefault(one.name, []).append(one)
@@ -167,8 +167,8 @@ def is_inside(link: Obstacle, copy: Obstacle) -> bool:
 
 @needs_planning
 async def test_a_robot_in_the_way_is_waited_for_and_named_when_it_stays(cell_of: Any) -> None:
-    async with cell_of(TWO_ARMS) as workcell:
-        left, right = workcell.cells.values()
+    async with cell_of(TWO_ARMS) as cell:
+        left, right = cell.units.values()
         await do(right, "moveTo", pose=BETWEEN)
         before = left.joints
         with pytest.raises(TaskFailed, match="right panda_"):
@@ -192,17 +192,17 @@ async def test_each_robot_keeps_its_own_part_and_joints(cell_of: Any) -> None:
       name: shared bin
       bins: {bin-1: {view: {position: [0.5, 0.2, 0.4]}, parts: [{position: [0.5, 0.2, 0.1]}]}}
     """
-    async with cell_of(text) as workcell:
-        left, right = workcell.cells.values()
+    async with cell_of(text) as cell:
+        left, right = cell.units.values()
         assert (await do(left, "pick", bin="bin-1"))["part"] == "part-1"
         assert (left.held, right.held) == ("part-1", None)
         with pytest.raises(TaskFailed, match="bin-1 is empty"):
             await do(right, "pick", bin="bin-1")
         joints = left.joints
     again = cell_of(text)
-    assert again.cells["left"].held == "part-1"
-    assert again.cells["left"].joints == joints
-    assert again.cells["right"].held is None
+    assert again.units["left"].held == "part-1"
+    assert again.units["left"].joints == joints
+    assert again.units["right"].held is None
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ async def test_a_faulty_cell_file_is_refused_with_the_place(
     file.write_text(text)
     async with BrokerClient(settings) as broker:
         with pytest.raises(UsageError, match=complaint):
-            Workcell(settings.model_copy(update={"cell_file": file}), broker=broker)
+            Cell(settings.model_copy(update={"cell_file": file}), broker=broker)
 
 
 class UnpoweredRobot(SimulatedRobot):

@@ -29,9 +29,9 @@ from handover.performer import TaskFailed
 from handover_datamodels.streams import HumanInput
 from handover_robots.case_study.operators import EVERY_S, Operator, Person, Supervisor, view_of
 from handover_robots.case_study.seen import SeenObject
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.cell.cell_file import CellPlan, RobotEntry
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.recording import Recording
 from handover_robots.control.session import ControlSession
 from handover_robots.driver_base.context import Clock
@@ -113,35 +113,35 @@ class Trial:
             )
             entry = RobotEntry(model="panda", driver="physics", speed=settings.robot_speed)
             plan = CellPlan({ROBOT: entry}, self._scene(), self._folder)
-            async with Workcell(settings, plan=plan) as workcell:
-                return await self._perform(workcell.only)
+            async with Cell(settings, plan=plan) as cell:
+                return await self._perform(cell.only)
 
     def _scene(self) -> dict[str, Any]:
         scene: dict[str, Any] = yaml.safe_load((self._folder / "scene.yaml").read_text(encoding="utf-8"))
         scene["bins"]["tray"]["objects"] = [self._thing]
         return scene
 
-    async def _perform(self, cell: Cell) -> Outcome:
-        robot = cell.robot
+    async def _perform(self, unit: RobotUnit) -> Outcome:
+        robot = unit.robot
         assert isinstance(robot, PhysicsRobot)  # noqa: S101 - the plan says so
         clock = robot.clock
-        seen = SeenObject(robot.simulation, robot.name, self._thing, fingers_of(cell.model))
+        seen = SeenObject(robot.simulation, robot.name, self._thing, fingers_of(unit.model))
         began_s = clock.now_s()
         self._ends_s = began_s + TIME_LIMIT_S
         scan, error_mm = "", None
         if self._mode is not Mode.TELEOPERATION:
-            scan, error_mm = await self._scan(cell, seen)
-        operator = self._operator(cell, seen)
+            scan, error_mm = await self._scan(unit, seen)
+        operator = self._operator(unit, seen)
         leases = Leases()
-        if leases.acquire(cell.name, "case-study", "person", "person") is None:
+        if leases.acquire(unit.name, "case-study", "person", "person") is None:
             raise RuntimeError("the robot of a trial is controlled by nobody else")
         if scan != "nothing found" or self._mode is not Mode.AUTONOMOUS:
-            with self._recorded(cell) as recording:
-                async with ControlSession(cell, (), recording=recording, now=clock.now_s) as session:
+            with self._recorded(unit) as recording:
+                async with ControlSession(unit, (), recording=recording, now=clock.now_s) as session:
                     await self._operate(session, robot, operator)
         time_s = clock.now_s() - began_s
         await robot.in_cycles(_settled(clock))
-        walls = cell.scene.bins["box"].walls
+        walls = unit.scene.bins["box"].walls
         assert walls is not None  # noqa: S101 - the scene has them
         return Outcome(
             self._thing,
@@ -157,36 +157,36 @@ class Trial:
         )
 
     @contextmanager
-    def _recorded(self, cell: Cell) -> Iterator[Recording | None]:
+    def _recorded(self, unit: RobotUnit) -> Iterator[Recording | None]:
         if self._recordings is None:
             yield None
             return
         name = f"{self._thing}-{self._mode}-{self._seed}"
-        recording = Recording.begin(self._recordings, name, "simulated", cell.model.joint_names)
+        recording = Recording.begin(self._recordings, name, "simulated", unit.model.joint_names)
         try:
             yield recording
         finally:
             recording.close()
 
-    def _operator(self, cell: Cell, seen: SeenObject) -> Operator:
+    def _operator(self, unit: RobotUnit, seen: SeenObject) -> Operator:
         if self._mode is Mode.AUTONOMOUS:
             return Supervisor()
         random = np.random.default_rng([self._seed, 17])
-        above = cell.scene.fixtures["into-the-box"].nests[0].position
-        offered = next((lying.pose for lying in cell.contents.lying if lying.place == "tray"), None)
+        above = unit.scene.fixtures["into-the-box"].nests[0].position
+        offered = next((lying.pose for lying in unit.contents.lying if lying.place == "tray"), None)
         return Person(seen, above, MAX_MIX if self._mode is Mode.SHARED else 0.0, random, offered)
 
-    async def _scan(self, cell: Cell, seen: SeenObject) -> tuple[str, float | None]:
+    async def _scan(self, unit: RobotUnit, seen: SeenObject) -> tuple[str, float | None]:
         """Scan the tray as a Task does; return why there is no grasp, and the error of the estimate in mm."""
-        known = operations.known("scan")
-        read = parameters.read(known.parameters, "scan", {"bin": "tray"})
+        operation = operations.operation_named("scan")
+        read = parameters.read(operation.parameters, "scan", {"bin": "tray"})
         try:
-            found = await known.perform(Work("case-study", "scan", cell, _Unhindered(), 1.0), read)
+            result = await operation.perform(Work("case-study", "scan", unit, _Unhindered(), 1.0), read)
         except TaskFailed as failure:
             return str(failure), None
-        if not found["found"]:
-            return str(found["reason"]), None
-        lying = cell.contents.find(found["part"])
+        if not result["found"]:
+            return str(result["reason"]), None
+        lying = unit.contents.find(result["part"])
         middle, true = (lying.middle if lying else (math.nan,) * 3), seen.middle()
         return "", None if seen.is_cloth else 1000 * math.dist(middle[:2], true[:2])
 

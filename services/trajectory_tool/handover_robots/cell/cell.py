@@ -1,4 +1,4 @@
-"""The workcell: its scene, the parts in it and their stored state, and the robots that share them."""
+"""The cell: its scene, the parts in it and their stored state, and the robots that share them."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from handover_robots.cell.cell_file import Base, CellPlan, RobotEntry, cell_plan
 from handover_robots.cell.manual_mode import ManualMode
 from handover_robots.cell.memory import Memory, MemoryFile
 from handover_robots.cell.motion import INSTALL, SharedSpace
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.context import Clock, Peer
 from handover_robots.limits.neighbours import MovingRobots
 from handover_robots.limits.store import LimitStore
@@ -38,7 +38,7 @@ VIEW_ONLY = frozenset({"digest", "revision", "parts", "trueParts", "shapes"})
 """What GET adds to a scene; a client may send it back."""
 
 
-class Workcell:
+class Cell:
     """All robots of a cell; an asynchronous context manager while they are switched on.
 
     Robots behind ROS are reached through `broker`. `plan` is by default that of the settings; `folder` has
@@ -78,25 +78,29 @@ class Workcell:
         self._changing = asyncio.Lock()
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
         self.file = MemoryFile(folder / "cell.json")
-        known = self.file.load(self.scene.digest, {name: model.joint_names for name, model in models.items()})
-        self.contents: Contents = known.contents if known else initial(self.scene)
+        memory = self.file.load(
+            self.scene.digest, {name: model.joint_names for name, model in models.items()}
+        )
+        self.contents: Contents = memory.contents if memory else initial(self.scene)
         self.space = SharedSpace()
         self.manual = ManualMode()
         self.moving = MovingRobots()
         self.limit_store = LimitStore(settings.data_dir / "trajectory_tool" / "limits.json")
         self._saving = asyncio.Lock()
         self._on = AsyncExitStack()
-        memories = self._memories = known.robots if known else {}
+        memories = self._memories = memory.robots if memory else {}
         self.shared: dict[str, dict[str, Any]] = {}
         """What each driver keeps for all of its robots."""
-        self.cells = {
-            name: Cell(self, name, entry, models[name], known=memories.get(name), clock=clock, broker=broker)
+        self.units = {
+            name: RobotUnit(
+                self, name, entry, models[name], memory=memories.get(name), clock=clock, broker=broker
+            )
             for name, entry in plan.robots.items()
         }
         self.people_sensors = SceneSensors(
-            lambda: self.scene, lambda: [cell.model.chain(cell.joints) for cell in self.cells.values()]
+            lambda: self.scene, lambda: [unit.model.chain(unit.joints) for unit in self.units.values()]
         )
-        if known is None and any(cell.robot.vision is not None for cell in self.cells.values()):
+        if memory is None and any(unit.robot.vision is not None for unit in self.units.values()):
             self.contents = Contents()  # where the parts are is known when they have been seen
 
     @property
@@ -110,8 +114,8 @@ class Workcell:
 
     def stored_joints(self, name: str) -> Joints:
         """Return the joints of a robot that were stored last, or its home."""
-        known = self._memories.get(name)
-        return self.home_of(self._models[name]) if known is None else known.joints
+        memory = self._memories.get(name)
+        return self.home_of(self._models[name]) if memory is None else memory.joints
 
     def peers_of(self, driver: str) -> dict[str, Peer]:
         """Return the robots of a driver."""
@@ -122,14 +126,14 @@ class Workcell:
         }
 
     @property
-    def only(self) -> Cell:
-        """Return the cell of the only robot."""
-        (cell,) = self.cells.values()
-        return cell
+    def only(self) -> RobotUnit:
+        """Return the only robot."""
+        (unit,) = self.units.values()
+        return unit
 
     async def __aenter__(self) -> Self:
-        for cell in self.cells.values():
-            await self._on.enter_async_context(cell)
+        for unit in self.units.values():
+            await self._on.enter_async_context(unit)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -149,22 +153,22 @@ class Workcell:
             if solids:
                 await asyncio.to_thread(_require_usable, solids)
             applies = [
-                await asyncio.to_thread(cell.robot.prepare_scene, scene) for cell in self.cells.values()
+                await asyncio.to_thread(unit.robot.prepare_scene, scene) for unit in self.units.values()
             ]
             changed = ChangedScene(origin=self._origin, revision=self.revision + 1, scene=content)
             await asyncio.to_thread(self._scene_file.save, changed)
             before, self.scene, self.revision = self.scene, scene, changed.revision
             self.contents = self.contents.moved(before, scene)
-            for cell in self.cells.values():
-                cell.planning.set_part(scene)
-                cell.planning.set_obstacles(solids)
+            for unit in self.units.values():
+                unit.planning.set_part(scene)
+                unit.planning.set_obstacles(solids)
             for apply in applies:
                 if apply is not None:
                     await apply()
                     for name in scene.bins.keys() - before.bins.keys():
                         self.contents = self.contents.observed(name, [])  # known when it has been seen
-                cell.speed.set_zones(scene.all_zones())
-                cell.speed.evaluate()
+                unit.speed.set_zones(scene.all_zones())
+                unit.speed.evaluate()
             SCENE_CHANGES.inc()
             log.info("scene changed", revision=self.revision, digest=scene.digest)
             self.on_scene_change()
@@ -172,16 +176,16 @@ class Workcell:
 
     async def receive_people(self, report: PeopleReport) -> None:
         """Give a report of people to every robot. Raises `RefusedReport`, `OSError`."""
-        for cell in self.cells.values():
-            await cell.speed.receive_people(report)
+        for unit in self.units.values():
+            await unit.speed.receive_people(report)
 
     async def contacts(self) -> list[str]:
         """Return what each robot touches where it stands now."""
         found = []
-        for name, cell in self.cells.items():
-            if not cell.planning.avoids_obstacles:
+        for name, unit in self.units.items():
+            if not unit.planning.avoids_obstacles:
                 continue
-            why = await cell.planning.plan(lambda planner, cell=cell: planner.why_not_free(cell.joints))  # type: ignore[misc]
+            why = await unit.planning.plan(lambda planner, unit=unit: planner.why_not_free(unit.joints))  # type: ignore[misc]
             if why is not None:
                 found.append(f"{name}: {why}")
         return found
@@ -192,7 +196,7 @@ class Workcell:
             memory = Memory(
                 self.scene.digest,
                 self.contents,
-                {name: cell.memory() for name, cell in self.cells.items()},
+                {name: unit.memory() for name, unit in self.units.items()},
             )
             await asyncio.to_thread(self.file.save, memory)
 

@@ -12,7 +12,7 @@ from handover.content_digest import with_digest
 from handover.reporting_writer import reporting_writer
 from handover_datamodels.entities import DeviceState
 from handover_datamodels.times import iso
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.metrics import DEVICE_WRITES_REJECTED
 from handover_robots.model.poses import Pose
 from handover_robots.settings import TrajectorySettings
@@ -21,12 +21,12 @@ from handover_robots.settings import TrajectorySettings
 class RobotDevice:
     """The Device of the robot; an asynchronous context manager while it is written."""
 
-    def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
-        self.id = settings.entity_id("Device", cell.name)
-        self.specification_id = settings.entity_id("ResourceSpecification", cell.name)
-        self._urdf_url = f"{settings.trajectory_tool}/robots/{cell.name}/urdf"
+    def __init__(self, settings: TrajectorySettings, unit: RobotUnit, broker: BrokerClient) -> None:
+        self.id = settings.entity_id("Device", unit.name)
+        self.specification_id = settings.entity_id("ResourceSpecification", unit.name)
+        self._urdf_url = f"{settings.trajectory_tool}/robots/{unit.name}/urdf"
         self.state = DeviceState.IDLE
-        self._cell = cell
+        self._unit = unit
         self._broker = broker
         self._writer = reporting_writer("trajectory-tool", settings, broker, DEVICE_WRITES_REJECTED)
 
@@ -47,12 +47,12 @@ class RobotDevice:
         self._writer.put(self.id, lambda: self._broker.upsert([entity]))
 
     def _entity(self) -> dict[str, Any]:
-        cell, now = self._cell, iso(datetime.now(UTC))
+        unit, now = self._unit, iso(datetime.now(UTC))
         value = {
-            "joints": [round(angle, 4) for angle in cell.joints],
-            "pose": cell.tool_pose.written(),
-            "gripper": "closed" if cell.robot.gripper_closed else "open",
-            "holds": cell.held or "nothing",
+            "joints": [round(angle, 4) for angle in unit.joints],
+            "pose": unit.tool_pose.written(),
+            "gripper": "closed" if unit.robot.gripper_closed else "open",
+            "holds": unit.held or "nothing",
         }
         return {
             "id": self.id,
@@ -68,15 +68,15 @@ class RobotDevice:
         }
 
     def _specification(self) -> dict[str, Any]:
-        model = self._cell.model
+        model = self._unit.model
         parameters = {
             "model": model.name,
             "degreesOfFreedom": len(model.joints),
             "joints": [
                 {name: value for name, value in joint.items() if name != "labels"}
-                for joint in described_joints(self._cell)
+                for joint in described_joints(self._unit)
             ],
-            "home": list(self._cell.home),
+            "home": list(self._unit.home),
             "gripper": bool(model.fingers),
             "urdf": self._urdf_url,
         }
@@ -90,13 +90,13 @@ class RobotDevice:
         return with_digest(entity)
 
 
-def described_joints(cell: Cell) -> list[dict[str, Any]]:
+def described_joints(unit: RobotUnit) -> list[dict[str, Any]]:
     """Return the joints of the robot with their limits as JSON: rad and s, for prismatic joints m and s.
 
     `lower` and `upper` are null for a continuous joint. The limits of motion are those in force: of the
     settings, or of the robot.
     """
-    limits = cell.limits
+    limits = unit.limits
     return [
         {
             "name": joint.name,
@@ -109,19 +109,19 @@ def described_joints(cell: Cell) -> list[dict[str, Any]]:
             "maxJerk": limits.jerk[number],
             "labels": dict(joint.labels),
         }
-        for number, joint in enumerate(cell.model.joints)
+        for number, joint in enumerate(unit.model.joints)
     ]
 
 
-def description(cell: Cell) -> dict[str, Any]:
+def description(unit: RobotUnit) -> dict[str, Any]:
     """Return everything that a page needs to show the robot, as JSON."""
-    model = cell.model
+    model = unit.model
     return {
         "model": model.name,
         "revision": model.revision,
         "base": Pose.of(model.base).written(),
-        "joints": described_joints(cell),
-        "home": list(cell.home),
+        "joints": described_joints(unit),
+        "home": list(unit.home),
         "tip": model.tip,
         "fingers": [
             {

@@ -1,8 +1,8 @@
 """The manual mode of a cell: people move its robots, each person another one, and no robot performs a Task.
 
-The first person acquires the locks under which Tasks perform (`Cell.in_hand`), of all robots; the last one
-releases them. Robots that move at the same time keep apart by `limits.neighbours`, and planned motions do not
-know of those: so a Task begins when nobody moves a robot of the cell any more.
+The first person acquires the locks under which Tasks perform (`RobotUnit.in_hand`), of all robots; the last
+one releases them. Robots that move at the same time keep apart by `limits.neighbours`, and planned motions do
+not know of those: so a Task begins when nobody moves a robot of the cell any more.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""One robot in the cell: its gripper, driver and planner, with the scene and the parts around it."""
+"""A robot of a cell: its gripper, driver and planner, with the scene and the parts around it."""
 
 import asyncio
 from contextlib import AsyncExitStack
@@ -36,8 +36,8 @@ from handover_robots.scene.scene import Scene
 log = get_logger(__name__)
 
 
-class Cell:
-    """A robot with its gripper in a workcell, of which it sees the scene and the parts.
+class RobotUnit:
+    """A robot with its gripper in a cell, of which it sees the scene and the parts.
 
     An asynchronous context manager while the robot is switched on. Raises `UsageError` when the robot cannot
     be used as its `entry` in the cell file demands.
@@ -45,12 +45,12 @@ class Cell:
 
     def __init__(
         self,
-        workcell: SharedCell,
+        cell: SharedCell,
         name: str,
         entry: RobotEntry,
         model: RobotModel,
         *,
-        known: RobotMemory | None = None,
+        memory: RobotMemory | None = None,
         clock: Clock | None = None,
         broker: BrokerClient | None = None,
     ) -> None:
@@ -60,15 +60,15 @@ class Cell:
         self.kinematics = Kinematics(model)
         """Used by the control of a person."""
         self.limits = entry.limits_of(name, model)
-        self._workcell = workcell
-        self.camera = workcell.camera
-        self.file = workcell.file
-        self.neighbour_wait_s = workcell.settings.neighbour_wait_s
-        self.held: str | None = known.held if known else None
-        self.grip_of_part: Grip | None = known.grip if known else None
-        self.last_act: Act | None = known.last_act if known else None
-        self.seen: str | None = known.seen if known else None
-        self.begun: BegunAct | None = known.begun if known else None
+        self._cell = cell
+        self.camera = cell.camera
+        self.file = cell.file
+        self.neighbour_wait_s = cell.settings.neighbour_wait_s
+        self.held: str | None = memory.held if memory else None
+        self.grip_of_part: Grip | None = memory.grip if memory else None
+        self.last_act: Act | None = memory.last_act if memory else None
+        self.seen: str | None = memory.seen if memory else None
+        self.begun: BegunAct | None = memory.begun if memory else None
         """The act of the gripper without a known outcome: while it is active, and after an interruption."""
         self.missed: list[Pose] = []
         """Poses at which the gripper has closed on nothing, since a part was gripped."""
@@ -79,14 +79,14 @@ class Cell:
         self.planning = MotionPlanning(
             model,
             self.limits,
-            workcell.scene,
+            cell.scene,
             name=name,
-            space=workcell.space,
+            space=cell.space,
             joints=lambda: self.joints,
             held=lambda: self.held,
             grip=lambda: self.grip_of_part,
         )
-        settings = workcell.settings
+        settings = cell.settings
         sensors = set(settings.people_sensors)
         if settings.people_entities:
             sensors.add(PEOPLE_IN_BROKER)
@@ -96,17 +96,17 @@ class Cell:
             name,
             model,
             lambda: self.joints,
-            workcell.limit_store,
+            cell.limit_store,
             limit_sources=settings.limit_sources,
             people_sensors=sensors,
             hold_s=settings.separation_hold_s,
-            zones=workcell.scene.all_zones(),
+            zones=cell.scene.all_zones(),
             end_effector=entry.end_effector,
-            contact_speed=_contact_speed(entry, workcell, name),
+            contact_speed=_contact_speed(entry, cell, name),
             contact=ContactForce(entry.contact_force_n, self._wrist_force_n),
         )
         self._monitoring = AsyncExitStack()
-        self.robot: Robot = self._robot(known, clock, broker)
+        self.robot: Robot = self._robot(memory, clock, broker)
 
     async def __aenter__(self) -> Self:
         await self.robot.__aenter__()
@@ -138,26 +138,26 @@ class Cell:
     @property
     def manual(self) -> ManualMode:
         """Return the manual mode of the cell."""
-        return self._workcell.manual
+        return self._cell.manual
 
     @property
     def home(self) -> Joints:
         """Return the home position."""
-        return self._workcell.home_of(self.model)
+        return self._cell.home_of(self.model)
 
     @property
     def scene(self) -> Scene:
         """Return the scene."""
-        return self._workcell.scene
+        return self._cell.scene
 
     @property
     def contents(self) -> Contents:
         """Return the parts that lie in the cell."""
-        return self._workcell.contents
+        return self._cell.contents
 
     @contents.setter
     def contents(self, contents: Contents) -> None:
-        self._workcell.contents = contents
+        self._cell.contents = contents
 
     @property
     def joints(self) -> Joints:
@@ -185,7 +185,7 @@ class Cell:
 
     async def remember(self) -> None:
         """Store the state of the cell durably. Raises `OSError`."""
-        await self._workcell.remember()
+        await self._cell.remember()
 
     async def grip(self, task: str, *, may_be_unknown: bool = False) -> str | None:
         """Close the gripper for `task`; return the gripped part, None (and open again) without one.
@@ -329,26 +329,26 @@ class Cell:
             nest = self.contents.free_nest(self.scene, fixture)
         return nest
 
-    def _robot(self, known: RobotMemory | None, clock: Clock | None, broker: BrokerClient | None) -> Robot:
-        joints = self._workcell.stored_joints(self.name)
-        self.positions = PositionFile(self._workcell.folder / f"{self.name}.joints", joints)
+    def _robot(self, memory: RobotMemory | None, clock: Clock | None, broker: BrokerClient | None) -> Robot:
+        joints = self._cell.stored_joints(self.name)
+        self.positions = PositionFile(self._cell.folder / f"{self.name}.joints", joints)
         context = RobotContext(
-            settings=self._workcell.settings,
+            settings=self._cell.settings,
             robot_id=self.name,
             options=self.entry.settings,
             model=self.model,
             scene=self.scene,
             limits=self.limits,
             joints=joints,
-            gripper_closed=known.gripper_closed if known else False,
+            gripper_closed=memory.gripper_closed if memory else False,
             gripper_s=self.scene.gripper.acts_in_s,
             is_between_fingers=lambda joints: self._between_fingers(self.model.tool_pose(joints)) is not None,
             broker=broker,
             clock=clock,
             limiter=self._limiter(),
             positions=self.positions,
-            peers=self._workcell.peers_of(self.entry.driver),
-            shared=self._workcell.shared.setdefault(self.entry.driver, {}),
+            peers=self._cell.peers_of(self.entry.driver),
+            shared=self._cell.shared.setdefault(self.entry.driver, {}),
         )
         factory: RobotFactory = DRIVERS.load(self.entry.driver)
         return factory(context)
@@ -363,8 +363,8 @@ class Cell:
             guards.append(CollisionGuard(self.model, self.planning.world))
         if self.planning.avoids_obstacles and is_available():
             guards.append(TorqueGuard(self.model, self.planning.world))
-        if self._workcell.has_several_robots:
-            robots = self._workcell.moving
+        if self._cell.has_several_robots:
+            robots = self._cell.moving
             robots.add(self.name, self.model, self._joints_at_rest, lambda: self.planning.world().attached)
             guards.append(NeighbourGuard(self.name, robots))
         return JointLimiter(self.limits, ranges, guards)
@@ -373,5 +373,5 @@ class Cell:
         return self.contents.between_fingers(tool, self.scene.gripper.opening_m)
 
 
-def _contact_speed(entry: RobotEntry, workcell: SharedCell, name: str) -> ContactSpeed | None:
-    return None if entry.contact is None else read_contact_speed(entry.contact, workcell.plan_folder, name)
+def _contact_speed(entry: RobotEntry, cell: SharedCell, name: str) -> ContactSpeed | None:
+    return None if entry.contact is None else read_contact_speed(entry.contact, cell.plan_folder, name)

@@ -18,7 +18,7 @@ from handover_robots.settings import TrajectorySettings
 
 
 class SharedCell(Protocol):
-    """The cell as one of its robots uses it; `cell.cell.Cell` is it."""
+    """A `Cell` as its robots use it."""
 
     settings: TrajectorySettings
     folder: Path

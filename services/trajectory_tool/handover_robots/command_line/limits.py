@@ -87,22 +87,22 @@ def measure_stop(
 
     The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
     """
-    from handover_robots.cell.cell import Workcell  # noqa: PLC0415
+    from handover_robots.cell.cell import Cell  # noqa: PLC0415
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415
     from handover_robots.tasks.stop_measurement import measure_stop as measure  # noqa: PLC0415
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
 
     async def run() -> None:
-        async with Workcell(settings) as workcell:
-            for name, one in workcell.cells.items():
-                target = (one.home[0] + turn, *one.home[1:])
-                found = await measure(one, target, speed)
+        async with Cell(settings) as robots:
+            for name, unit in robots.units.items():
+                target = (unit.home[0] + turn, *unit.home[1:])
+                stop = await measure(unit, target, speed)
                 print(
-                    f"{name}: from {found.speed_mps:.2f} m/s at rest after {found.duration_s:.3f} s and "
-                    f"{found.distance_m:.3f} m, delay {found.delay_s:.3f} s"
+                    f"{name}: from {stop.speed_mps:.2f} m/s at rest after {stop.duration_s:.3f} s and "
+                    f"{stop.distance_m:.3f} m, delay {stop.delay_s:.3f} s"
                 )
-                print(found.stored().model_dump_json())
+                print(stop.stored().model_dump_json())
 
     asyncio.run(run())
 

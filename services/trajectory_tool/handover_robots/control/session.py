@@ -19,7 +19,7 @@ from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.errors import HandoverError
 from handover.messages import message
 from handover_datamodels.streams import HumanInput
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.intent import IntentPrediction
 from handover_robots.control.recording import Recording
 from handover_robots.control.shared_control import (
@@ -85,7 +85,7 @@ class MeasuredStop:
 
 
 class ControlSession:
-    """The control of the robot of `cell`; `others` are the other robots, which perform no Task meanwhile.
+    """The control of the robot `unit`; `others` are the other robots, which perform no Task meanwhile.
 
     An asynchronous context manager; it raises `RobotBusy` when a robot performs a Task, or this one moves for
     another session, for longer than `patience_s`.
@@ -93,15 +93,15 @@ class ControlSession:
 
     def __init__(
         self,
-        cell: Cell,
-        others: tuple[Cell, ...],
+        unit: RobotUnit,
+        others: tuple[RobotUnit, ...],
         *,
         gamma: float = 1.0,
         patience_s: float = 0.5,
         recording: Recording | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.cell = cell
+        self.unit = unit
         self.shared = SharedState()
         self.fault: str | None = None
         self.acting = False
@@ -114,8 +114,8 @@ class ControlSession:
         """Cause and begin of the present stop."""
         self._released_s = 0.0
         self.stop: MeasuredStop | None = None
-        self._kinematics = cell.kinematics
-        self._limits = [MAX_JOINT_FRACTION * one for one in cell.limits.velocity]
+        self._kinematics = unit.kinematics
+        self._limits = [MAX_JOINT_FRACTION * limit for limit in unit.limits.velocity]
         self._now = now
         self._begun_s = now()
         self._dead_man = DeadMan()
@@ -137,14 +137,14 @@ class ControlSession:
         self._locks = AsyncExitStack()
 
     async def __aenter__(self) -> "ControlSession":
-        cells = (self.cell, *self._others)
-        locks = {cell.name: cell.in_hand for cell in cells}
+        units = (self.unit, *self._others)
+        locks = {unit.name: unit.in_hand for unit in units}
         try:
             await self._locks.enter_async_context(
-                self.cell.manual.joined(self.cell.name, locks, self._patience_s)
+                self.unit.manual.joined(self.unit.name, locks, self._patience_s)
             )
         except TimeoutError:
-            busy = next((cell for cell in cells if cell.in_hand.locked()), self.cell)
+            busy = next((unit for unit in units if unit.in_hand.locked()), self.unit)
             raise RobotBusy(
                 message(
                     "robot.control_busy",
@@ -158,7 +158,7 @@ class ControlSession:
     def _prepare(self) -> None:
         """Build models now: while they are built, the event loop receives no input in time."""
         self._kinematics.prepare()
-        robot = self.cell.robot
+        robot = self.unit.robot
         if isinstance(robot, CyclicRobot) and robot.limiter.needs_preparation():
             robot.limiter.prepare()
 
@@ -168,10 +168,10 @@ class ControlSession:
 
     def receive(self, given: HumanInput) -> None:
         """Take an input. Raises `RobotFault` for joints that the robot does not have."""
-        if given.joints is not None and len(given.joints) != len(self.cell.model.joints):
+        if given.joints is not None and len(given.joints) != len(self.unit.model.joints):
             raise RobotFault(
-                f"joints has {len(given.joints)} values, and {self.cell.name} has "
-                f"{len(self.cell.model.joints)} joints"
+                f"joints has {len(given.joints)} values, and {self.unit.name} has "
+                f"{len(self.unit.model.joints)} joints"
             )
         now_s = self._now()
         if self._input.held and not given.held:
@@ -206,7 +206,7 @@ class ControlSession:
         """Perform the motion that the input asks for, up to rest; return False where it asks for none."""
         if not self._is_wanted():
             return False
-        if self.cell.speed.pace() <= 0:
+        if self.unit.speed.pace() <= 0:
             self._dead_man.disarm()  # after a stop a person begins the motion again
             await asyncio.sleep(LIMIT_POLL_S)
         else:
@@ -219,9 +219,9 @@ class ControlSession:
         try:
             name = f"control:{subject}"
             if gripper == "close":
-                await self.cell.grip(name, may_be_unknown=True)
+                await self.unit.grip(name, may_be_unknown=True)
             else:
-                await self.cell.release(name, None)
+                await self.unit.release(name, None)
         finally:
             self.acting = False
             self.shared = SharedState()
@@ -232,16 +232,16 @@ class ControlSession:
         self._mixer, self.shared = Mixer(), SharedState()
         self._last_cycle_s, self._moved_s, self._stop_begin = self._now(), None, None
         self._steering = np.zeros(6)
-        self.cell.speed.begin_velocities(MAX_TOOL_MPS)
+        self.unit.speed.begin_velocities(MAX_TOOL_MPS)
         try:
-            is_complete = await self.cell.robot.servo(self._velocity, self._is_over, self.cell.speed.pace)
+            is_complete = await self.unit.robot.servo(self._velocity, self._is_over, self.unit.speed.pace)
         except RobotFault as fault:
             self.fault = str(fault)
             self._dead_man.disarm()
             await asyncio.sleep(LIMIT_POLL_S)
             return
         finally:
-            self.cell.speed.end_motion()
+            self.unit.speed.end_motion()
         self._measure_stop()
         self.fault = None
         if not is_complete:
@@ -250,7 +250,7 @@ class ControlSession:
 
     async def _remember(self) -> None:
         try:
-            await self.cell.remember()
+            await self.unit.remember()
         except OSError as error:
             self.fault = f"the state of the cell cannot be stored: {error.strerror}; free disk space"
 
@@ -286,7 +286,7 @@ class ControlSession:
             self.latency_s = now_s - self._received_s
             CONTROL_LATENCY.observe(self.latency_s)
         given, limits = self._input, self._limits
-        joints = self.cell.robot.commanded()
+        joints = self.unit.robot.commanded()
         if given.joints is not None:
             self.shared, self._human, self._robot, twist = SharedState(), _REST, _REST, _REST
             velocities = tuple(scaled(np.array(given.joints) * self._gamma, limits).tolist())
@@ -351,12 +351,12 @@ class ControlSession:
 
     def _present_goals(self) -> dict[str, Pose]:
         """Return the poses of the tool at the parts, or with a part in the hand at the free nests."""
-        cell = self.cell
-        if cell.held is None:
-            return {lying.part: lying.pose for lying in cell.contents.lying}
+        unit = self.unit
+        if unit.held is None:
+            return {lying.part: lying.pose for lying in unit.contents.lying}
         found: dict[str, Pose] = {}
-        for name in cell.scene.fixtures:
-            nest = cell.contents.free_nest(cell.scene, name)
+        for name in unit.scene.fixtures:
+            nest = unit.contents.free_nest(unit.scene, name)
             if nest is not None:
                 found[name] = nest
         return found
@@ -364,17 +364,17 @@ class ControlSession:
     def view(self) -> dict[str, Any]:
         """Return the present state for the page of the person who controls."""
         now_s = self._now()
-        lowest = self.cell.speed.lowest()
+        lowest = self.unit.speed.lowest()
         return {
             "type": "state",
             "seq": self._input.seq,
-            "joints": self.cell.robot.state().written(self.cell.model.joint_names),
-            "toolPose": self.cell.tool_pose.written(),
+            "joints": self.unit.robot.state().written(self.unit.model.joint_names),
+            "toolPose": self.unit.tool_pose.written(),
             "moves": self._dead_man.permits(now_s) and self._is_wanted(),
             "needsRelease": self._dead_man.needs_release(now_s),
             "limit": None if lowest is None else lowest.rule,
             "fault": self.fault,
-            "holds": self.cell.held,
+            "holds": self.unit.held,
             "mix": round(self.shared.mix, 3),
             "goal": self.shared.goal,
             "goalDistanceM": None if self.shared.distance_m is None else round(self.shared.distance_m, 4),

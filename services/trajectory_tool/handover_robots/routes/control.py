@@ -28,7 +28,7 @@ from handover.security.permissions import Permission
 from handover.telemetry import get_logger
 from handover.websocket_closing import close_websocket
 from handover_datamodels.entities import DeviceState
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.recording import Recording
 from handover_robots.control.session import ControlSession, RobotBusy
 from handover_robots.metrics import CONTROL_INPUTS
@@ -42,9 +42,8 @@ HAND_OVER_TIMEOUT_S: Final = 10.0
 """How long a new session waits until the robot of the earlier one rests."""
 MAX_GAMMA: Final = 2.0
 
-Find = Callable[[str], tuple[Cell, tuple[Cell, ...], Callable[[DeviceState], None]]]
-"""Returns the cell of a robot, those of the others, and how its Device's state is written. Raises `Problem`.
-"""
+Find = Callable[[str], tuple[RobotUnit, tuple[RobotUnit, ...], Callable[[DeviceState], None]]]
+"""Returns a robot, the others of its cell, and how its Device's state is written. Raises `Problem`."""
 
 
 def add_routes(app: FastAPI, find: Find, leases: Leases, data_dir: Path) -> None:
@@ -64,9 +63,9 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
         session_id, person = uuid4().hex, Person(caller, guard_of(socket), OF_ROBOT(socket))
         try:
             require_parameters(socket, {"mode": MODES, "gamma": None, "record": ("true", "false")})
-            cell, others, set_state = find(robot)
+            unit, others, set_state = find(robot)
             gamma = _gamma(socket.query_params.get("gamma"))
-            is_first = await acquire(socket, leases, sessions, cell.name, session_id, person)
+            is_first = await acquire(socket, leases, sessions, unit.name, session_id, person)
         except Problem as problem:
             await close_websocket(socket, 4000 + problem.status, problem.detail)
             return
@@ -75,18 +74,18 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
         patience_s = ACQUIRE_TIMEOUT_S if is_first else HAND_OVER_TIMEOUT_S
 
         def may_continue() -> bool:
-            return leases.holds(cell.name, session_id) and person.may_move()
+            return leases.holds(unit.name, session_id) and person.may_move()
 
         ending: tuple[int, str] | None = None
         try:
-            recording = _recording_of(socket, data_dir, cell, caller)
-            session = ControlSession(cell, others, gamma=gamma, patience_s=patience_s, recording=recording)
+            recording = _recording_of(socket, data_dir, unit, caller)
+            session = ControlSession(unit, others, gamma=gamma, patience_s=patience_s, recording=recording)
             async with BackgroundTasks("recording") as tasks, session:
                 if recording is not None:
                     tasks.start(recording.run)
                 sessions.add(session_id, session)
                 set_state(DeviceState.BUSY)
-                log.info("control begins", robot=cell.name, holder=caller.name)
+                log.info("control begins", robot=unit.name, holder=caller.name)
                 receiving = _receive(socket, session, caller.subject)
                 ending = await serve(socket, session, receiving, may_continue)
         except RobotBusy as busy:
@@ -95,10 +94,10 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
             ending = 4507, f"the recording cannot be stored: {error.strerror}; free disk space"
         else:
             set_state(DeviceState.IDLE)
-            log.info("control ends", robot=cell.name, holder=caller.name)
+            log.info("control ends", robot=unit.name, holder=caller.name)
         finally:
             ended_by_others = sessions.remove(session_id)
-            leases.release(cell.name, session_id)
+            leases.release(unit.name, session_id)
         ending = ended_by_others or ending
         if ending is not None:
             await close_websocket(socket, *ending)
@@ -150,8 +149,8 @@ def _gamma(given: str | None) -> float:
     return gamma
 
 
-def _recording_of(socket: WebSocket, data_dir: Path, cell: Cell, caller: Caller) -> Recording | None:
+def _recording_of(socket: WebSocket, data_dir: Path, unit: RobotUnit, caller: Caller) -> Recording | None:
     """Begin a recording if the parameter `record` asks for it; raise `OSError`."""
     if socket.query_params.get("record") != "true":
         return None
-    return Recording.begin(data_dir, cell.name, caller.name, cell.model.joint_names)
+    return Recording.begin(data_dir, unit.name, caller.name, unit.model.joint_names)

@@ -41,7 +41,7 @@ def add_joint_state_route(app: FastAPI, find: Find) -> None:
             await reader.accept()
             await close_websocket(reader, 4000 + problem.status, problem.detail)
             return
-        await stream(controller.cell.robot, controller.cell.model.joint_names, reader, hz)
+        await stream(controller.unit.robot, controller.unit.model.joint_names, reader, hz)
 
 
 async def stream(robot: Robot, names: Sequence[str], reader: WebSocket, hz: float) -> None:

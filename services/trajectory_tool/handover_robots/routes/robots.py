@@ -55,7 +55,7 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
         It is constant while the tool runs; `revision` differs for every other description.
         """
         controller = controller_of(controllers, robot)
-        return {"id": controller.robot_name, **description(controller.cell)}
+        return {"id": controller.robot_name, **description(controller.unit)}
 
     @app.get(
         "/robots/{robot}/urdf",
@@ -66,13 +66,13 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
     )
     async def urdf(robot: str) -> Response:
         """Return the URDF of the robot."""
-        return Response(controller_of(controllers, robot).cell.model.urdf, media_type="application/xml")
+        return Response(controller_of(controllers, robot).unit.model.urdf, media_type="application/xml")
 
     @app.get("/robots/{robot}/scene", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
     async def scene(robot: str) -> dict[str, Any]:
         """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
         controller_of(controllers, robot)
-        return scene_view(controllers.workcell)
+        return scene_view(controllers.cell)
 
     @app.get("/operations", tags=["robots"], dependencies=[require_somewhere(Permission.READ)])
     async def operations_known() -> dict[str, Any]:
@@ -126,7 +126,7 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
                 ),
             )
         try:
-            await controller.cell.free()
+            await controller.unit.free()
         except RobotFault as fault:
             raise Problem(
                 503,
@@ -156,21 +156,21 @@ def controller_of(controllers: Controllers, robot: str) -> Controller:
 
 def view_of(controller: Controller, leases: Leases) -> RobotView:
     """Return the present state of the robot."""
-    cell, work = controller.cell, controller.work
-    lease = leases.of(cell.name)
+    unit, work = controller.unit, controller.work
+    lease = leases.of(unit.name)
     return {
         "id": controller.robot_name,
         "device": controller.device.id,
         "deviceState": controller.device.state.value,
-        "model": cell.model.name,
-        "revision": cell.model.revision,
-        "scene": cell.scene.digest,
-        "joints": cell.robot.state().written(cell.model.joint_names),
-        "toolPose": cell.tool_pose.written(),
+        "model": unit.model.name,
+        "revision": unit.model.revision,
+        "scene": unit.scene.digest,
+        "joints": unit.robot.state().written(unit.model.joint_names),
+        "toolPose": unit.tool_pose.written(),
         "gripper": {
-            "closed": cell.robot.gripper_closed,
-            "holds": cell.held,
-            "interrupted": cell.begun.kind if cell.begun is not None and work is None else None,
+            "closed": unit.robot.gripper_closed,
+            "holds": unit.held,
+            "interrupted": unit.begun.kind if unit.begun is not None and work is None else None,
         },
         "task": None if work is None else work.task,
         "awaitsConfirmation": work is not None and work.awaits_confirmation,
@@ -178,7 +178,9 @@ def view_of(controller: Controller, leases: Leases) -> RobotView:
         "progress": None if work is None else round(work.progress(), 3),
         "remainingS": None if work is None else round(work.remaining_s(), 2),
         "controlledBy": None if lease is None else lease.name,
-        "waitingForControl": [{"id": one.session, "name": one.name} for one in leases.waiting(cell.name)],
+        "waitingForControl": [
+            {"id": person.session, "name": person.name} for person in leases.waiting(unit.name)
+        ],
     }
 
 

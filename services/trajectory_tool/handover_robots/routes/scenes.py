@@ -9,32 +9,32 @@ from handover.errors import Problem, UsageError
 from handover.messages import message, text_of
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.model.obstacles import Box, Cylinder, Mesh, Shape, Sphere
 from handover_robots.model.poses import Frame, Pose
 from handover_robots.planning import is_available
 from handover_robots.scene.scene import IDENTITY, Scene
 
 
-def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
+def add_scene_routes(app: FastAPI, cell: Cell) -> None:
     """Add the routes of the cell and its scene."""
 
-    @app.get("/cell", tags=["cell"], dependencies=[require(Permission.READ)])
-    async def cell() -> dict[str, Any]:
+    @app.get("/cell", name="cell", tags=["cell"], dependencies=[require(Permission.READ)])
+    async def robots_of_cell() -> dict[str, Any]:
         """Return the robots of the cell with their places, and the version of the scene."""
         return {
-            "name": workcell.scene.name,
+            "name": cell.scene.name,
             "robots": [
                 {
                     "id": name,
-                    "model": one.model.name,
-                    "revision": one.model.revision,
-                    "driver": one.entry.driver,
-                    "base": Pose.of(one.model.base).written(),
+                    "model": unit.model.name,
+                    "revision": unit.model.revision,
+                    "driver": unit.entry.driver,
+                    "base": Pose.of(unit.model.base).written(),
                 }
-                for name, one in workcell.cells.items()
+                for name, unit in cell.units.items()
             ],
-            "scene": _version(workcell),
+            "scene": _version(cell),
         }
 
     @app.get("/cell/scene", tags=["cell"], dependencies=[require(Permission.READ)])
@@ -44,8 +44,8 @@ def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
         Lengths are in m in the frame of the cell. `parts` are the poses of all known parts, `trueParts` those
         of a simulation, known or not, and `shapes` is what a page draws.
         """
-        response.headers["ETag"] = f'"{workcell.scene.digest}"'
-        return scene_view(workcell)
+        response.headers["ETag"] = f'"{cell.scene.digest}"'
+        return scene_view(cell)
 
     @app.put("/cell/scene", tags=["cell"], dependencies=[require(Permission.CONFIGURE)])
     async def put_scene(
@@ -59,14 +59,14 @@ def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
         change that somebody else made. `contacts` lists the robots that touch something now: each has to be
         moved away by hand, or the scene corrected.
         """
-        if if_match is not None and if_match.strip('" ') not in {"*", workcell.scene.digest}:
+        if if_match is not None and if_match.strip('" ') not in {"*", cell.scene.digest}:
             raise Problem(
                 412,
                 "Scene changed",
                 message("robot.scene_changed", "another client has changed the scene; read it again"),
             )
         try:
-            await workcell.change_scene(written)
+            await cell.change_scene(written)
         except UsageError as error:
             raise Problem(400, "Invalid scene", text_of(error)) from error
         except OSError as error:
@@ -79,36 +79,35 @@ def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
                     error=error.strerror,
                 ),
             ) from error
-        response.headers["ETag"] = f'"{workcell.scene.digest}"'
-        return {**_version(workcell), "contacts": await workcell.contacts()}
+        response.headers["ETag"] = f'"{cell.scene.digest}"'
+        return {**_version(cell), "contacts": await cell.contacts()}
 
 
-def scene_view(workcell: Workcell) -> dict[str, Any]:
+def scene_view(cell: Cell) -> dict[str, Any]:
     """Return the scene as JSON, with the parts in it and the shapes to draw."""
     parts = [
-        {"part": lying.part, "place": lying.place, **lying.pose.written()}
-        for lying in workcell.contents.lying
+        {"part": lying.part, "place": lying.place, **lying.pose.written()} for lying in cell.contents.lying
     ]
     return {
-        **workcell.scene.model_dump(mode="json"),
-        **_version(workcell),
+        **cell.scene.model_dump(mode="json"),
+        **_version(cell),
         "parts": parts,
-        "trueParts": _true_parts(workcell),
-        "shapes": list(drawn_shapes(workcell.scene)),
+        "trueParts": _true_parts(cell),
+        "shapes": list(drawn_shapes(cell.scene)),
     }
 
 
-def _true_parts(workcell: Workcell) -> list[dict[str, Any]]:
+def _true_parts(cell: Cell) -> list[dict[str, Any]]:
     """Return the parts of simulations, whether or not the tool knows of them."""
     return [
         {"size": list(part.size), **part.pose.written()}
-        for cell in workcell.cells.values()
-        for part in cell.robot.true_parts() or ()
+        for unit in cell.units.values()
+        for part in unit.robot.true_parts() or ()
     ]
 
 
-def _version(workcell: Workcell) -> dict[str, Any]:
-    return {"digest": workcell.scene.digest, "revision": workcell.revision}
+def _version(cell: Cell) -> dict[str, Any]:
+    return {"digest": cell.scene.digest, "revision": cell.revision}
 
 
 def drawn_shapes(scene: Scene) -> Iterator[dict[str, Any]]:
@@ -149,6 +148,6 @@ def _bounding_box(mesh: Mesh, pose: Pose) -> tuple[tuple[float, float, float], P
     hull = geometry_of(mesh)
     hull.computeLocalAABB()
     low, high = hull.aabb_local.min_.tolist(), hull.aabb_local.max_.tolist()
-    middle = Frame(IDENTITY, tuple((one + other) / 2 for one, other in zip(low, high, strict=True)))
-    size = tuple(other - one for one, other in zip(low, high, strict=True))
+    middle = Frame(IDENTITY, tuple((lower + upper) / 2 for lower, upper in zip(low, high, strict=True)))
+    size = tuple(upper - lower for lower, upper in zip(low, high, strict=True))
     return (size[0], size[1], size[2]), Pose.of(pose.frame() @ middle)

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.scene.contents import Lying
 from handover_robots.scene.vision import SeenGrasp, Sighting
 
@@ -18,54 +18,56 @@ MAX_TRIED = 60
 """Grasps of one image for which the way of the arm is checked."""
 
 
-async def search(cell: Cell, bin_name: str, view: int) -> tuple[Lying | None, str]:
+async def search(unit: RobotUnit, bin_name: str, view: int) -> tuple[Lying | None, str]:
     """Look into a bin from a view; return a part, or None and the reason."""
-    vision = cell.robot.vision
+    vision = unit.robot.vision
     if vision is None:
-        return cell.look_into(bin_name), f"no part lies free in {bin_name}"
+        return unit.look_into(bin_name), f"no part lies free in {bin_name}"
     if view == 0:
-        if bin_name in cell.to_stir and cell.scene.bins[bin_name].refilled:
+        if bin_name in unit.to_stir and unit.scene.bins[bin_name].refilled:
             await vision.stir(bin_name)
-            cell.missed.clear()
-        cell.to_stir.discard(bin_name)
+            unit.missed.clear()
+        unit.to_stir.discard(bin_name)
     sightings = await vision.look(bin_name, view)
-    chosen = await _first_reachable(cell, sightings)
+    chosen = await _first_reachable(unit, sightings)
     ordered = sorted(sightings, key=lambda one: chosen is None or one is not chosen[0])
     seen = [
         (chosen[1].tool, chosen[1].grip) if chosen and one is chosen[0] else (one.part, None)
         for one in ordered
     ]
-    cell.contents = cell.contents.observed(bin_name, seen)
+    unit.contents = unit.contents.observed(bin_name, seen)
     if chosen is not None:
-        cell.to_stir.discard(bin_name)
-        found = cell.parts_in(bin_name)[0]
-        cell.seen = found.part
-        return found, ""
-    cell.to_stir.add(bin_name)
+        unit.to_stir.discard(bin_name)
+        topmost = unit.parts_in(bin_name)[0]
+        unit.seen = topmost.part
+        return topmost, ""
+    unit.to_stir.add(bin_name)
     return None, _why_none(bin_name, sightings)
 
 
-async def _first_reachable(cell: Cell, sightings: Sequence[Sighting]) -> tuple[Sighting, SeenGrasp] | None:
+async def _first_reachable(
+    unit: RobotUnit, sightings: Sequence[Sighting]
+) -> tuple[Sighting, SeenGrasp] | None:
     """Return the best grasp that the arm reaches, of the topmost part that has one."""
     candidates = [
         (sighting, grasp)
         for sighting in sightings
         for grasp in sighting.grasps
-        if all(grasp.tool.distance_m(missed) > SAME_GRASP_M for missed in cell.missed)
+        if all(grasp.tool.distance_m(missed) > SAME_GRASP_M for missed in unit.missed)
     ][:MAX_TRIED]
-    approach_m = cell.scene.gripper.approach_m
+    approach_m = unit.scene.gripper.approach_m
 
     def choose(planner: "Planner") -> tuple[Sighting, SeenGrasp] | None:
         return next(
             (
                 (sighting, grasp)
                 for sighting, grasp in candidates
-                if planner.is_approachable(cell.joints, grasp.tool.raised(approach_m), grasp.tool)
+                if planner.is_approachable(unit.joints, grasp.tool.raised(approach_m), grasp.tool)
             ),
             None,
         )
 
-    return await cell.planning.plan(choose)
+    return await unit.planning.plan(choose)
 
 
 def _why_none(bin_name: str, sightings: Sequence[Sighting]) -> str:

@@ -12,11 +12,11 @@ from typing import Any
 from handover.errors import HandoverError
 from handover.messages import message, text_of
 from handover.performer import TaskFailed
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.poses import Frame, Pose, Vector, turn
 from handover_robots.scene.vision import Vision
-from handover_robots.tasks import parameters as given
+from handover_robots.tasks.parameters import CalibrateCamera
 from handover_robots.tasks.work import Work
 
 HAND = "hand"
@@ -46,21 +46,21 @@ VIEWS = (
 about it looks like a shift."""
 
 
-async def calibrate_camera(work: Work, request: given.CalibrateCamera) -> dict[str, Any]:
+async def calibrate_camera(work: Work, request: CalibrateCamera) -> dict[str, Any]:
     """Find out where a camera is mounted from balls that it sees, and store it."""
-    cell = work.cell
-    vision = cell.robot.vision
+    unit = work.unit
+    vision = unit.robot.vision
     if vision is None:
         raise TaskFailed(
-            message("robot.no_camera", "{robot} has no camera that can be calibrated", robot=cell.name)
+            message("robot.no_camera", "{robot} has no camera that can be calibrated", robot=unit.name)
         )
     if request.camera is not None and request.camera != HAND:
         return await _calibrate_fixed(work, vision, request.camera, request.targets)
-    place, radius_m = _ball(cell, request.target)
+    place, radius_m = _ball(unit, request.target)
     samples = []
     for pose in views(place):
         try:
-            joints = await work.plan(lambda planner, pose=pose: planner.nearest_free(pose, cell.joints))  # type: ignore[misc]
+            joints = await work.plan(lambda planner, pose=pose: planner.nearest_free(pose, unit.joints))  # type: ignore[misc]
             work.intend(joints)
             await work.go(joints)
         except (Unreachable, NoPath, TaskFailed):
@@ -77,7 +77,7 @@ async def calibrate_camera(work: Work, request: given.CalibrateCamera) -> dict[s
 
 async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Sequence[str]) -> dict[str, Any]:
     """Look at balls with a fixed camera; the robot stays where it is."""
-    cell = work.cell
+    unit = work.unit
     if camera not in vision.fixed_cameras:
         raise TaskFailed(
             message(
@@ -90,8 +90,8 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
     places: list[Vector] = []
     seen: list[Vector] = []
     missed: list[str] = []
-    for name in targets or _spheres(cell):
-        place, radius_m = _ball(cell, name)
+    for name in targets or _spheres(unit):
+        place, radius_m = _ball(unit, name)
         ball = await vision.find_ball(place, radius_m, camera)
         if ball is None:
             missed.append(name)
@@ -115,13 +115,13 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
     return {**found, "balls": len(seen)}
 
 
-def _spheres(cell: Cell) -> list[str]:
-    return [name for name, thing in cell.scene.obstacles.items() if thing.sphere is not None]
+def _spheres(unit: RobotUnit) -> list[str]:
+    return [name for name, thing in unit.scene.obstacles.items() if thing.sphere is not None]
 
 
-def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
+def _ball(unit: RobotUnit, name: str) -> tuple[Vector, float]:
     """Return the place and the radius of a ball of the scene. Raises `TaskFailed`."""
-    ball = cell.scene.obstacles.get(name)
+    ball = unit.scene.obstacles.get(name)
     if ball is None or ball.sphere is None:
         raise TaskFailed(
             message(
@@ -129,7 +129,7 @@ def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
                 'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball '
                 "into the cell and add it to the obstacles",
                 target=name,
-                known=", ".join(_spheres(cell)) or "none",
+                known=", ".join(_spheres(unit)) or "none",
             )
         )
     return ball.position, ball.sphere

@@ -20,9 +20,9 @@ from handover.subscription_record import SubscriptionRecord
 from handover.task_life import type_of
 from handover.telemetry import get_logger
 from handover_datamodels.entities import DeviceState
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.cell.device import RobotDevice
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.limits.records import LimitRecords
 from handover_robots.metrics import TASKS
 from handover_robots.model.faults import RobotFault, UnknownOutcome
@@ -47,25 +47,22 @@ class Controllers:
     """
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
-        self.workcell = Workcell(settings, broker=broker)
+        self.cell = Cell(settings, broker=broker)
         self._broker = broker
         self._record = SubscriptionRecord(settings.data_dir / "trajectory_tool" / "subscriptions.json")
         self.by_name = {
-            name: Controller(settings, cell, broker, self._record)
-            for name, cell in self.workcell.cells.items()
+            name: Controller(settings, unit, broker, self._record) for name, unit in self.cell.units.items()
         }
         self._subscription_ids = {
             *(each.subscription_id for each in self.by_name.values()),
             *(
                 subscription_id
-                for cell in self.workcell.cells.values()
-                for subscription_id in cell.robot.record_subscriptions(self._record)
+                for unit in self.cell.units.values()
+                for subscription_id in unit.robot.record_subscriptions(self._record)
             ),
         }
         self._scene = SceneEntities(settings, broker)
-        self._people = (
-            PersonEntities(broker, self.workcell.receive_people) if settings.people_entities else None
-        )
+        self._people = PersonEntities(broker, self.cell.receive_people) if settings.people_entities else None
         self._on = AsyncExitStack()
 
     def mount(self, app: FastAPI) -> None:
@@ -84,10 +81,10 @@ class Controllers:
             await controller.probe()
 
     async def __aenter__(self) -> Self:
-        workcell = self.workcell
+        cell = self.cell
         await self._on.enter_async_context(self._scene)
-        workcell.on_scene_change = lambda: self._scene.put(workcell.scene, workcell.revision)
-        workcell.on_scene_change()
+        cell.on_scene_change = lambda: self._scene.put(cell.scene, cell.revision)
+        cell.on_scene_change()
         for controller in self.by_name.values():
             await self._on.enter_async_context(controller)
         tasks = await self._on.enter_async_context(BackgroundTasks("trajectory tool"))
@@ -118,22 +115,22 @@ class Controller(Performer):
     def __init__(
         self,
         settings: TrajectorySettings,
-        cell: Cell,
+        unit: RobotUnit,
         broker: BrokerClient,
         subscription_record: SubscriptionRecord,
     ) -> None:
         super().__init__(
-            f"trajectory-tool-{cell.name}",
+            f"trajectory-tool-{unit.name}",
             settings,
             broker,
-            notify_url=f"{settings.notify_url}/{cell.name}",
+            notify_url=f"{settings.notify_url}/{unit.name}",
             subscription_record=subscription_record,
         )
-        self.robot_name = cell.name
-        self.cell = cell
+        self.robot_name = unit.name
+        self.unit = unit
         self.work: Work | None = None
-        self.device = RobotDevice(settings, self.cell, broker)
-        self._records = LimitRecords(settings, cell.speed, self.device.id, broker)
+        self.device = RobotDevice(settings, self.unit, broker)
+        self._records = LimitRecords(settings, unit.speed, self.device.id, broker)
         self._on = AsyncExitStack()
         self._fault: RobotFault | None = None
         self._switching_on: asyncio.Task[None] | None = None
@@ -141,10 +138,10 @@ class Controller(Performer):
     def mount(self, app: FastAPI) -> None:
         """Add the routes for notifications."""
         super().mount(app)
-        self.cell.robot.mount(app)
+        self.unit.robot.mount(app)
 
     async def __aenter__(self) -> Self:
-        self.cell.robot.lease = self.leases.of(self.device.id)
+        self.unit.robot.lease = self.leases.of(self.device.id)
         await self._on.enter_async_context(self.device)
         await self._on.enter_async_context(self._records)
         await self._try_switch_on()
@@ -162,7 +159,7 @@ class Controller(Performer):
 
     async def _try_switch_on(self) -> None:
         try:
-            await self._on.enter_async_context(self.cell)
+            await self._on.enter_async_context(self.unit)
         except RobotFault as fault:
             log.warning("robot not switched on", robot=self.robot_name, fault=str(fault))
             self._fault = fault
@@ -198,13 +195,13 @@ class Controller(Performer):
                         )
                     )
                 )
-            operation = operations.known(name)
+            operation = operations.operation_named(name)
             values = parameters.read(operation.parameters, name, _parameters_of(job, name))
-            speed = self.cell.entry.speed * values.speed
+            speed = self.unit.entry.speed * values.speed
             steering, involves = _Steering(job, self.device), _involved(job)
-            self.work = work = Work(job.task.id, name, self.cell, steering, speed, involves=involves)
+            self.work = work = Work(job.task.id, name, self.unit, steering, speed, involves=involves)
             log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
-            async with self.cell.in_hand, _progress_reports(job, work):
+            async with self.unit.in_hand, _progress_reports(job, work):
                 result = await operation.perform(work, values)
         return {**result, "durationS": round(time.monotonic() - began_s, 2), "progress": 1.0}
 
@@ -229,7 +226,7 @@ class Controller(Performer):
                     "robot.state_not_stored",
                     "the state of the cell cannot be stored in {path}: {error}; free disk space or set "
                     "HANDOVER_DATA_DIR",
-                    path=str(self.cell.file.path),
+                    path=str(self.unit.file.path),
                     error=error.strerror,
                 )
             ) from error

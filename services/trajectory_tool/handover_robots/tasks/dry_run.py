@@ -13,9 +13,9 @@ from typing import Any, Self
 
 from handover.errors import HandoverError
 from handover.performer import TaskFailed
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.cell.cell_file import cell_plan
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.context import Clock
 from handover_robots.model.faults import Unreachable
 from handover_robots.model.joints import Joints
@@ -59,7 +59,7 @@ class _JumpingTime:
     def __init__(self) -> None:
         self.now_s = 0.0
         self.joints: list[Joints] = []
-        self.observed: Cell | None = None
+        self.observed: RobotUnit | None = None
         self._lock = threading.Lock()
 
     def wait(self, seconds: float) -> None:
@@ -84,8 +84,8 @@ class _Freely:
 class _DryWork(Work):
     """Work without waiting: cameras and people answer at once."""
 
-    def __init__(self, time: _JumpingTime, operation: str, cell: Cell, speed: float) -> None:
-        super().__init__("dry-run", operation, cell, _Freely(), speed)
+    def __init__(self, time: _JumpingTime, operation: str, unit: RobotUnit, speed: float) -> None:
+        super().__init__("dry-run", operation, unit, _Freely(), speed)
         self._time = time
 
     async def wait(self, seconds: float) -> None:
@@ -109,7 +109,7 @@ class DryRun:
             name: entry.model_copy(update={"driver": "simulated", "settings": {}})
             for name, entry in plan.robots.items()
         }
-        self._workcell = Workcell(
+        self._cell = Cell(
             settings.model_copy(update=update),
             self._time.clock,
             plan=replace(plan, robots=simulated, scene_driver=next(iter(plan.robots.values())).driver),
@@ -119,55 +119,55 @@ class DryRun:
     @property
     def robots(self) -> tuple[str, ...]:
         """Return the names of the robots."""
-        return tuple(self._workcell.cells)
+        return tuple(self._cell.units)
 
     async def __aenter__(self) -> Self:
-        await self._workcell.__aenter__()
+        await self._cell.__aenter__()
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self._workcell.__aexit__(*_)
+        await self._cell.__aexit__(*_)
 
     async def perform(self, robot: str, operation: str, values: Mapping[str, Any]) -> Step:
         """Perform an operation, and return what it took and what is wrong with it."""
-        cell, time = self._workcell.cells[robot], self._time
-        time.joints, time.observed = [cell.joints], cell
+        unit, time = self._cell.units[robot], self._time
+        time.joints, time.observed = [unit.joints], unit
         began_s, result, faults = time.now_s, {}, []
         try:
-            known = operations.known(operation)
-            read = parameters.read(known.parameters, operation, values)
-            work = _DryWork(time, operation, cell, cell.entry.speed * read.speed)
-            result = await known.perform(work, read)
+            performed = operations.operation_named(operation)
+            read = parameters.read(performed.parameters, operation, values)
+            work = _DryWork(time, operation, unit, unit.entry.speed * read.speed)
+            result = await performed.perform(work, read)
         except (TaskFailed, HandoverError) as fault:
             faults.append(str(fault))
         finally:
             time.observed = None
         path = time.joints[::CHECK_EVERY_CYCLES]
-        faults += await self._faults_of(cell, path)
-        nearest = await self._nearest(cell, path)
+        faults += await self._faults_of(unit, path)
+        nearest = await self._nearest(unit, path)
         return Step(robot, operation, time.now_s - began_s, result, tuple(dict.fromkeys(faults)), nearest)
 
-    async def _nearest(self, cell: Cell, path: list[Joints]) -> Nearest | None:
+    async def _nearest(self, unit: RobotUnit, path: list[Joints]) -> Nearest | None:
         if not is_available() or not any(joints != path[0] for joints in path):
             return None
 
-        def found(planner: Any) -> Any:
+        def least_clearance(planner: Any) -> Any:
             return planner.least_clearance(path)
 
-        least = await cell.planning.plan(found)
+        least = await unit.planning.plan(least_clearance)
         return None if least is None else Nearest(least.first, least.second, round(least.distance_m, 4))
 
-    async def _faults_of(self, cell: Cell, path: list[Joints]) -> list[str]:
-        found = []
+    async def _faults_of(self, unit: RobotUnit, path: list[Joints]) -> list[str]:
+        faults = []
         for joints in path:
             try:
-                cell.model.allow(joints)
+                unit.model.allow(joints)
             except Unreachable as why:
-                found.append(str(why))
+                faults.append(str(why))
         if is_available():
 
             def contacts(planner: Any) -> list[str]:
                 return [str(why) for joints in path if (why := planner.why_not_free(joints)) is not None]
 
-            found += await cell.planning.plan(contacts)
-        return list(dict.fromkeys(found))[:3]
+            faults += await unit.planning.plan(contacts)
+        return list(dict.fromkeys(faults))[:3]

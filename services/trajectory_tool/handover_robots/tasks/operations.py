@@ -18,8 +18,20 @@ from handover_robots.model.joints import Joints
 from handover_robots.model.poses import NO_TURN, Frame, Pose
 from handover_robots.planning import is_available
 from handover_robots.tasks import bin_search
-from handover_robots.tasks import parameters as given
 from handover_robots.tasks.calibration import calibrate_camera
+from handover_robots.tasks.parameters import (
+    Approaching,
+    CalibrateCamera,
+    GivenTilt,
+    HandOver,
+    Home,
+    MoveLinear,
+    MoveTo,
+    Pick,
+    Place,
+    Scan,
+    Target,
+)
 from handover_robots.tasks.work import Work
 
 Result = dict[str, Any]
@@ -32,19 +44,19 @@ AT_THE_SPOT_M = 0.01
 class Operation:
     """An operation: its parameters and its execution."""
 
-    parameters: type[given.Home]
+    parameters: type[Home]
     perform: Callable[[Work, Any], Awaitable[Result]]
 
 
-async def home(work: Work, _: given.Home) -> Result:
+async def home(work: Work, _: Home) -> Result:
     """Move to the home position."""
-    return await _move(work, work.cell.home)
+    return await _move(work, work.unit.home)
 
 
-async def move_to(work: Work, asked: given.MoveTo) -> Result:
+async def move_to(work: Work, asked: MoveTo) -> Result:
     """Move to joint angles or to a pose of the tool."""
     targets = []
-    here = work.cell.joints
+    here = work.unit.joints
     for number, waypoint in enumerate(asked.through):
         here = await joints_of(work, waypoint, here, f'parameter "through.{number}" of moveTo')
         targets.append(here)
@@ -54,12 +66,12 @@ async def move_to(work: Work, asked: given.MoveTo) -> Result:
         return await _move(work, targets[0], tilt)
     work.intend(*targets)
     await work.go_through(targets, tilt)
-    return {"joints": [round(angle, 6) for angle in work.cell.joints]}
+    return {"joints": [round(angle, 6) for angle in work.unit.joints]}
 
 
-async def joints_of(work: Work, target: given.Target, near: Joints, where: str) -> Joints:
+async def joints_of(work: Work, target: Target, near: Joints, where: str) -> Joints:
     """Return the joint positions of a target. Raises `TaskFailed` that names it."""
-    model = work.cell.model
+    model = work.unit.model
     prefix = f'parameter "{{}}" of {where}' if not where.startswith("parameter") else where
     if target.pose is not None:
         return await _reach(work, target.pose.pose, near, prefix.format("pose"))
@@ -79,23 +91,23 @@ async def joints_of(work: Work, target: given.Target, near: Joints, where: str) 
 
 
 def _named(work: Work, name: str, where: str) -> Joints:
-    cell = work.cell
-    known = {**cell.model.poses, "home": cell.home}
-    if name not in known:
+    unit = work.unit
+    positions = {**unit.model.poses, "home": unit.home}
+    if name not in positions:
         raise TaskFailed(
             message(
                 "robot.unknown_named_position",
                 '{target}: {robot} has no position "{name}"; it has {known}',
                 target=where,
-                robot=cell.model.name,
+                robot=unit.model.name,
                 name=name,
-                known=", ".join(known),
+                known=", ".join(positions),
             )
         )
-    return known[name]
+    return positions[name]
 
 
-def _tilt(tilt: given.GivenTilt) -> Any:
+def _tilt(tilt: GivenTilt) -> Any:
     if not is_available():
         raise TaskFailed(
             message("robot.tilt_needs_planning", 'parameter "tilt" of moveTo needs the extra "motion"')
@@ -105,21 +117,21 @@ def _tilt(tilt: given.GivenTilt) -> Any:
     return Tilt(tilt.axis, tilt.direction, math.radians(tilt.max_angle_deg))
 
 
-async def move_linear(work: Work, request: given.MoveLinear) -> Result:
+async def move_linear(work: Work, request: MoveLinear) -> Result:
     """Move the tool on a straight line to a pose."""
     await work.go_straight(request.pose.pose, request.tool_speed)
     return {
-        "joints": [round(angle, 6) for angle in work.cell.joints],
-        "pose": work.cell.tool_pose.written(),
+        "joints": [round(angle, 6) for angle in work.unit.joints],
+        "pose": work.unit.tool_pose.written(),
     }
 
 
-async def scan(work: Work, request: given.Scan) -> Result:
+async def scan(work: Work, request: Scan) -> Result:
     """Look into a bin from above and return the part on top and its pose."""
-    cell = work.cell
-    if request.bin not in cell.scene.bins:
-        raise TaskFailed(_unknown_bin("scan", request.bin, cell.scene.bins))
-    seen_bin = cell.scene.bins[request.bin]
+    unit = work.unit
+    if request.bin not in unit.scene.bins:
+        raise TaskFailed(_unknown_bin("scan", request.bin, unit.scene.bins))
+    seen_bin = unit.scene.bins[request.bin]
     views = (seen_bin.view, *seen_bin.more_views)
     if request.view >= len(views):
         raise TaskFailed(
@@ -132,39 +144,39 @@ async def scan(work: Work, request: given.Scan) -> Result:
             )
         )
     pose = views[request.view].pose.moved(request.offset)
-    view = await _reach(work, pose, cell.joints, f"the view of {request.bin}")
+    view = await _reach(work, pose, unit.joints, f"the view of {request.bin}")
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
-    found, reason = await bin_search.search(cell, request.bin, request.view)
+    topmost, reason = await bin_search.search(unit, request.bin, request.view)
     looked: Result = {"bin": request.bin}
     if len(views) > 1:
         looked |= {"view": request.view, "nextView": (request.view + 1) % len(views)}
-    SCANS.labels(str(found is not None).lower()).inc()
-    if found is not None:
-        await cell.remember()
-        return {"found": True, "part": found.part, "pose": found.pose.written(), **looked}
-    if not cell.parts_in(request.bin):
+    SCANS.labels(str(topmost is not None).lower()).inc()
+    if topmost is not None:
+        await unit.remember()
+        return {"found": True, "part": topmost.part, "pose": topmost.pose.written(), **looked}
+    if not unit.parts_in(request.bin):
         reason = f"{request.bin} is empty"
-        await cell.found_empty(request.bin)
-        await cell.remember()
+        await unit.found_empty(request.bin)
+        await unit.remember()
     return {"found": False, "reason": reason, **looked}
 
 
-async def pick(work: Work, request: given.Pick) -> Result:
+async def pick(work: Work, request: Pick) -> Result:
     """Grip a part: approach from above, move down, close, move up."""
     _require_known_outcome(work)
-    cell = work.cell
-    if cell.held is not None:
-        return await _already_picked(work, request, cell.held)
+    unit = work.unit
+    if unit.held is not None:
+        return await _already_picked(work, request, unit.held)
     spot = _where_to_pick(work, request)
     above, at = await _from_above(work, request, spot, "the part")
-    if cell.robot.gripper_closed:
+    if unit.robot.gripper_closed:
         await work.release(None)
-    work.intend(above, at, cell.scene.gripper.acts_in_s, above)
+    work.intend(above, at, unit.scene.gripper.acts_in_s, above)
     await work.go(above)
     await _go_near(work, spot, at)
-    before = cell.contents
+    before = unit.contents
     part = await work.grip()
     if part is not None and request.part not in {None, part}:
         lay = before.find(part)
@@ -193,17 +205,17 @@ async def pick(work: Work, request: given.Pick) -> Result:
     return {"part": part, "gripped": True}
 
 
-async def place(work: Work, request: given.Place) -> Result:
+async def place(work: Work, request: Place) -> Result:
     """Put the held part down: approach from above, move down, open, move up."""
     _require_known_outcome(work)
-    cell = work.cell
-    if cell.held is None:
+    unit = work.unit
+    if unit.held is None:
         return await _already_placed(work, request)
-    part = cell.held
+    part = unit.held
     await _require_held(work)
     spot = await _where_to_place(work, request)
     above, at = await _from_above(work, request, spot, "the place")
-    work.intend(above, at, cell.scene.gripper.acts_in_s, above)
+    work.intend(above, at, unit.scene.gripper.acts_in_s, above)
     await work.go(above)
     await _require_held(work)
     await _go_near(work, spot, at)
@@ -212,36 +224,36 @@ async def place(work: Work, request: given.Place) -> Result:
     return _placed(part, request.location, spot)
 
 
-async def hand_over(work: Work, request: given.HandOver) -> Result:
+async def hand_over(work: Work, request: HandOver) -> Result:
     """Go to the pose of the hand-over, wait for the person, and open or close the gripper; then rest."""
     _require_known_outcome(work)
-    cell = work.cell
+    unit = work.unit
     done = work.done_before()
     if done is not None:
         return _handed_over(request, done.part)
     gives = request.direction == "give"
-    if gives and cell.held is None:
+    if gives and unit.held is None:
         raise TaskFailed(message("robot.nothing_to_give", "the gripper is empty; pick a part to hand over"))
-    if not gives and cell.held is not None:
+    if not gives and unit.held is not None:
         raise TaskFailed(
             message(
                 "robot.gripper_full",
                 'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
-                part=cell.held,
+                part=unit.held,
             )
         )
     by_contact = request.confirmation == "contact"
-    if by_contact and cell.robot.wrist_force_n() is None:
+    if by_contact and unit.robot.wrist_force_n() is None:
         raise TaskFailed(
             message(
                 "robot.no_wrist_force",
                 'parameter "confirmation" of handOver: this robot has no force sensor; use "person"',
             )
         )
-    target = await joints_of(work, request, cell.joints, "handOver")
-    if not gives and cell.robot.gripper_closed:
+    target = await joints_of(work, request, unit.joints, "handOver")
+    if not gives and unit.robot.gripper_closed:
         await work.release(None)
-    work.intend(target, 0.0, cell.scene.gripper.acts_in_s)
+    work.intend(target, 0.0, unit.scene.gripper.acts_in_s)
     await work.go(target)
     if not await work.wait_for_confirmation(request.timeout_s, request.contact_n if by_contact else None):
         raise TaskFailed(
@@ -251,7 +263,7 @@ async def hand_over(work: Work, request: given.HandOver) -> Result:
                 timeout=f"{request.timeout_s:g}",
             )
         )
-    part = cell.held or request.part or f"part of {work.task.rsplit(':', 1)[-1]}"
+    part = unit.held or request.part or f"part of {work.task.rsplit(':', 1)[-1]}"
     if gives:
         await work.give()
     elif not await work.take(part):
@@ -261,23 +273,23 @@ async def hand_over(work: Work, request: given.HandOver) -> Result:
     return _handed_over(request, part)
 
 
-def _handed_over(request: given.HandOver, part: str) -> Result:
+def _handed_over(request: HandOver, part: str) -> Result:
     return {"part": part, "direction": request.direction, "handedOver": True}
 
 
 OPERATIONS: Mapping[str, Operation] = {
-    "moveTo": Operation(given.MoveTo, move_to),
-    "moveLinear": Operation(given.MoveLinear, move_linear),
-    "scan": Operation(given.Scan, scan),
-    "pick": Operation(given.Pick, pick),
-    "place": Operation(given.Place, place),
-    "home": Operation(given.Home, home),
-    "handOver": Operation(given.HandOver, hand_over),
-    "calibrateCamera": Operation(given.CalibrateCamera, calibrate_camera),
+    "moveTo": Operation(MoveTo, move_to),
+    "moveLinear": Operation(MoveLinear, move_linear),
+    "scan": Operation(Scan, scan),
+    "pick": Operation(Pick, pick),
+    "place": Operation(Place, place),
+    "home": Operation(Home, home),
+    "handOver": Operation(HandOver, hand_over),
+    "calibrateCamera": Operation(CalibrateCamera, calibrate_camera),
 }
 
 
-def known(name: str) -> Operation:
+def operation_named(name: str) -> Operation:
     """Return the operation `name`. Raises `TaskFailed` with the known names."""
     if name not in OPERATIONS:
         raise TaskFailed(
@@ -294,12 +306,12 @@ def known(name: str) -> Operation:
 async def _move(work: Work, target: Joints, tilt: Any = None) -> Result:
     work.intend(target)
     await work.go(target, tilt)
-    return {"joints": [round(angle, 6) for angle in work.cell.joints]}
+    return {"joints": [round(angle, 6) for angle in work.unit.joints]}
 
 
 def _require_known_outcome(work: Work) -> None:
     """Raise `TaskFailed` if nobody knows whether the gripper has gripped or released a part."""
-    begun = work.cell.begun
+    begun = work.unit.begun
     if begun is None:
         return
     if begun.kind == "grip":
@@ -319,7 +331,7 @@ def _require_known_outcome(work: Work) -> None:
     raise TaskFailed(outcome_unknown(why) if begun.task == work.task else why)
 
 
-async def _already_picked(work: Work, request: given.Pick, held_part: str) -> Result:
+async def _already_picked(work: Work, request: Pick, held_part: str) -> Result:
     done = work.done_before()
     if done is None and request.part != held_part:
         raise TaskFailed(
@@ -333,7 +345,7 @@ async def _already_picked(work: Work, request: given.Pick, held_part: str) -> Re
     return {"part": held_part, "gripped": True}
 
 
-async def _already_placed(work: Work, request: given.Place) -> Result:
+async def _already_placed(work: Work, request: Place) -> Result:
     done = work.done_before()
     if done is None or done.kind != "released":
         raise TaskFailed(
@@ -343,27 +355,27 @@ async def _already_placed(work: Work, request: given.Place) -> Result:
     return _placed(done.part, done.place, done.pose)
 
 
-async def _leave(work: Work, request: given.Approaching) -> None:
+async def _leave(work: Work, request: Approaching) -> None:
     """Move up from the pose of the gripper's action if the arm is still there after an interruption."""
-    cell = work.cell
-    act = cell.last_act
-    if act is None or cell.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
+    unit = work.unit
+    act = unit.last_act
+    if act is None or unit.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
         return
     raised = _before(work, request, act.pose, request.retreat_m)
-    above = await _reach(work, raised, cell.joints, "the way up")
+    above = await _reach(work, raised, unit.joints, "the way up")
     work.intend(above)
     await _go_near(work, raised, above)
 
 
-def _where_to_pick(work: Work, request: given.Pick) -> Pose:
-    cell = work.cell
+def _where_to_pick(work: Work, request: Pick) -> Pose:
+    unit = work.unit
     if request.pose is not None:
         return request.pose.pose
     if request.part is None and request.bin is not None:
-        if request.bin not in cell.scene.bins:
-            raise TaskFailed(_unknown_bin("pick", request.bin, cell.scene.bins))
-        lying = cell.parts_in(request.bin)
-        if not lying:
+        if request.bin not in unit.scene.bins:
+            raise TaskFailed(_unknown_bin("pick", request.bin, unit.scene.bins))
+        parts = unit.parts_in(request.bin)
+        if not parts:
             raise TaskFailed(
                 message(
                     "robot.bin_empty",
@@ -371,8 +383,8 @@ def _where_to_pick(work: Work, request: given.Pick) -> Pose:
                     bin=request.bin,
                 )
             )
-        return lying[0].pose
-    part = request.part or cell.seen
+        return parts[0].pose
+    part = request.part or unit.seen
     if part is None:
         raise TaskFailed(
             message(
@@ -380,8 +392,8 @@ def _where_to_pick(work: Work, request: given.Pick) -> Pose:
                 'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"',
             )
         )
-    found = cell.contents.find(part)
-    if found is None:
+    lying = unit.contents.find(part)
+    if lying is None:
         raise TaskFailed(
             message(
                 "robot.unknown_part",
@@ -389,29 +401,29 @@ def _where_to_pick(work: Work, request: given.Pick) -> Pose:
                 part=part,
             )
         )
-    return found.pose
+    return lying.pose
 
 
 async def _require_held(work: Work) -> None:
     """Raise `TaskFailed` if the gripper measures that it has lost its part."""
-    cell = work.cell
-    if cell.held is None or cell.robot.is_holding is not False:
+    unit = work.unit
+    if unit.held is None or unit.robot.is_holding is not False:
         return
-    part = await cell.lose()
+    part = await unit.lose()
     raise TaskFailed(
         message(
             "robot.part_slipped",
             '"{part}" slipped out of the gripper near {position}; scan the bin, or take the part away',
             part=part,
-            position=_position(cell.tool_pose),
+            position=_position(unit.tool_pose),
         )
     )
 
 
-async def _where_to_place(work: Work, request: given.Place) -> Pose:
+async def _where_to_place(work: Work, request: Place) -> Pose:
     if request.pose is not None:
         return request.pose.pose
-    fixtures = work.cell.scene.fixtures
+    fixtures = work.unit.scene.fixtures
     name = request.location or ""
     if name not in fixtures:
         raise TaskFailed(
@@ -422,7 +434,7 @@ async def _where_to_place(work: Work, request: given.Place) -> Pose:
                 known=", ".join(fixtures) or "none",
             )
         )
-    nest = await work.cell.nest_in(name)
+    nest = await work.unit.nest_in(name)
     if nest is None:
         raise TaskFailed(
             message(
@@ -436,7 +448,7 @@ async def _where_to_place(work: Work, request: given.Place) -> Pose:
 
 def _with_grip(work: Work, nest: Pose) -> Pose:
     """Return the pose of the tool with the held part in a nest, if it is known how the part is held."""
-    grip, size = work.cell.grip_of_part, work.cell.scene.gripper.part_size_m
+    grip, size = work.unit.grip_of_part, work.unit.scene.gripper.part_size_m
     if grip is None or size is None:
         return nest
     x, y, _ = grip.part.position
@@ -444,14 +456,14 @@ def _with_grip(work: Work, nest: Pose) -> Pose:
     return aside.raised(grip.below_m - size[2] / 2)
 
 
-async def _from_above(work: Work, request: given.Approaching, spot: Pose, what: str) -> tuple[Joints, Joints]:
+async def _from_above(work: Work, request: Approaching, spot: Pose, what: str) -> tuple[Joints, Joints]:
     """Return joints above a spot and at it; in a cell with obstacles, a straight motion connects them."""
-    cell, before = work.cell, _before(work, request, spot, request.approach_m)
-    if not cell.planning.avoids_obstacles:
-        above = await _reach(work, before, cell.joints, f"above {what}")
+    unit, before = work.unit, _before(work, request, spot, request.approach_m)
+    if not unit.planning.avoids_obstacles:
+        above = await _reach(work, before, unit.joints, f"above {what}")
         return above, await _reach(work, spot, above, what)
     try:
-        there, down = await work.plan(lambda planner: planner.approach(cell.joints, before, spot))
+        there, down = await work.plan(lambda planner: planner.approach(unit.joints, before, spot))
     except (Unreachable, NoPath) as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
@@ -459,36 +471,36 @@ async def _from_above(work: Work, request: given.Approaching, spot: Pose, what: 
     return there.target, down.target
 
 
-def _before(work: Work, request: given.Approaching, spot: Pose, distance_m: float | None) -> Pose:
+def _before(work: Work, request: Approaching, spot: Pose, distance_m: float | None) -> Pose:
     """Return the pose from which the tool moves straight to a spot, or to which it leaves."""
-    back_m = distance_m or work.cell.scene.gripper.approach_m
+    back_m = distance_m or work.unit.scene.gripper.approach_m
     if request.along == "vertical":
         return spot.raised(back_m)
     return Pose.of(spot.frame() @ Pose((0.0, 0.0, -back_m), (0.0, 0.0, 0.0, 1.0)).frame())
 
 
-async def _retreat(work: Work, request: given.Approaching, spot: Pose, above: Joints) -> None:
+async def _retreat(work: Work, request: Approaching, spot: Pose, above: Joints) -> None:
     """Leave a spot straight: to `above`, where the tool came from, or as far as the Task says."""
     raised = _before(work, request, spot, request.retreat_m or request.approach_m)
     is_way_back = request.retreat_m in {None, request.approach_m}
-    joints = above if is_way_back else await _reach(work, raised, work.cell.joints, "the way up")
+    joints = above if is_way_back else await _reach(work, raised, work.unit.joints, "the way up")
     await _go_near(work, raised, joints)
 
 
 async def _go_near(work: Work, pose: Pose, joints: Joints) -> None:
     """Move to or from a part: straight where obstacles are known, else to `joints`."""
-    if work.cell.planning.avoids_obstacles:
+    if work.unit.planning.avoids_obstacles:
         await work.go_straight(pose)
     else:
         await work.go(joints)
 
 
 async def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
-    cell = work.cell
+    unit = work.unit
     try:
-        if cell.planning.avoids_obstacles:
+        if unit.planning.avoids_obstacles:
             return await work.plan(lambda planner: planner.nearest_free(pose, near))
-        return cell.model.reach(pose, near)
+        return unit.model.reach(pose, near)
     except (Unreachable, NoPath) as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))

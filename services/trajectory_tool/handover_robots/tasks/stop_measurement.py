@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
 
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.limits.guards import tool_speed_mps
 from handover_robots.limits.store import MeasuredStop
 from handover_robots.model.faults import RobotFault
@@ -45,43 +45,43 @@ class StopMeasurement:
         )
 
 
-async def measure_stop(cell: Cell, target: Joints, speed: float) -> StopMeasurement:
+async def measure_stop(unit: RobotUnit, target: Joints, speed: float) -> StopMeasurement:
     """Move towards `target` at `speed`, and stop in the middle of the way.
 
     The robot must be switched on. Raises `RobotFault` when the tool is too slow to measure.
     """
-    start = cell.joints
+    start = unit.joints
     is_stopping = asyncio.Event()
 
     def pace() -> float:
         return 0.0 if is_stopping.is_set() else 1.0
 
-    moving = asyncio.create_task(_move(cell, target, speed, pace))
+    moving = asyncio.create_task(_move(unit, target, speed, pace))
     clock = asyncio.get_running_loop().time
     samples: list[tuple[float, JointState]] = []
     commanded_s: float | None = None
     while not moving.done():
-        state = cell.robot.state()
+        state = unit.robot.state()
         samples.append((clock(), state))
         if commanded_s is None and _share(start, target, state.positions) >= 0.5:
             commanded_s = clock()
             is_stopping.set()
         await asyncio.sleep(SAMPLE_S)
     await moving
-    samples.append((clock(), cell.robot.state()))
+    samples.append((clock(), unit.robot.state()))
     if commanded_s is None:
         raise RobotFault("the motion was over before the stop; choose a longer one")
-    return _evaluated(cell, samples, commanded_s)
+    return _evaluated(unit, samples, commanded_s)
 
 
-async def _move(cell: Cell, target: Joints, speed: float, pace: Pace) -> bool:
-    if not cell.planning.avoids_obstacles:
-        return await cell.robot.move(target, speed, pace)
-    plan = await cell.planning.plan_motion(lambda planner: planner.to_joints(cell.joints, target))
+async def _move(unit: RobotUnit, target: Joints, speed: float, pace: Pace) -> bool:
+    if not unit.planning.avoids_obstacles:
+        return await unit.robot.move(target, speed, pace)
+    plan = await unit.planning.plan_motion(lambda planner: planner.to_joints(unit.joints, target))
     try:
-        return await cell.robot.follow(plan.trajectory.slowed(speed), pace)
+        return await unit.robot.follow(plan.trajectory.slowed(speed), pace)
     finally:
-        cell.planning.end_motion()
+        unit.planning.end_motion()
 
 
 def _share(start: Joints, target: Joints, here: Joints) -> float:
@@ -90,11 +90,13 @@ def _share(start: Joints, target: Joints, here: Joints) -> float:
     return (here[number] - start[number]) / way if way else 1.0
 
 
-def _evaluated(cell: Cell, samples: list[tuple[float, JointState]], commanded_s: float) -> StopMeasurement:
+def _evaluated(
+    unit: RobotUnit, samples: list[tuple[float, JointState]], commanded_s: float
+) -> StopMeasurement:
     after = [(at_s, state) for at_s, state in samples if at_s >= commanded_s]
-    still = (0.0,) * len(cell.home)
+    still = (0.0,) * len(unit.home)
     speeds = [
-        (at_s, tool_speed_mps(cell.model, Setpoint(state.positions, state.velocities, still)))
+        (at_s, tool_speed_mps(unit.model, Setpoint(state.positions, state.velocities, still)))
         for at_s, state in after
     ]
     speed_mps = speeds[0][1]
@@ -102,6 +104,6 @@ def _evaluated(cell: Cell, samples: list[tuple[float, JointState]], commanded_s:
         raise RobotFault(f"the tool moved at {speed_mps:.3f} m/s only; choose a longer or faster motion")
     slower_s = next((at_s for at_s, mps in speeds if mps < SLOWER * speed_mps), speeds[-1][0])
     rest_s = next((at_s for at_s, mps in speeds if mps < 0.001), speeds[-1][0])
-    poses = [cell.model.tool_pose(state.positions) for _, state in after]
+    poses = [unit.model.tool_pose(state.positions) for _, state in after]
     way_m = sum(one.distance_m(other) for one, other in pairwise(poses))
     return StopMeasurement(speed_mps, slower_s - commanded_s, rest_s - commanded_s, way_m)

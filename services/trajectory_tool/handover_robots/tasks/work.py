@@ -10,7 +10,7 @@ from handover.messages import message, text_of
 from handover.performer import TaskFailed
 from handover_robots.cell.memory import Act
 from handover_robots.cell.motion import BlockedByNeighbour
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose
@@ -45,7 +45,7 @@ class Work:
         self,
         task: str,
         operation: str,
-        cell: Cell,
+        unit: RobotUnit,
         steering: Steering,
         speed: float,
         *,
@@ -55,10 +55,10 @@ class Work:
         self.involves = tuple(involves)
         """The resources of the Task: the robot, and the person with whom it works."""
         self.operation = operation
-        self.cell = cell
+        self.unit = unit
         self._steering = steering
         self._speed = speed
-        self._neighbour_wait_s = cell.neighbour_wait_s
+        self._neighbour_wait_s = unit.neighbour_wait_s
         self._planned: list[float] = []
         self._current_s = 0.0
         self._moving = False
@@ -78,14 +78,14 @@ class Work:
 
     def remaining_s(self) -> float:
         """Return the remaining time without pauses."""
-        return max(self.cell.robot.remaining_s(), self._current_s) + sum(self._planned)
+        return max(self.unit.robot.remaining_s(), self._current_s) + sum(self._planned)
 
     def progress(self) -> float:
         """Return the progress from 0 to 1; it never decreases.
 
         It is unchanged after a stop until it is known whether the robot is at its target.
         """
-        just_at_rest = self._moving and self.cell.robot.remaining_s() == 0.0
+        just_at_rest = self._moving and self.unit.robot.remaining_s() == 0.0
         if self._total_s > 0 and not just_at_rest:
             self._progress = max(self._progress, min(1 - self.remaining_s() / self._total_s, 1.0))
         return self._progress
@@ -98,22 +98,22 @@ class Work:
         """
         self._begin_next()
         while tilt is None and await self._is_straight_way_free(target):
-            self._planned_in = self.cell.planning.revision
+            self._planned_in = self.unit.planning.revision
             if await self._move(target):
-                await self.cell.remember()
+                await self.unit.remember()
                 return
-            await self.cell.remember()
+            await self.unit.remember()
             while not self._steering.may_go():
                 await self._steering.rest()
         await self._follow(lambda planner, here: planner.to_joints(here, target, tilt))
 
     async def _is_straight_way_free(self, target: Joints) -> bool:
         """Return whether the straight way in joint space needs no plan; without the extra none does."""
-        cell = self.cell
-        if cell.planning.avoids_obstacles or not is_available():
-            return not cell.planning.avoids_obstacles
+        unit = self.unit
+        if unit.planning.avoids_obstacles or not is_available():
+            return not unit.planning.avoids_obstacles
         with self._reporting_why_not():
-            return await self.plan(lambda planner: planner.is_straight_free(cell.joints, target))
+            return await self.plan(lambda planner: planner.is_straight_free(unit.joints, target))
 
     async def go_through(self, targets: Sequence[Joints], tilt: "Tilt | None" = None) -> None:
         """Move through all but the last of the targets without a stop; after a pause, through the rest."""
@@ -139,28 +139,28 @@ class Work:
         while True:
             while not self._may_move():
                 await self._rest()
-            self._planned_in = self.cell.planning.revision
+            self._planned_in = self.unit.planning.revision
             plan = await self._plan_from_here(make)
             trajectory = plan.trajectory.slowed(self._speed)
             try:
                 self._begin_motion(trajectory.at, trajectory.duration_s)
                 self._moving, self._current_s = True, 0.0  # from now on the robot has the remaining time
-                if await self.cell.robot.follow(trajectory, self._pace_of_plan):
+                if await self.unit.robot.follow(trajectory, self._pace_of_plan):
                     break
             finally:
                 self._moving = False
-                self.cell.speed.end_motion()
-                self.cell.planning.end_motion()
-            on_stop(plan, self.cell.joints)
-            await self.cell.remember()
-        await self.cell.remember()
+                self.unit.speed.end_motion()
+                self.unit.planning.end_motion()
+            on_stop(plan, self.unit.joints)
+            await self.unit.remember()
+        await self.unit.remember()
 
     async def _plan_from_here(self, make: "Callable[[Planner, Joints], Plan]") -> "Plan":
-        cell = self.cell
+        unit = self.unit
         with self._reporting_why_not():
             return await self._when_neighbours_permit(
-                lambda: cell.planning.plan_motion(
-                    lambda planner: make(planner, cell.model.measured_within(cell.joints))
+                lambda: unit.planning.plan_motion(
+                    lambda planner: make(planner, unit.model.measured_within(unit.joints))
                 )
             )
 
@@ -181,11 +181,11 @@ class Work:
 
     async def plan(self, make: "Callable[[Planner], T]") -> T:
         """Return what `make` plans in the cell. Raises `Unreachable`, `NoPath`, and `UsageError`."""
-        return await self._when_neighbours_permit(lambda: self.cell.planning.plan(make))
+        return await self._when_neighbours_permit(lambda: self.unit.planning.plan(make))
 
     async def _when_neighbours_permit(self, plan: Callable[[], Awaitable[T]]) -> T:
         """Plan; while only another robot is in the way, wait for it and plan again."""
-        clock, space = asyncio.get_running_loop().time, self.cell.planning.space
+        clock, space = asyncio.get_running_loop().time, self.unit.planning.space
         ends_s = clock() + self._neighbour_wait_s
         while True:
             try:
@@ -200,64 +200,64 @@ class Work:
 
     def _pace_of_plan(self) -> float:
         """Return the pace of a planned motion: 0 when the obstacles have changed since."""
-        return self._pace() if self.cell.planning.revision == self._planned_in else 0.0
+        return self._pace() if self.unit.planning.revision == self._planned_in else 0.0
 
     async def _move(self, target: Joints) -> bool:
-        cruise = self.cell.limits.slowed(self._speed)
-        course = Course(self.cell.joints, target, cruise, self.cell.limits, 0.0)
+        cruise = self.unit.limits.slowed(self._speed)
+        course = Course(self.unit.joints, target, cruise, self.unit.limits, 0.0)
         self._begin_motion(course.at, course.remaining_s(0.0))
         self._moving, self._current_s = True, 0.0
         try:
-            arrived = await self.cell.robot.move(target, self._speed, self._pace_of_plan)
+            arrived = await self.unit.robot.move(target, self._speed, self._pace_of_plan)
             if not arrived:
-                self._current_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
+                self._current_s = self.unit.robot.estimate_s(self.unit.joints, target, self._speed)
             return arrived
         finally:
             self._moving = False
-            self.cell.speed.end_motion()
+            self.unit.speed.end_motion()
 
     def _pace(self) -> float:
         """Return the allowed fraction of the speed; after a stop the rest of the motion is still planned."""
-        pace = self.cell.speed.pace() if self._steering.may_go() else 0.0
+        pace = self.unit.speed.pace() if self._steering.may_go() else 0.0
         if pace == 0.0 and self._current_s == 0.0:
-            self._current_s = self.cell.robot.remaining_s()
+            self._current_s = self.unit.robot.remaining_s()
         return pace
 
     def _begin_motion(self, at: Callable[[float], Setpoint], duration_s: float) -> None:
         """Give a motion to the limits. Raises `TaskFailed` for one that exceeds the contact table."""
-        self.cell.speed.begin_motion(at, duration_s)
-        refusal = self.cell.speed.contact_refusal(self.operation)
+        self.unit.speed.begin_motion(at, duration_s)
+        refusal = self.unit.speed.contact_refusal(self.operation)
         if refusal is not None:
             raise TaskFailed(refusal)
 
     def _may_move(self) -> bool:
-        return self._steering.may_go() and rounded_pace(self.cell.speed.pace()) > 0
+        return self._steering.may_go() and rounded_pace(self.unit.speed.pace()) > 0
 
     async def _rest(self) -> None:
         """Rest while the work is paused, or while a limit stops the robot."""
         await self._steering.rest()
-        while self._steering.may_go() and rounded_pace(self.cell.speed.pace()) == 0:  # noqa: ASYNC110
+        while self._steering.may_go() and rounded_pace(self.unit.speed.pace()) == 0:  # noqa: ASYNC110
             await asyncio.sleep(LIMIT_POLL_S)
 
     async def grip(self) -> str | None:
         """Close the gripper; return the gripped part, None (and open again) without one."""
         await self._begin_act()
-        return await self.cell.grip(self.task)
+        return await self.unit.grip(self.task)
 
     async def release(self, place: str | None) -> None:
         """Open the gripper; the part stays at its pose, in the fixture `place` if given."""
         await self._begin_act()
-        await self.cell.release(self.task, place)
+        await self.unit.release(self.task, place)
 
     async def give(self) -> None:
         """Open the gripper; a person takes the part out of the cell."""
         await self._begin_act()
-        await self.cell.give(self.task)
+        await self.unit.give(self.task)
 
     async def take(self, part: str) -> bool:
         """Close the gripper on `part`, which a person holds there; return whether it is gripped."""
         await self._begin_act()
-        return await self.cell.take(self.task, part)
+        return await self.unit.take(self.task, part)
 
     def confirm(self) -> bool:
         """Confirm what the work waits for; return False without a change if it waits for nothing."""
@@ -271,7 +271,7 @@ class Work:
         A pause does not count as time. Raises when the work is cancelled; the gripper is unchanged then.
         """
         await self._begin_act()
-        clock, robot = asyncio.get_running_loop().time, self.cell.robot
+        clock, robot = asyncio.get_running_loop().time, self.unit.robot
         self._confirmed.clear()
         self.awaits_confirmation = True
         at_rest_n, left_s, before_s = robot.wrist_force_n(), timeout_s, clock()
@@ -301,7 +301,7 @@ class Work:
 
     def done_before(self) -> Act | None:
         """Return the gripper's action for this Task in an earlier, interrupted run."""
-        return self.cell.done_for(self.task)
+        return self.unit.done_for(self.task)
 
     async def _begin_act(self) -> None:
         while not self._steering.may_go():
@@ -312,10 +312,10 @@ class Work:
         self._current_s = self._planned.pop(0) if self._planned else 0.0
 
     def _durations(self, steps: tuple[Joints | float, ...]) -> Iterator[float]:
-        here = self.cell.joints
+        here = self.unit.joints
         for step in steps:
             if isinstance(step, tuple):
-                yield self.cell.robot.estimate_s(here, step, self._speed)
+                yield self.unit.robot.estimate_s(here, step, self._speed)
                 here = step
             else:
                 yield step

@@ -147,7 +147,7 @@ async def test_two_people_move_two_robots_of_a_cell_at_once_and_no_task_performs
     app = make_app(TrajectorySettings.load(data_dir=tmp_path, broker_url=broker, cell_file=file))
     async with served(app, port):
         tool = Tool(f"http://127.0.0.1:{port}", app)
-        cells = app.state.controllers.workcell.cells
+        units = app.state.controllers.cell.units
         async with tool.person("left") as anna:
             await anna.hold(**UP)
             await until(lambda: not anna.is_at_rest)
@@ -156,11 +156,11 @@ async def test_two_people_move_two_robots_of_a_cell_at_once_and_no_task_performs
                 start_m, before_m = ben.height_m, anna.height_m
                 await ben.hold(linear=[0.0, 0.0, -0.1])
                 await until(lambda: ben.height_m < start_m - 0.02 and anna.height_m > before_m + 0.01)
-                assert all(cell.in_hand.locked() for cell in cells.values())
-            await until(lambda: not cells["right"].robot.is_moving)
-            assert all(cell.in_hand.locked() for cell in cells.values()), "Anna still moves a robot"
-        await until(lambda: not any(cell.in_hand.locked() for cell in cells.values()))
-        async with cells["left"].in_hand:  # as a Task does
+                assert all(unit.in_hand.locked() for unit in units.values())
+            await until(lambda: not units["right"].robot.is_moving)
+            assert all(unit.in_hand.locked() for unit in units.values()), "Anna still moves a robot"
+        await until(lambda: not any(unit.in_hand.locked() for unit in units.values()))
+        async with units["left"].in_hand:  # as a Task does
             async with connect(tool.address("right"), proxy=None) as socket:
                 await socket.wait_closed()
             assert socket.close_code == 4409

@@ -28,14 +28,14 @@ class Hand:
     ) -> None:
         self.seen: list[tuple[float, Joints]] = []
         self._time, self._session, self._given = worker.time, session, given
-        self._cell = worker.cell
+        self._unit = worker.unit
         self._began_s = self._sent_s = worker.time.time_s
         self._seq = 0
         self._ends_s = math.inf
 
     def send(self, now_s: float) -> None:
         """Send what is due; called at each wait of the robot."""
-        self.seen.append((now_s - self._began_s, self._cell.robot.commanded()))
+        self.seen.append((now_s - self._began_s, self._unit.robot.commanded()))
         if now_s - self._sent_s < EVERY_S - 1e-6:
             return
         self._sent_s = now_s
@@ -55,7 +55,7 @@ class Hand:
 
     def at(self, time_s: float) -> Pose:
         """Return the commanded pose of the tool at a time."""
-        return self._cell.model.tool_pose(self.joints_at(time_s))
+        return self._unit.model.tool_pose(self.joints_at(time_s))
 
     def joints_at(self, time_s: float) -> Joints:
         """Return the commanded joints at a time."""
@@ -63,7 +63,7 @@ class Hand:
 
 
 def session_of(worker: Worker) -> ControlSession:
-    return ControlSession(worker.cell, (), now=lambda: worker.time.time_s)
+    return ControlSession(worker.unit, (), now=lambda: worker.time.time_s)
 
 
 def held(**given: Any) -> dict[str, Any]:
@@ -99,7 +99,7 @@ async def test_a_limit_leads_to_no_wind_up(worker: Worker) -> None:
         async with session_of(worker) as session:
             hand = Hand(worker, session, after_a_release(there_and_back))
             await hand.act(pressed_s + 1.0)
-        limit_rad = worker.cell.model.joints[5].upper
+        limit_rad = worker.unit.model.joints[5].upper
         assert limit_rad is not None
         at_limit = hand.joints_at(pressed_s)[5]
         assert limit_rad - 0.02 < at_limit <= limit_rad, "it is at the limit"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from handover.performer import TaskFailed
 from handover_datamodels.streams import PeopleReport
-from handover_robots.cell.cell import Workcell
+from handover_robots.cell.cell import Cell
 from handover_robots.limits.contact_table import BodyRegion, ContactEntry, ContactSpeed, speed_mps
 from handover_robots.limits.robot_limits import RobotLimits
 from handover_robots.limits.store import LimitStore
@@ -43,13 +43,13 @@ def entry(**values: Any) -> ContactEntry:
     return ContactEntry.model_validate({**ENTRY, **values})
 
 
-def workcell(
+def cell_with(
     folder: Path, contact: dict[str, Any], table: Any = TABLE, clock: Any = None, **scene: Any
-) -> Workcell:
+) -> Cell:
     (folder / "contact.yaml").write_text(table if isinstance(table, str) else yaml.safe_dump(table))
     robots = {"ur10-1": {"contact": {**ENTRY, **contact}}}
     (folder / "cell.yaml").write_text(yaml.safe_dump({"scene": {"name": "cell", **scene}, "robots": robots}))
-    return Workcell(TrajectorySettings.load(data_dir=folder, cell_file=folder / "cell.yaml"), clock)
+    return Cell(TrajectorySettings.load(data_dir=folder, cell_file=folder / "cell.yaml"), clock)
 
 
 def test_the_force_of_the_two_body_model_is_the_limit() -> None:
@@ -122,7 +122,7 @@ def test_a_contact_table_never_raises_a_limit(store: LimitStore, mps: float, vel
 )
 def test_an_invalid_table_is_refused(tmp_path: Path, contact: dict[str, Any], table: Any, fault: str) -> None:
     with pytest.raises(UsageError, match=fault):
-        workcell(tmp_path, contact, table)
+        cell_with(tmp_path, contact, table)
 
 
 async def test_a_motion_is_slowed_down_or_refused(tmp_path: Path, time: JumpingTime) -> None:
@@ -132,21 +132,21 @@ async def test_a_motion_is_slowed_down_or_refused(tmp_path: Path, time: JumpingT
 
     weak = {**HAND, "transient": {"force_n": 0.5}}
     for table, is_refused in ((TABLE, False), ({**TABLE, "regions": {"hand": weak}}, True)):
-        made = workcell(tmp_path, {"moving_mass_kg": 200}, table, time.clock)
+        made = cell_with(tmp_path, {"moving_mass_kg": 200}, table, time.clock)
         async with made:
-            cell = made.only
-            work = Work("task", "moveTo", cell, Steered(), 1.0)
-            target = (cell.joints[0] + 1.5, *cell.joints[1:])
+            unit = made.only
+            work = Work("task", "moveTo", unit, Steered(), 1.0)
+            target = (unit.joints[0] + 1.5, *unit.joints[1:])
             if is_refused:
                 with pytest.raises(TaskFailed, match="contacts with hand, confirmed on 2026-03-02"):
                     await work.go(target)
-                assert cell.joints[0] == pytest.approx(1.5)
+                assert unit.joints[0] == pytest.approx(1.5)
                 return
-            await work.go((1.5, *cell.joints[1:]))
-            lowest = cell.speed.lowest()
+            await work.go((1.5, *unit.joints[1:]))
+            lowest = unit.speed.lowest()
             assert lowest is not None
             assert lowest.rule == "contact"
-            assert cell.speed.pace() < 1.0
+            assert unit.speed.pace() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -157,15 +157,15 @@ async def test_contacts_limit_motions_only_where_people_may_be(
 ) -> None:
     """The arm of the UR10 turns from -x to -y; its tool is 0.7 m from the axis."""
     zone = {"kind": "people", "box": [0.4, 0.4, 2], "position": [-0.2, y, 0.5]}
-    made = workcell(tmp_path, {"moving_mass_kg": 200}, clock=time.clock, zones={"bench": zone})
+    made = cell_with(tmp_path, {"moving_mass_kg": 200}, clock=time.clock, zones={"bench": zone})
     async with made:
-        cell = made.only
-        await Work("task", "moveTo", cell, Freely(), 1.0).go((1.5, *cell.joints[1:]))
-        slowest = min(cell.speed.allowed(), key=lambda each: each.fraction)
+        unit = made.only
+        await Work("task", "moveTo", unit, Freely(), 1.0).go((1.5, *unit.joints[1:]))
+        slowest = min(unit.speed.allowed(), key=lambda each: each.fraction)
         assert (slowest.rule, slowest.fraction < 0.9) == ("contact", is_slow)
-        assert cell.speed.tool_limit_mps() == math.inf
-        (bench,) = cell.speed.zones
-        permitted = cell.speed.contact_speed
+        assert unit.speed.tool_limit_mps() == math.inf
+        (bench,) = unit.speed.zones
+        permitted = unit.speed.contact_speed
         assert permitted is not None
         assert bench.max_tool_speed_mps == permitted.speed_mps, "what limits commanded velocities there"
 

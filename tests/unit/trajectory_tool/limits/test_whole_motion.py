@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from handover_robots.cell.cell import Workcell
-from handover_robots.cell.robot_unit import Cell
+from handover_robots.cell.cell import Cell
+from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.drivers.simulated_robot import SimulatedRobot
 from handover_robots.limits.guards import tool_speed_mps
 from handover_robots.limits.store import MeasuredStop, SafeSpeed
@@ -52,9 +52,9 @@ class Recorded:
         file.write_text(
             yaml.safe_dump({"scene": {"name": "cell", **scene}, "robots": {"ur10-1": {"speed": 1.0}}})
         )
-        self.workcell = Workcell(TrajectorySettings.load(data_dir=folder, cell_file=file), time.clock)
+        self.cell = Cell(TrajectorySettings.load(data_dir=folder, cell_file=file), time.clock)
         self.setpoints: list[Setpoint] = []
-        robot = self.cell.robot
+        robot = self.unit.robot
         assert isinstance(robot, SimulatedRobot)
         self.robot, command = robot, robot.command
 
@@ -62,30 +62,30 @@ class Recorded:
             self.setpoints.append(setpoint)
             command(setpoint)
             if len(self.setpoints) % 5 == 0:  # every 40 ms
-                self.cell.speed.evaluate()
+                self.unit.speed.evaluate()
 
         robot.command = record  # type: ignore[method-assign]
 
     @property
-    def cell(self) -> Cell:
-        return self.workcell.only
+    def unit(self) -> RobotUnit:
+        return self.cell.only
 
     async def move(self, *targets: tuple[float, ...]) -> None:
-        async with self.workcell:
-            work = Work("task", "moveTo", self.cell, Steered(), 1.0)
+        async with self.cell:
+            work = Work("task", "moveTo", self.unit, Steered(), 1.0)
             for target in targets:
                 await work.go(target)
 
     async def servo(self, velocity: Velocity, seconds: float) -> None:
-        async with self.workcell:
+        async with self.cell:
             ends_s = self.robot.clock.now_s() + seconds
             await self.robot.servo(velocity, lambda: self.robot.clock.now_s() >= ends_s, lambda: 1.0)
 
     def speeds(self, within: Callable[[Setpoint], bool] = lambda _: True) -> list[float]:
-        return [tool_speed_mps(self.cell.model, each) for each in self.setpoints[::5] if within(each)]
+        return [tool_speed_mps(self.unit.model, each) for each in self.setpoints[::5] if within(each)]
 
     def is_in(self, zone: Zone) -> Callable[[Setpoint], bool]:
-        return lambda each: zone.contains(self.cell.model.tool_pose(each.positions).position)
+        return lambda each: zone.contains(self.unit.model.tool_pose(each.positions).position)
 
 
 @PLANNED
@@ -93,9 +93,9 @@ async def test_the_tool_is_slow_everywhere_in_a_zone_and_fast_outside(
     tmp_path: Path, time: JumpingTime, is_planned: bool
 ) -> None:
     made = Recorded(tmp_path, time, {"zones": {"bench": BENCH}, "obstacles": POST if is_planned else {}})
-    (zone,) = made.cell.scene.all_zones()
+    (zone,) = made.unit.scene.all_zones()
     stop = MeasuredStop(delay_s=0.052, deceleration_mps2=5.3, measured_at=VALIDATED)
-    await made.cell.speed.set_stop(stop, "Aino")
+    await made.unit.speed.set_stop(stop, "Aino")
     await made.move(AWAY, HOME)
     inside = made.speeds(made.is_in(zone))
     assert len(inside) > 10
@@ -109,14 +109,14 @@ async def test_a_validated_speed_is_never_exceeded(
 ) -> None:
     made = Recorded(tmp_path, time, {"obstacles": POST if is_planned else {}})
     speed = SafeSpeed(end_effector="gripper", speed_mps=0.3, validated_at=VALIDATED)
-    await made.cell.speed.set_safe_speed(speed, "Aino")
+    await made.unit.speed.set_safe_speed(speed, "Aino")
     await made.move(AWAY, HOME)
     assert 0.25 < max(made.speeds()) <= 0.3
 
 
 async def test_commanded_velocities_slow_down_for_a_zone(tmp_path: Path, time: JumpingTime) -> None:
     made = Recorded(tmp_path, time, {"zones": {"bench": BENCH}})
-    (zone,) = made.cell.scene.all_zones()
+    (zone,) = made.unit.scene.all_zones()
     await made.servo(lambda: (1.2, 0.0, 0.0, 0.0, 0.0, 0.0), 3.0)
     inside = made.speeds(made.is_in(zone))
     assert len(inside) > 10
@@ -129,11 +129,11 @@ async def test_a_lower_limit_slows_commanded_velocities_down(tmp_path: Path, tim
 
     def velocity() -> tuple[float, ...]:
         if len(made.setpoints) == 60:
-            made.cell.speed._store.put(
-                "ur10-1", made.cell.speed.record.model_copy(update={"mode": "reduced"})
+            made.unit.speed._store.put(
+                "ur10-1", made.unit.speed.record.model_copy(update={"mode": "reduced"})
             )
         return (0.8, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     await made.servo(velocity, 3.0)
     assert max(made.speeds()) > 0.4
-    assert 0.1 < tool_speed_mps(made.cell.model, made.setpoints[200]) <= 0.25 * 1.001
+    assert 0.1 < tool_speed_mps(made.unit.model, made.setpoints[200]) <= 0.25 * 1.001
