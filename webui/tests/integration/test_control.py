@@ -15,9 +15,9 @@ from handover_robots.app import make_app as make_tool
 from handover_robots.settings import TrajectorySettings
 from handover_web.server import make_app
 from handover_web.settings import WebuiSettings
+from services.trajectory_tool.tests.unit.control.test_session import UP, Person, until
 from tests.kit.asgi_server import served
 from tests.kit.ports import next_free_port
-from tests.unit.trajectory_tool.control.test_session import UP, Person, until
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 from websockets.asyncio.client import connect
 
 from services.device_gateway.tests.integration.conftest import Bench
+from services.trajectory_tool.tests.unit.control.test_session import Person, until
 from tests.kit.waiting import scaled
-from tests.unit.trajectory_tool.control.test_session import Person, until
 
 pytestmark = pytest.mark.slow
 

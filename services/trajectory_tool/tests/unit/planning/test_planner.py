@@ -171,7 +171,7 @@ def test_joints_in_contact_are_refused_with_the_pair(planner: Planner) -> None:
 
 
 def test_a_way_that_is_not_found_in_time_is_refused_with_what_is_in_the_way() -> None:
-    from tests.unit.trajectory_tool.planning.conftest import box, upright
+    from services.trajectory_tool.tests.unit.planning.conftest import box, upright
 
     fences = [box("fence", (3.0, 0.02, 3.0), upright(0.0, side, 0.0)) for side in (-0.4, 0.4)]
     roof = box("roof", (3.0, 3.0, 0.02), upright(0.0, 0.0, 1.0))

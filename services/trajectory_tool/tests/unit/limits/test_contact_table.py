@@ -24,7 +24,7 @@ from handover_robots.robots import ROBOTS
 from handover_robots.scene.scene import Zone
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.work import Work
-from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
+from services.trajectory_tool.tests.unit.conftest import Freely, JumpingTime
 
 UR10 = ROBOTS.load("ur10")
 HAND = {"mass_kg": 0.6, "stiffness_n_per_mm": 75, "transient": {"force_n": 280}, "clamped": {"force_n": 140}}

@@ -12,7 +12,7 @@ from handover_datamodels.streams import HumanInput
 from handover_robots.control.session import ControlSession
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose, Vector
-from tests.unit.trajectory_tool.conftest import Worker
+from services.trajectory_tool.tests.unit.conftest import Worker
 
 EVERY_S = 0.02
 TIMEOUT_S = 0.1

@@ -7,7 +7,7 @@ import pytest
 from handover_robots.driver_contract import RobotContract
 from handover_robots.model.joints import Joints
 from handover_robots.robots.ur10 import ROBOT
-from tests.integration.trajectory_tool.universal_robots.conftest import HOME
+from services.trajectory_tool.tests.integration.universal_robots.conftest import HOME
 from tests.kit.ur_controllers import RunningController
 
 pytestmark = pytest.mark.slow

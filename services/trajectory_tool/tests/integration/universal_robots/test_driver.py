@@ -28,7 +28,7 @@ from handover_robots.universal_robots.options import UrOptions, with_environment
 from handover_robots.universal_robots.routes import view_of
 from handover_robots.universal_robots.simulator.controller import SimulatedController
 from handover_robots.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
-from tests.integration.trajectory_tool.universal_robots.conftest import HOME, NewRobot
+from services.trajectory_tool.tests.integration.universal_robots.conftest import HOME, NewRobot
 from tests.kit.ur_controllers import RunningController
 from tests.kit.waiting import until, wait_for
 

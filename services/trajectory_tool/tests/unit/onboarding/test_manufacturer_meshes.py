@@ -35,8 +35,8 @@ from handover_robots.onboarding.enclosure import measure_shapes
 from handover_robots.onboarding.meshes import read_surfaces
 from handover_robots.planning.arm import Arm
 from handover_robots.planning.planner import Planner
+from services.trajectory_tool.tests.unit.onboarding.test_add import arm, box_mesh, joint, link, robot, stl
 from tests.kit.paths import REPOSITORY
-from tests.unit.trajectory_tool.onboarding.test_add import arm, box_mesh, joint, link, robot, stl
 
 MANUFACTURERS = Path(os.environ.get("HANDOVER_ROBOT_MESHES", REPOSITORY.parent / "shared/data/robots"))
 MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'

@@ -8,7 +8,7 @@ import pytest
 
 from handover_datamodels.entities import TaskStatus
 from handover_robots.universal_robots.states import RuntimeState, SafetyStatus
-from tests.integration.trajectory_tool.test_tasks import AWAY, HOME, Shop, at_work
+from services.trajectory_tool.tests.integration.test_tasks import AWAY, HOME, Shop, at_work
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController
 from tests.kit.waiting import until

@@ -19,7 +19,7 @@ from handover_robots.planning import is_available
 from handover_robots.scene.scene import Zone
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.work import Work
-from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
+from services.trajectory_tool.tests.unit.conftest import Freely, JumpingTime
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 AWAY = (2.6, -1.2, 1.9, -2.0, -1.4, 0.5)
