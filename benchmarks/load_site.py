@@ -16,9 +16,9 @@ import orjson
 import psutil
 
 from benchmarks.handover import free_ports
+from handover.network.tls_trust import client_context
 from handover.security.permissions import Grant, Role
 from handover.security.secret_tokens import is_secret_token
-from handover.tls_trust import client_context
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
 from handover_accounts import sessions, users
 from handover_accounts.grants import add_grant

@@ -26,7 +26,7 @@ import orjson
 import psutil
 
 from benchmarks.handover import free_ports
-from handover.http_client import BodyReadingHttpClient, SendError
+from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover_accounts.set_up import set_up
 from handover_accounts.settings import AccountsSettings
 

@@ -210,7 +210,7 @@ class Entity(BaseModel):
 class ProcessDefinition(Entity):
     """A process model: its BPMN 2.0, as XML or as the URL of the XML.
 
-    Definitions that a component of ours has written have a `content_digest` (`handover.content_digest`).
+    Definitions of our components have a `content_digest` (`handover.files.content_digest`).
     """
 
     name: Property[str]

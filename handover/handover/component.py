@@ -11,8 +11,8 @@ from fastapi import FastAPI
 from handover.broker import BrokerClient
 from handover.performer import Performer
 from handover.security.guard import Guard
-from handover.service import create_app
-from handover.serving import serve as serve_app
+from handover.serving.server import serve as serve_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 
 

@@ -17,13 +17,13 @@ from enum import Enum
 from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.device_lease import DeviceLease, LeaseState
 from handover.errors import HandoverError
-from handover.finished_tasks import FinishedTasks
 from handover.messages import message, with_code
-from handover.outcomes import outcome_unknown
-from handover.retry import retry
-from handover.task_life import FINISHED, is_legal, is_news
+from handover.runtime.retry import retry
+from handover.tasks.device_lease import DeviceLease, LeaseState
+from handover.tasks.finished_tasks import FinishedTasks
+from handover.tasks.outcomes import outcome_unknown
+from handover.tasks.task_life import FINISHED, is_legal, is_news
 from handover.telemetry import get_logger
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_datamodels.numbers import not_finite_place

@@ -35,21 +35,21 @@ from urllib.parse import urlsplit
 from fastapi import FastAPI, Request, Response
 from prometheus_client import Counter, Histogram
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.cells import OtherCells
-from handover.device_lease import DeviceLeases
-from handover.finished_tasks import End, FinishedTasks
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone, finite_outputs
 from handover.messages import message, with_code
-from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
-from handover.outcomes import outcome_unknown
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
-from handover.retry import retry
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import retry
 from handover.settings import Settings
-from handover.subscription_record import SubscriptionRecord
-from handover.task_life import FINISHED, STARTED, UNFINISHED_QUERY
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
+from handover.subscriptions.record import SubscriptionRecord
+from handover.tasks.device_lease import DeviceLeases
+from handover.tasks.finished_tasks import End, FinishedTasks
+from handover.tasks.outcomes import outcome_unknown
+from handover.tasks.task_life import FINISHED, STARTED, UNFINISHED_QUERY
 from handover.telemetry import get_logger, working_on
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso

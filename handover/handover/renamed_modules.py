@@ -1,8 +1,9 @@
 """Imports by the names that modules had before each part got an import package and folders, until 1.0.
 
 `handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
-a checkout, these would find the folders `datamodels` and `services` as namespace packages. Whatever else has
-such a name is preferred: a package or module of the user, and what a namespace package of the user contains.
+a checkout, these would find the folders `datamodels` and `services` as namespace packages. For modules of the
+kit, it is asked after other finders (`handover/__init__.py`). Whatever else has such a name is preferred: a
+package or module of the user, and what a namespace package of the user contains.
 
 An old name is the module of the new name, the same object, so that its classes are the same too:
 
@@ -43,6 +44,66 @@ RENAMED: Final = {
 }
 """The packages by their old names."""
 MOVED: Final = {
+    "handover.alert_catalogue": "handover.alerts.catalogue",
+    "handover.api_description": "handover.http.api_description",
+    "handover.api_docs": "handover.http.api_docs",
+    "handover.background_tasks": "handover.runtime.background_tasks",
+    "handover.body_limit": "handover.http.body_limit",
+    "handover.broker_abilities": "handover.broker.abilities",
+    "handover.broker_credentials": "handover.broker.credentials",
+    "handover.broker_identity": "handover.broker.identity",
+    "handover.cells": "handover.broker.cells",
+    "handover.certificate_watch": "handover.serving.certificate_watch",
+    "handover.client_networks": "handover.network.client_networks",
+    "handover.clocks": "handover.runtime.clocks",
+    "handover.content_digest": "handover.files.content_digest",
+    "handover.control_leasing": "handover.control.leasing",
+    "handover.control_session": "handover.control.session",
+    "handover.database_outage": "handover.database.outage",
+    "handover.device_lease": "handover.tasks.device_lease",
+    "handover.durable_files": "handover.files.durable_files",
+    "handover.durations": "handover.formats.durations",
+    "handover.event_log": "handover.tasks.event_log",
+    "handover.finished_tasks": "handover.tasks.finished_tasks",
+    "handover.folder_lock": "handover.files.folder_lock",
+    "handover.free_values": "handover.formats.free_values",
+    "handover.garbage_collection": "handover.runtime.garbage_collection",
+    "handover.http_client": "handover.network.http_client",
+    "handover.http_protocol": "handover.http.protocol",
+    "handover.latest_value_writer": "handover.broker.latest_value_writer",
+    "handover.leadership": "handover.serving.leadership",
+    "handover.log_files": "handover.logs.log_files",
+    "handover.mcap_files": "handover.formats.mcap_files",
+    "handover.migrations": "handover.database.migrations",
+    "handover.notifications": "handover.subscriptions.notifications",
+    "handover.offload": "handover.runtime.offload",
+    "handover.origin_guard": "handover.http.origin_guard",
+    "handover.outbound_policy": "handover.network.outbound_policy",
+    "handover.outcomes": "handover.tasks.outcomes",
+    "handover.own_subscriptions": "handover.subscriptions.own_subscriptions",
+    "handover.ports": "handover.runtime.ports",
+    "handover.private_files": "handover.files.private_files",
+    "handover.python_processes": "handover.runtime.python_processes",
+    "handover.repeated_lines": "handover.logs.repeated_lines",
+    "handover.reporting_writer": "handover.alerts.reporting_writer",
+    "handover.resync": "handover.broker.resync",
+    "handover.retry": "handover.runtime.retry",
+    "handover.robot_xml": "handover.formats.robot_xml",
+    "handover.ros_dds": "handover.formats.ros_dds",
+    "handover.service": "handover.serving.service",
+    "handover.specification": "handover.tasks.specification",
+    "handover.specification_table": "handover.tasks.specification_table",
+    "handover.sqlite_files": "handover.database.sqlite_files",
+    "handover.sqlite_integrity": "handover.database.sqlite_integrity",
+    "handover.storage": "handover.serving.storage",
+    "handover.strict_json": "handover.formats.strict_json",
+    "handover.subscription_record": "handover.subscriptions.record",
+    "handover.tables": "handover.formats.tables",
+    "handover.task_life": "handover.tasks.task_life",
+    "handover.tls_trust": "handover.network.tls_trust",
+    "handover.validation": "handover.formats.validation",
+    "handover.watchdog": "handover.serving.watchdog",
+    "handover.websocket_closing": "handover.http.websocket_closing",
     "handover_robots.contents": "handover_robots.scene.contents",
     "handover_robots.cycles": "handover_robots.driver_base.control_thread",
     "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",
@@ -88,17 +149,26 @@ def moved_file(path: Path) -> Path:
 
 def new_name(name: str) -> str | None:
     """Return the new name of a module; None if `name` is no old name."""
-    present = _in_new_package(name)
-    return MOVED.get(present or name, present)
+    part = _renamed_part(name)
+    return None if part is None else part[1] + name[len(part[0]) :]
 
 
-def _in_new_package(name: str) -> str | None:
+def _renamed_part(name: str) -> tuple[str, str] | None:
+    """Return the longest beginning of `name` that has a new name, and that name; None without one."""
     package = name
     while package:
-        if package in RENAMED:
-            return RENAMED[package] + name[len(package) :]
+        present = next(
+            (new + package[len(old) :] for old, new in RENAMED.items() if _is_in(package, old)), None
+        )
+        new = MOVED.get(present or package) or (present if package in RENAMED else None)
+        if new is not None:
+            return package, new
         package = package.rpartition(".")[0]
     return None
+
+
+def _is_in(name: str, package: str) -> bool:
+    return name == package or name.startswith(f"{package}.")
 
 
 def find_spec(
@@ -171,10 +241,7 @@ class _Renamed(InspectLoader):
 
     def exec_module(self, module: ModuleType) -> None:
         name = module.__name__
-        old, new = name, self._new
-        if (_in_new_package(name) or name) not in MOVED:
-            old = next(package for package in RENAMED if name == package or name.startswith(f"{package}."))
-            new = RENAMED[old]
+        old, new = _renamed_part(name) or (name, self._new)
         if old not in _warned:
             _warned.add(old)
             warnings.warn(

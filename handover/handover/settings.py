@@ -23,7 +23,7 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
 from handover.errors import UsageError
-from handover.outbound_policy import OutboundPolicy, is_loopback
+from handover.network.outbound_policy import OutboundPolicy, is_loopback
 from handover.renamed_modules import moved_file
 
 PREFIX = "HANDOVER_"

@@ -13,8 +13,8 @@ from typing import Any, Final, cast
 import structlog
 from structlog.typing import Processor
 
-from handover.log_files import LogFileHandler, own_log
-from handover.repeated_lines import RepeatedLines
+from handover.logs.log_files import LogFileHandler, own_log
+from handover.logs.repeated_lines import RepeatedLines
 from handover.settings import Settings
 
 _LOGGED: Final = "handover_logged"

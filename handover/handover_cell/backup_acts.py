@@ -22,7 +22,7 @@ from handover.backup.archive import (
 )
 from handover.backup.sqlite_snapshot import SqliteSnapshot, is_database
 from handover.errors import UsageError
-from handover.private_files import UMASK
+from handover.files.private_files import UMASK
 from handover.settings import Settings
 from handover_broker.settings import DATABASE
 from handover_cell.check import check_database, databases

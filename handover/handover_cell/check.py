@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
+from handover.database.sqlite_files import REMEDY, faults_of, is_damage, renew_marks, require_sound
+from handover.database.sqlite_integrity.marks import compare
+from handover.database.sqlite_integrity.stamp import stamp_of
 from handover.errors import UsageError
-from handover.private_files import faults_of as faults_of_files
-from handover.private_files import owner_of
-from handover.sqlite_files import REMEDY, faults_of, is_damage, renew_marks, require_sound
-from handover.sqlite_integrity.marks import compare
-from handover.sqlite_integrity.stamp import stamp_of
+from handover.files.private_files import faults_of as faults_of_files
+from handover.files.private_files import owner_of
 from handover_broker.settings import DATABASE
 from handover_cell.launching.foreground import DataDir, say, settings_in
 

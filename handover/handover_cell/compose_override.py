@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import yaml
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 
 INIT: Final = "init"
 OVERRIDE_FILE: Final = "docker-compose.override.yml"

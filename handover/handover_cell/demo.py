@@ -13,9 +13,9 @@ import httpx
 from handover.broker import BrokerClient, BrokerError
 from handover.command_line.access import AccessAuth, cli_access
 from handover.errors import UsageError
-from handover.python_processes import module_command
+from handover.network.tls_trust import client_context
+from handover.runtime.python_processes import module_command
 from handover.settings import Settings
-from handover.tls_trust import client_context
 from handover_cell.launching.launcher import Launcher
 from handover_cell.obstacles import obstacle
 from handover_cell.progress import ProgressPrinter, Say

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from handover.task_life import performers_of
+from handover.tasks.task_life import performers_of
 from handover_datamodels.entities import Outcome, Task, TaskStatus
 
 Say = Callable[[str], None]

@@ -14,7 +14,7 @@ import typer
 
 from handover.command_line import secrets
 from handover.errors import UsageError
-from handover.outbound_policy import address_of
+from handover.network.outbound_policy import address_of
 from handover.service_addresses import PageAddress
 from handover.settings import Settings
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles

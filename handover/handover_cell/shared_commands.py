@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from handover.command_line.parameters import parse_parameter
 from handover.errors import UsageError
-from handover.tls_trust import client_context
+from handover.network.tls_trust import client_context
 
 robot_check = typer.Typer()
 bridge_device = typer.Typer()

@@ -1,6 +1,6 @@
 """Run the ROS bridge: `python -m handover_ros`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_ros.app import make_app
 from handover_ros.settings import BridgeSettings
 

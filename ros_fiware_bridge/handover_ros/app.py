@@ -9,12 +9,12 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.messages import message
-from handover.notifications import REQUIRES_NOTIFICATION_KEY
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_ros import mapping, robot_sockets
 from handover_ros.graph.joining import load_adapter
 from handover_ros.inspection import graph_view

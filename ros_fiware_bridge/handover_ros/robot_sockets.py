@@ -14,11 +14,11 @@ from fastapi import FastAPI
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from handover.formats.validation import fault_text
+from handover.http.websocket_closing import close_websocket
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
-from handover.validation import fault_text
-from handover.websocket_closing import close_websocket
 from handover_datamodels.arm_stream import ARM_COMMANDS, ArmJoints, ArmSetup
 from handover_datamodels.humanoid_link import LINK_STATES, LinkSetup, LinkWish
 from handover_datamodels.humanoid_stream import HUMANOID_COMMANDS, HumanoidSetup, HumanoidState

@@ -16,7 +16,7 @@ import httpx
 import orjson
 import pytest
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from tests.kit import processes
 from tests.kit.cell import Cell
 from tests.kit.other_broker.running import context_link

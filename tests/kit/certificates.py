@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from handover.tls_trust import client_context
+from handover.network.tls_trust import client_context
 from handover.transport_security import local_authority
 from handover.transport_security.local_authority import CLOCK_TOLERANCE, LocalAuthority, ServerFiles
 from tests.kit.processes import is_up

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from tests.kit import processes
 from tests.kit.cell import MODULES, Cell, new_cell
 from tests.kit.other_broker import running

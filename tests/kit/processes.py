@@ -17,7 +17,7 @@ from typing import Protocol
 
 import httpx
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from handover_cell.launching import fork_server
 from tests.kit import lifeline
 from tests.kit.private_network import is_private

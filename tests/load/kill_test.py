@@ -26,7 +26,7 @@ from typing import Any
 import httpx
 import orjson
 
-from handover.outcomes import OUTCOME_UNKNOWN
+from handover.tasks.outcomes import OUTCOME_UNKNOWN
 from services.task_orchestrator.tests.integration.cell import Cell, cell
 from services.task_orchestrator.tests.integration.test_elements import CASES as ELEMENTS
 from services.task_orchestrator.tests.integration.test_elements import Case

@@ -1,6 +1,6 @@
 """Run the web UI server: `python -m handover_web`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_web.server import make_app
 from handover_web.settings import WebuiSettings
 

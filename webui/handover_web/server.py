@@ -14,11 +14,13 @@ from fastapi import FastAPI, Query, Request, Response, WebSocket
 from pydantic import ConfigDict, Field
 from starlette.types import ASGIApp
 
-from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.distribution import version
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.body_limit import max_body
+from handover.network.tls_trust import client_context
 from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import (
@@ -30,7 +32,6 @@ from handover.security.guard import (
     require_somewhere,
 )
 from handover.security.permissions import Permission
-from handover.service import ANY_TYPE, accepts, create_app, method_not_allowed, methods_of
 from handover.service_addresses import (
     ASSISTIVE_DEVICES,
     BROKER,
@@ -39,9 +40,8 @@ from handover.service_addresses import (
     TRAJECTORY,
     WHOLE_BODY_CONTROL,
 )
-from handover.storage import storage_check
-from handover.strict_json import StrictModel
-from handover.tls_trust import client_context
+from handover.serving.service import ANY_TYPE, accepts, create_app, method_not_allowed, methods_of
+from handover.serving.storage import storage_check
 from handover_web.http.control_proxy import ControlProxy
 from handover_web.http.other_broker import OtherBroker
 from handover_web.http.page_files import PageFiles

@@ -14,8 +14,8 @@ import httpx
 
 from handover.errors import Problem, UsageError
 from handover.messages import message
-from handover.python_processes import module_command
-from handover.retry import Backoff
+from handover.runtime.python_processes import module_command
+from handover.runtime.retry import Backoff
 from handover.security.glove_token import site_glove_token
 from handover.security.service_access import ServiceAccess
 from handover.service_addresses import CONTROLLER

@@ -58,7 +58,7 @@ class Manifest:
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Size, SHA-256 and mode of each file, by its name in the archive."""
     marked: list[str] = field(default_factory=list)
-    """The SQLite databases that have marks beside them (`handover.sqlite_integrity`)."""
+    """The SQLite databases that have marks beside them (`handover.database.sqlite_integrity`)."""
     left_out: list[str] = field(default_factory=list)
     """What belongs to the cell and is not in the backup, one line each."""
     settings: dict[str, str] = field(default_factory=dict)

@@ -10,7 +10,7 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import UsageError
 
 _TABLES: Final = (

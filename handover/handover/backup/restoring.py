@@ -10,9 +10,9 @@ from typing import Final
 from handover.backup import postgres
 from handover.backup.archive import DATA, POSTGRES, SETTINGS, Head, Manifest, read_archive
 from handover.backup.contents import DATA_DIR
+from handover.database.sqlite_files import renew_marks
 from handover.errors import UsageError
-from handover.folder_lock import holders_in
-from handover.sqlite_files import renew_marks
+from handover.files.folder_lock import holders_in
 
 SETTINGS_FILE: Final = "restored.env"
 SETTINGS_FOLDER: Final = "restored"

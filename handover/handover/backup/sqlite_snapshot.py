@@ -5,9 +5,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+from handover.database.sqlite_files import faults_of
+from handover.database.sqlite_integrity.stamp import stamp_of
 from handover.errors import UsageError
-from handover.sqlite_files import faults_of
-from handover.sqlite_integrity.stamp import stamp_of
 
 _MAGIC: Final = b"SQLite format 3\0"
 

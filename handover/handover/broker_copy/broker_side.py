@@ -25,12 +25,12 @@ from handover.broker import (
     NotFound,
     is_presence,
 )
+from handover.broker.identity import BrokerIdentity
 from handover.broker_copy.entity_form import Json, expanded, has_instances, types_of, with_terms
-from handover.broker_identity import BrokerIdentity
 from handover.errors import HandoverError
-from handover.free_values import with_texts, without_texts
-from handover.http_client import HttpResponse
-from handover.retry import backoff_delay_s
+from handover.formats.free_values import with_texts, without_texts
+from handover.network.http_client import HttpResponse
+from handover.runtime.retry import backoff_delay_s
 from handover.settings import Settings
 from handover_datamodels.contexts import CORE_URL, ContextNotAvailable, TermMap, term_map
 from handover_datamodels.contexts.term_map import DEFAULT_VOCAB

@@ -20,8 +20,8 @@ from handover.broker import BrokerError, BrokerUnavailable, NotFound
 from handover.broker_copy.broker_side import CONTEXTS, BrokerSide, as_json, as_object, in_path
 from handover.broker_copy.entity_form import Json
 from handover.broker_copy.report import Counts, TenantReport
-from handover.notifications import KEY_HEADER
 from handover.settings import STARS
+from handover.subscriptions.notifications import KEY_HEADER
 
 API: Final = "/ngsi-ld/v1"
 HOSTED: Final = "Hosted"

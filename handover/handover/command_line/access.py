@@ -7,9 +7,9 @@ from typing import Any, Final
 import httpx
 
 from handover.errors import UsageError
+from handover.network.tls_trust import client_context, handshake_fault, speaks_tls
 from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.settings import Settings
-from handover.tls_trust import client_context, handshake_fault, speaks_tls
 
 NAME: Final = "cli"
 

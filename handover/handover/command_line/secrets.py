@@ -13,8 +13,8 @@ from pathlib import Path
 
 import typer
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.security.glove_token import GLOVE_TOKEN_SECRET
 from handover.settings import SECRETS_DIR, Settings
 

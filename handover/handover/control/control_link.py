@@ -15,7 +15,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
 from handover.control.latest_input import LatestInput
-from handover.tls_trust import tls_of
+from handover.network.tls_trust import tls_of
 
 OPEN_TIMEOUT_S: Final = 3.0
 CLOSE_TIMEOUT_S: Final = 1.0

@@ -18,8 +18,8 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from handover.control.speed_limits import Allowed, RefusedReport, SpeedLimits
 from handover.errors import HandoverError
-from handover.retry import Backoff
-from handover.tls_trust import tls_of
+from handover.network.tls_trust import tls_of
+from handover.runtime.retry import Backoff
 from handover_datamodels.streams import SpeedLimitReport
 
 OPEN_TIMEOUT_S: Final = 3.0

@@ -12,8 +12,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.settings import PUBLIC_KEYS_FILE, SERVICE_TOKENS_FOLDER, SIGNING_KEYS_FILE, Settings
 from handover.telemetry import get_logger
 

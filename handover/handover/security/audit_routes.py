@@ -12,12 +12,12 @@ from fastapi import Depends, FastAPI, Query, Response
 from sqlalchemy import Connection
 from typing_extensions import TypedDict
 
-from handover.api_description import sends
+from handover.formats.tables import csv_table
+from handover.http.api_description import sends
 from handover.security.audit import AuditFilter, AuditLog, AuditRecord
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.tables import csv_table
 from handover_datamodels.times import iso
 
 MAX_RECORDS: Final = 500

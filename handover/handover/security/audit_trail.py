@@ -45,12 +45,12 @@ from typing import Any, Final, Self
 from sqlalchemy import Connection, Engine, MetaData
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import connect
-from handover.database_outage import database_reason
+from handover.database.migrations import migrate
+from handover.database.outage import database_reason
 from handover.errors import Problem, UsageError
-from handover.migrations import migrate
-from handover.retry import Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff
 from handover.security.audit import INTENDED, AuditLog, AuditTables
 from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import READING, Permission

@@ -15,10 +15,10 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from handover.background_tasks import BackgroundTasks
-from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
-from handover.retry import Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.clocks import Lifetime
+from handover.runtime.retry import Backoff
 from handover.security.accounts_mark import AccountsMark
 from handover.security.audit_trail import current_request
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind, InvalidToken

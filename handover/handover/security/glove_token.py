@@ -12,8 +12,8 @@ from typing import Final
 
 from pydantic import SecretStr
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.security.secret_tokens import new_token
 from handover.telemetry import get_logger
 

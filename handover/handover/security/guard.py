@@ -15,8 +15,8 @@ from starlette.requests import HTTPConnection
 from starlette.routing import BaseRoute, Mount
 from starlette.types import Scope
 
-from handover.api_docs import DOCS_PATHS
 from handover.errors import Problem
+from handover.http.api_docs import DOCS_PATHS
 from handover.security.audit_trail import AuditedRequest, AuditTrail, current_request
 from handover.security.authentication import Guard
 from handover.security.caller import Caller, CallerKind
@@ -136,7 +136,7 @@ def _used(caller: Caller, permission: Permission, resources: Resources) -> str:
 class OtherCredential:
     """A FastAPI dependency that marks a route whose handler checks another credential than a token.
 
-    The broker sends the key of the subscription, for example (`handover.notifications`).
+    The broker sends the key of the subscription, for example (`handover.subscriptions.notifications`).
     """
 
     def __init__(self, credential: str) -> None:

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
-from handover.origin_guard import host_and_port
-from handover.outbound_policy import is_loopback
+from handover.http.origin_guard import host_and_port
+from handover.network.outbound_policy import is_loopback
 
 _FORWARDED_PREFIX: Final = b"\nx-forwarded-"
 

@@ -1,7 +1,7 @@
 """What a server needs that other machines can reach: TLS and accounts."""
 
 from handover.errors import UsageError
-from handover.outbound_policy import is_loopback
+from handover.network.outbound_policy import is_loopback
 from handover.security.keys_in_force import KeysInForce
 from handover.settings import Settings
 

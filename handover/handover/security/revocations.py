@@ -9,7 +9,7 @@ refuses whatever moves or changes something, since it may have missed a revocati
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
-from handover.clocks import steady_s
+from handover.runtime.clocks import steady_s
 from handover.security.caller import Caller
 
 MAX_SILENCE_S: Final = 5.0

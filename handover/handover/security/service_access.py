@@ -16,9 +16,9 @@ from typing import Any, Final, Self
 
 import orjson
 
-from handover.clocks import Lifetime
 from handover.errors import HandoverError, UsageError
-from handover.http_client import BodyReadingHttpClient, HttpResponse, NoResponse, SendError
+from handover.network.http_client import BodyReadingHttpClient, HttpResponse, NoResponse, SendError
+from handover.runtime.clocks import Lifetime
 from handover.security.caller import CallerKind
 from handover.security.keys_in_force import KeysInForce
 from handover.security.secret_tokens import is_secret_token, kind_of

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from handover.errors import UsageError
-from handover.outbound_policy import is_loopback
+from handover.network.outbound_policy import is_loopback
 from handover.settings import Settings
 from handover.telemetry import get_logger
 

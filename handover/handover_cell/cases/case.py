@@ -12,9 +12,9 @@ import httpx
 from handover.command_line.access import AccessAuth, cli_access
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint, Service
+from handover.network.tls_trust import client_context
 from handover.service_addresses import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE
 from handover.settings import Settings
-from handover.tls_trust import client_context
 from handover_cases.machine import CASES, Case
 from handover_cases.trial import Trial
 from handover_cell.launching.launcher import Launcher

@@ -26,7 +26,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 
 PRELOADED: Final = (
     "croniter",
@@ -52,8 +52,8 @@ PRELOADED: Final = (
     "handover_datamodels.entities",
     "handover.broker",
     "handover.performer",
-    "handover.serving",
-    "handover.storage",
+    "handover.serving.server",
+    "handover.serving.storage",
 )
 """None of them may start a thread: a forked process would lack it (NumPy's linear algebra does)."""
 LIMITS: Final = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE)

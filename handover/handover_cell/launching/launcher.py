@@ -19,15 +19,15 @@ import httpx
 
 from handover.errors import UsageError
 from handover.extensions import Service
-from handover.log_files import LOG_FILE, open_log, rotate
-from handover.outbound_policy import is_loopback
-from handover.ports import held
-from handover.python_processes import module_command
-from handover.retry import Backoff
+from handover.logs.log_files import LOG_FILE, open_log, rotate
+from handover.network.outbound_policy import is_loopback
+from handover.network.tls_trust import client_context, handshake_fault
+from handover.runtime.ports import held
+from handover.runtime.python_processes import module_command
+from handover.runtime.retry import Backoff
 from handover.service_addresses import BROKER, ORCHESTRATOR
+from handover.serving.watchdog import Watchdog
 from handover.settings import LIFELINE, RESTARTED, Settings
-from handover.tls_trust import client_context, handshake_fault
-from handover.watchdog import Watchdog
 from handover_broker.settings import BrokerSettings
 from handover_cell.launching.processes import Process, ProcessStarter
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Protocol
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 
 if sys.platform == "linux":
     from handover_cell.launching import fork_server

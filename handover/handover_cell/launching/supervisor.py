@@ -13,8 +13,8 @@ import sys
 from collections.abc import Callable
 
 from handover.errors import UsageError
+from handover.serving.watchdog import Watchdog
 from handover.settings import LIFELINE, RESTARTED, Settings
-from handover.watchdog import Watchdog
 
 LOOK_EVERY_S = 0.1
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)

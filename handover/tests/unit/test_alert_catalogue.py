@@ -2,8 +2,8 @@
 
 import re
 
-from handover import alert_catalogue
-from handover.alert_catalogue import CATALOGUE, AlertCategory, AlertType, as_markdown
+from handover.alerts import catalogue as alert_catalogue
+from handover.alerts.catalogue import CATALOGUE, AlertCategory, AlertType, as_markdown
 from tests.kit.paths import REPOSITORY
 
 

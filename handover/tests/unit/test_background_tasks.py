@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 
 
 async def test_a_failed_task_is_reported_and_the_others_continue() -> None:

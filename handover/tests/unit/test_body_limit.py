@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator
 import httpx
 import pytest
 
-from handover.body_limit import DEFAULT_MAX_BODY_BYTES, max_body
-from handover.service import MAX_FAULTS_LISTED, create_app
+from handover.http.body_limit import DEFAULT_MAX_BODY_BYTES, max_body
+from handover.serving.service import MAX_FAULTS_LISTED, create_app
 
 TOO_LARGE = b"[" + b"1," * (DEFAULT_MAX_BODY_BYTES // 2) + b"1]"
 

@@ -12,7 +12,7 @@ from handover.broker import (
     BrokerUnreachable,
     NotFound,
 )
-from handover.broker_identity import CONTEXT_PATH
+from handover.broker.identity import CONTEXT_PATH
 from handover.settings import Settings
 from handover_datamodels.contexts import handover_context
 

@@ -8,7 +8,7 @@ import re2
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from handover.cells import MAX_PATTERN_LENGTH, cell_of, ids_without
+from handover.broker.cells import MAX_PATTERN_LENGTH, cell_of, ids_without
 from handover.settings import Settings
 
 names = st.from_regex(r"[A-Za-z0-9_.-]{1,12}", fullmatch=True)

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.clocks import SET_BACK_S, Lifetime, SteadyTime, steady_s
+from handover.runtime.clocks import SET_BACK_S, Lifetime, SteadyTime, steady_s
 
 SECONDS = st.floats(0, 1e5)
 JUMPS = st.floats(-1e5, 1e5)

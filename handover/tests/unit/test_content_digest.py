@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from handover.content_digest import digest_of, is_ours, with_digest
+from handover.files.content_digest import digest_of, is_ours, with_digest
 
 ENTITY = {
     "id": "urn:ngsi-ld:TaskDefinition:demo:pick",

@@ -15,8 +15,8 @@ import pytest
 from sqlalchemy import text
 
 from handover.database import connect
+from handover.database.sqlite_files import renew_marks
 from handover.errors import UsageError
-from handover.sqlite_files import renew_marks
 from handover_broker.storage.postgres import PostgresDatabase
 from tests.kit.certificates import Certificates
 from tests.kit.postgres_tls import tls_in_front_of

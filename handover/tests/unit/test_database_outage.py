@@ -8,9 +8,9 @@ import pytest
 from sqlalchemy import Engine, create_engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.database_outage import in_database, outage_problem
+from handover.database.outage import in_database, outage_problem
 from handover.errors import Problem
-from handover.service import create_app
+from handover.serving.service import create_app
 
 
 @pytest.fixture

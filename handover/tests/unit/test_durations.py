@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.durations import MAX_YEARS, Duration, add_months, parse_duration
+from handover.formats.durations import MAX_YEARS, Duration, add_months, parse_duration
 
 MINUTE_US = 60 * 1_000_000
 

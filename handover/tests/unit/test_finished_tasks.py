@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from handover.finished_tasks import DELETE_OLD_EVERY, MIN_KEEP_H, End, FinishedTasks, KnownAct
 from handover.settings import Settings
+from handover.tasks.finished_tasks import DELETE_OLD_EVERY, MIN_KEEP_H, End, FinishedTasks, KnownAct
 from handover_datamodels.entities import TaskStatus
 
 LIT = End(TaskStatus.COMPLETED, {"lit": True, "note": "größer"})

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.free_values import AS_TEXT, FREE_VALUES, reduced, with_texts, without_texts
+from handover.formats.free_values import AS_TEXT, FREE_VALUES, reduced, with_texts, without_texts
 
 INTEGERS = st.one_of(
     st.integers(-(2**63), 2**63), st.sampled_from((2**31 - 1, 2**31, -(2**31), 1764408000000))

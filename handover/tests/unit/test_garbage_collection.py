@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.garbage_collection import freeze_loaded
+from handover.runtime.garbage_collection import freeze_loaded
 from tests.kit.waiting import until
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.http_client import (
+from handover.network.http_client import (
     MAX_WAITING_BYTES,
     Address,
     BodyReadingHttpClient,

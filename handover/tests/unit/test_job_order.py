@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.broker import BrokerClient
-from handover.finished_tasks import FinishedTasks
 from handover.job import Job
 from handover.performer import ResourceQueue
 from handover.settings import Settings
+from handover.tasks.finished_tasks import FinishedTasks
 from handover_datamodels.entities import Task
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"

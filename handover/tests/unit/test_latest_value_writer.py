@@ -6,9 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover import latest_value_writer
-from handover.broker import MAX_FAULTS, BrokerError, BrokerFault, BrokerUnavailable, BrokerUnreachable
-from handover.latest_value_writer import LatestValueWriter, Write
+from handover.broker import (
+    MAX_FAULTS,
+    BrokerError,
+    BrokerFault,
+    BrokerUnavailable,
+    BrokerUnreachable,
+    latest_value_writer,
+)
+from handover.broker.latest_value_writer import LatestValueWriter, Write
 
 UNREACHABLE = BrokerUnreachable(503, "Broker unavailable", "it does not answer")
 UNAVAILABLE = BrokerUnavailable(503, "Service unavailable", "its database is away")

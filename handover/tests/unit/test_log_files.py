@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from handover.log_files import LOG_FILE, older, open_log
+from handover.logs.log_files import LOG_FILE, older, open_log
 
 WRITER = """
 import logging, os, subprocess, sys
 from pathlib import Path
-from handover.log_files import LogFileHandler
+from handover.logs.log_files import LogFileHandler
 
 name, count, most = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 logger = logging.getLogger("writer")
@@ -66,7 +66,7 @@ def test_only_the_last_two_files_are_kept_and_others_cannot_read_them(tmp_path: 
 
 def test_a_child_that_logs_elsewhere_has_no_log_file(tmp_path: Path) -> None:
     log, elsewhere = tmp_path / "lamp.log", tmp_path / "child.log"
-    ask = "from handover.log_files import own_log; print(own_log())"
+    ask = "from handover.logs.log_files import own_log; print(own_log())"
     environment = {**os.environ, LOG_FILE: str(log)}
     for file, said in ((log, str(log)), (older(log), str(log)), (elsewhere, "None")):
         descriptor = open_log(file)

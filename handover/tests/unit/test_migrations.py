@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import Column, Connection, Engine, Integer, MetaData, Table, Text, inspect
 
 from handover.database import connect
+from handover.database.migrations import migrate
+from handover.database.sqlite_files import unreleased_format
 from handover.errors import UsageError
-from handover.migrations import migrate
-from handover.sqlite_files import unreleased_format
 
 FIRST, SECOND = MetaData(), MetaData()
 Table("thing", FIRST, Column("id", Integer, primary_key=True))

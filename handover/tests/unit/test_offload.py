@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handover.offload import Offload, OffloadFailed
+from handover.runtime.offload import Offload, OffloadFailed
 
 
 def process_id() -> int:

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from handover.broker import BrokerClient
-from handover.finished_tasks import FinishedTasks
 from handover.job import Job, TaskFailed
 from handover.messages import with_code
-from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
+from handover.tasks.finished_tasks import FinishedTasks
+from handover.tasks.outcomes import is_outcome_unknown
 from handover_datamodels.entities import Task
 
 TASK = {

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
-from handover.origin_guard import OriginGuard, OriginPolicy, is_known_host, is_same_origin
+from handover.http.origin_guard import OriginGuard, OriginPolicy, is_known_host, is_same_origin
 from handover.settings import Settings
 
 

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from handover import ports
 from handover.errors import UsageError
-from handover.ports import PortLeaving, held, hold, hold_when_free, require_free, unreserved
+from handover.runtime import ports
+from handover.runtime.ports import PortLeaving, held, hold, hold_when_free, require_free, unreserved
 from tests.kit.skipping import NO_IPV6
 
 HERE = "127.0.0.1"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from handover.durable_files import replace_durably
-from handover.private_files import faults_of, make_private, owner_of
+from handover.files.durable_files import replace_durably
+from handover.files.private_files import faults_of, make_private, owner_of
 from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="files have no modes on this system")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from handover.offload import Offload
-from handover.python_processes import code_command, module_command
+from handover.runtime.offload import Offload
+from handover.runtime.python_processes import code_command, module_command
 from tests.kit.namesakes import NAMESAKES, leave_namesakes_in
 from tests.kit.paths import REPOSITORY
 
@@ -18,7 +18,7 @@ SHIPPED = ("datamodels", "deploy", "glove_sdk_bridge", "handover", "ros_fiware_b
 POOL = """
 import math, multiprocessing
 from concurrent.futures import ProcessPoolExecutor
-from handover.python_processes import safe_path_in_workers
+from handover.runtime.python_processes import safe_path_in_workers
 
 if __name__ == "__main__":
     with safe_path_in_workers(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
@@ -64,7 +64,7 @@ def test_every_command_with_this_interpreter_has_a_safe_path() -> None:
                 words = _words(node)
                 if "sys.executable" in words and words & {"'-m'", "'-c'"} and "'-P'" not in words:
                     unsafe.append(f"{file.relative_to(REPOSITORY)}: {ast.unparse(node)}")
-    assert unsafe == [], "use handover.python_processes"
+    assert unsafe == [], "use handover.runtime.python_processes"
 
 
 def _words(node: ast.AST) -> set[str]:

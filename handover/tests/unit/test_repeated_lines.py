@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import structlog
 
-from handover.repeated_lines import PAUSE_S, RepeatedLines
+from handover.logs.repeated_lines import PAUSE_S, RepeatedLines
 
 
 class Clock:

@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from handover.resync import Resync
+from handover.broker.resync import Resync
 
 
 class Reconciliation:

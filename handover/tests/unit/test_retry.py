@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.retry import JITTER, Backoff, backoff_delay_s, retry
+from handover.runtime.retry import JITTER, Backoff, backoff_delay_s, retry
 
 
 @given(st.integers(1, 10_000), st.floats(0.001, 10.0), st.floats(0.001, 600.0))

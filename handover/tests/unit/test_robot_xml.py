@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from handover.robot_xml import loop_faults, mesh_faults, parse_robot_xml, tree_faults
+from handover.formats.robot_xml import loop_faults, mesh_faults, parse_robot_xml, tree_faults
 
 
 def robot(edges: list[tuple[int, int]], mesh: str = "") -> str:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from handover.errors import Problem
 from handover.messages import message
-from handover.service import create_app
+from handover.serving.service import create_app
 
 
 async def works() -> None:
@@ -68,7 +68,7 @@ async def test_a_service_lives_though_what_it_needs_is_away(http: httpx.AsyncCli
 
 
 async def test_what_hangs_is_named_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handover.service.CHECK_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("handover.serving.service.CHECK_TIMEOUT_S", 0.05)
     checks = {"broker": asyncio.Event().wait, "lamp": is_away, "power": works}
     transport = httpx.ASGITransport(create_app("lamp", description="A lamp.", checks=checks))
     async with httpx.AsyncClient(transport=transport, base_url="http://lamp") as client:

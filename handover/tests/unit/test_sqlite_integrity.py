@@ -16,10 +16,10 @@ import pytest
 from sqlalchemy import text
 
 from handover.database import connect
+from handover.database.sqlite_integrity.wal_file import read_wal
 from handover.errors import UsageError
-from handover.finished_tasks import End, FinishedTasks
 from handover.settings import Settings
-from handover.sqlite_integrity.wal_file import read_wal
+from handover.tasks.finished_tasks import End, FinishedTasks
 from handover_cell.check import Checked, check_database
 from handover_datamodels.entities import TaskStatus
 from tests.kit.small_disk import small_disk
@@ -28,7 +28,7 @@ WRITES: Final = """
 import sys
 from sqlalchemy import text
 from handover.database import connect
-from handover.sqlite_integrity import checkpoints
+from handover.database.sqlite_integrity import checkpoints
 checkpoints.INTERVAL_S, checkpoints.MIN_INTERVAL_S = float(sys.argv[2]), 0.0
 engine = connect(f"sqlite:///{sys.argv[1]}")
 with engine.begin() as connection:

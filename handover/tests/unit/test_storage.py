@@ -7,8 +7,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from handover.service import create_app
-from handover.storage import MIN_FREE_BYTES, require_storage, storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import MIN_FREE_BYTES, require_storage, storage_check
 
 
 def asked(folder: Path) -> httpx.Response:

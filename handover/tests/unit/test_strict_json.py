@@ -8,8 +8,8 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError, model_validator
 
-from handover.strict_json import StrictJson, StrictModel
-from handover.validation import LocalMoment, Moment
+from handover.formats.strict_json import StrictJson, StrictModel
+from handover.formats.validation import LocalMoment, Moment
 
 
 class Check(StrictModel):

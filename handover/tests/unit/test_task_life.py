@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.task_life import FINISHED, is_legal, is_news, is_reachable, performers_of, type_of
+from handover.tasks.task_life import FINISHED, is_legal, is_news, is_reachable, performers_of, type_of
 from handover_datamodels.entities import Task, TaskStatus
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)

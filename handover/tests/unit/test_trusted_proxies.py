@@ -5,7 +5,7 @@ import pytest
 from fastapi import FastAPI, Request
 
 from handover.errors import UsageError
-from handover.serving import behind_proxies
+from handover.serving.server import behind_proxies
 from handover.settings import Settings
 
 FORWARDED = {"X-Forwarded-For": "192.0.2.7, 203.0.113.9", "X-Forwarded-Proto": "https"}

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import BaseModel, ValidationError, model_validator
 
-from handover.validation import fault_lines, fault_text
+from handover.formats.validation import fault_lines, fault_text
 
 
 class Motion(BaseModel):

@@ -6,7 +6,7 @@ import time
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.watchdog import (
+from handover.serving.watchdog import (
     MAX_SILENCE_S,
     MIN_CPU_S,
     MIN_LOOKS,

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from fastapi import WebSocket
 
-from handover.websocket_closing import close_websocket
+from handover.http.websocket_closing import close_websocket
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import typer
 
 from handover.command_line.access import access_headers, cli_access
 from handover.errors import UsageError
+from handover.network.tls_trust import client_context
 from handover.settings import Settings
-from handover.tls_trust import client_context
 from handover_ros.settings import SERVICE, BridgeSettings
 
 app = typer.Typer(

@@ -15,9 +15,9 @@ from typing import Final, Protocol
 import orjson
 import structlog
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.retry import Backoff
+from handover.files.durable_files import replace_durably
+from handover.runtime.retry import Backoff
 from handover_ros.errors import GraphError
 from handover_ros.graph.port import GoalStatus, Message, OnMessage, Received, Subscription
 from handover_ros.graph.qos import LATCHED, Qos

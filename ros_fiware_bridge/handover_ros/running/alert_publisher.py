@@ -4,10 +4,10 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from functools import partial
 
-from handover.alert_catalogue import AlertType
 from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
+from handover.alerts.catalogue import AlertType
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from handover_datamodels.states import Severity
 from handover_ros.rules.entity_extractor import AlertState

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.arm_stream import (
     JOINT_VELOCITIES,

@@ -7,13 +7,13 @@ from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any, Self, cast
 
-from handover.alert_catalogue import ROS_PROBLEM
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.catalogue import ROS_PROBLEM
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.messages import message
-from handover.notifications import NotificationReceiver
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.settings import Settings
+from handover.subscriptions.notifications import NotificationReceiver
 from handover.telemetry import get_logger
 from handover_ros.errors import GraphError
 from handover_ros.graph.port import RosGraph

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Self
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.retry import Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_ros.metrics import BROKER_UNAVAILABLE, PENDING_UPDATES
 from handover_ros.rules.outbox import Batch, Outbox, Update

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import orjson
 
-from handover.durable_files import replace_durably
 from handover.errors import Problem, UsageError
+from handover.files.durable_files import replace_durably
 from handover.messages import message
 
 

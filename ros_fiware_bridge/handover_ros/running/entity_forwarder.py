@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from typing import Any
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import HandoverError
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_ros.graph.port import Publisher, RosGraph
 from handover_ros.rules.message_builder import Incomplete, Scope

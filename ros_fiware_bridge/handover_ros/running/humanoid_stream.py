@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 
 from pydantic import BaseModel
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.humanoid_stream import (
     HumanoidCommand,

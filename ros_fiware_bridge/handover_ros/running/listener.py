@@ -13,12 +13,12 @@ from typing import Any
 from fastapi import Request
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker.resync import Resync
 from handover.errors import Problem
 from handover.messages import message
-from handover.notifications import NotificationReceiver, ids_of
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
 from handover.settings import Settings
+from handover.subscriptions.notifications import NotificationReceiver, ids_of
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_ros.mapping.model import EntitySelector
 from handover_ros.rules.change_tracker import ChangeTracker, scope_of

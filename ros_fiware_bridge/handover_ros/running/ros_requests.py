@@ -16,10 +16,10 @@ from handover.broker import BrokerClient
 from handover.errors import HandoverError
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed
 from handover.messages import message, text_of
-from handover.outcomes import outcome_unknown
 from handover.performer import Performer
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.settings import Settings
+from handover.tasks.outcomes import outcome_unknown
 from handover.telemetry import get_logger
 from handover_ros.errors import CallTimeout, GraphError, OutcomeUnknown
 from handover_ros.graph.goals import result_text

@@ -9,7 +9,7 @@ from typing import Any
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError
 from handover.settings import Settings
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from handover.outcomes import is_outcome_unknown
+from handover.tasks.outcomes import is_outcome_unknown
 from handover_datamodels.times import iso
 from handover_ros.graph.joining import Adapter, installed
 from ros_fiware_bridge.tests.integration.conftest import Shop

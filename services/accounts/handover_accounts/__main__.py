@@ -1,6 +1,6 @@
 """Run the accounts service: `python -m handover_accounts`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_accounts.app import make_app
 from handover_accounts.settings import AccountsSettings
 

@@ -7,8 +7,8 @@ from fastapi import FastAPI
 
 from handover.security.audit_routes import add_audit_routes
 from handover.security.authentication import Guard
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_accounts.directory import Directory
 from handover_accounts.names import AccountsAudit, subject_names
 from handover_accounts.openid_connect.provider_sign_in import ProviderSignIn

@@ -17,7 +17,7 @@ from typing import Any, Final
 from sqlalchemy import Column, Connection, Engine, delete, insert, select, update
 
 from handover.database import connect, purge_log
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover.security.audit import AuditLog
 from handover.security.revocations import KEPT_S
 from handover_accounts import tables

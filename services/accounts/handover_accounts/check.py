@@ -10,13 +10,13 @@ from sqlalchemy import Connection, create_engine, func, select
 from sqlalchemy.exc import DBAPIError
 
 from handover.errors import UsageError
-from handover.notifications import is_notification_key
 from handover.security.access_tokens import read_public_keys
 from handover.security.accounts_mark import missing_keys, sign_of_accounts
 from handover.security.caller import CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.service_access import read_service_token, service_token_file
 from handover.settings import SERVICE_TOKENS_FOLDER
+from handover.subscriptions.notifications import is_notification_key
 from handover_accounts import secret_token_store, tables
 from handover_accounts.lost_database import require_anybody, require_file
 from handover_accounts.settings import AccountsSettings

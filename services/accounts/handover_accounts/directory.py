@@ -8,11 +8,11 @@ from typing import Any, Final, Self, TypeVar
 
 from sqlalchemy import Column, Connection, func, select
 
-from handover.background_tasks import BackgroundTasks
-from handover.client_networks import network_of
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem, UsageError
 from handover.messages import message
+from handover.network.client_networks import network_of
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
 from handover.security.accounts_mark import missing_keys
 from handover.security.caller import Caller, CallerKind

@@ -15,8 +15,8 @@ from typing import Final
 
 from sqlalchemy import Connection, delete, insert, select
 
-from handover.durable_files import replace_durably
 from handover.errors import Problem
+from handover.files.durable_files import replace_durably
 from handover.security.secret_tokens import new_token
 from handover_accounts.changes import Change
 from handover_accounts.tables import identifiers

@@ -12,8 +12,8 @@ from typing import Final
 
 from sqlalchemy import func, select
 
-from handover.durable_files import replace_durably
 from handover.errors import Problem, UsageError
+from handover.files.durable_files import replace_durably
 from handover.security.caller import CallerKind
 from handover.security.glove_token import GLOVE_TOKEN_SECRET, make_glove_token, remove_glove_token
 from handover.security.permissions import Grant, Role

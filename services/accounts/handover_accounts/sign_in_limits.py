@@ -18,7 +18,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from handover.client_networks import network_of
+from handover.network.client_networks import network_of
 
 FREE_ATTEMPTS: Final = 5
 ATTACKED_AFTER: Final = 20

@@ -18,8 +18,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.security.access_tokens import (
     LEEWAY_S,
     SERVICE_TOKEN_S,

@@ -1,6 +1,6 @@
 """Run the alert router: `python -m handover_alerts`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_alerts.app import make_app
 from handover_alerts.settings import RouterSettings
 

@@ -5,14 +5,14 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover.leadership import Leadership, OnlyLeading
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.leadership import Leadership, OnlyLeading
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_alerts import tables
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower

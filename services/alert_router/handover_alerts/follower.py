@@ -15,10 +15,10 @@ from typing import Any, Final
 import orjson
 
 from handover.broker import BrokerClient, BrokerError, NotFound
-from handover.cells import OtherCells
-from handover.notifications import NotificationReceiver
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
+from handover.subscriptions.notifications import NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_alerts import metrics
 from handover_alerts.model import Route

@@ -25,8 +25,8 @@ from pydantic import (
 from pydantic.alias_generators import to_camel
 
 from handover.errors import UsageError
-from handover.strict_json import StrictModel
-from handover.validation import fault_text
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import fault_text
 from handover_datamodels.states import Severity
 
 MAX_CHANNELS: Final = 100

@@ -10,14 +10,14 @@ from fastapi import FastAPI, Query, Request, Response
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import MAX_INTEGER, Moment
+from handover.http.body_limit import max_body
 from handover.messages import message
-from handover.notifications import REQUIRES_NOTIFICATION_KEY
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
-from handover.validation import MAX_INTEGER, Moment
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower
 from handover_alerts.model import (

@@ -15,9 +15,9 @@ import aiosmtplib
 import orjson
 
 from handover.errors import UsageError
-from handover.http_client import BodyReadingHttpClient, SendError
-from handover.outbound_policy import AddressRefused, is_loopback
-from handover.tls_trust import client_context
+from handover.network.http_client import BodyReadingHttpClient, SendError
+from handover.network.outbound_policy import AddressRefused, is_loopback
+from handover.network.tls_trust import client_context
 from handover_alerts.model import AppriseChannel, Channel, MailChannel, WebhookChannel
 from handover_alerts.settings import RouterSettings
 

@@ -16,8 +16,8 @@ from typing import Final
 
 import orjson
 
-from handover.background_tasks import BackgroundTasks
-from handover.retry import Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_alerts import metrics
 from handover_alerts.model import Channel, Throttle

@@ -4,7 +4,7 @@ from typing import Final
 
 from sqlalchemy import BigInteger, Column, Engine, Index, Integer, MetaData, String, Table, Text
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 
 VERSION: Final = 1
 COMPONENT: Final = "alert_router"

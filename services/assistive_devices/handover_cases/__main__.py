@@ -1,6 +1,6 @@
 """Run assistive devices: `python -m handover_cases`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_cases.app import make_app
 from handover_cases.settings import AssistiveSettings
 

@@ -8,15 +8,15 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover.device_lease import DeviceLease, DeviceLeases
-from handover.finished_tasks import FinishedTasks
-from handover.reporting_writer import reporting_writer
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
+from handover.serving.service import create_app
+from handover.tasks.device_lease import DeviceLease, DeviceLeases
+from handover.tasks.finished_tasks import FinishedTasks
 from handover_cases.body_link import BodyLink
 from handover_cases.machine import CASES, Case, MachineContext
 from handover_cases.metrics import REJECTED

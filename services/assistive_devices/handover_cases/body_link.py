@@ -19,8 +19,8 @@ from websockets.asyncio.client import ClientConnection
 from handover.control.limit_link import REPORT_PERIOD_S, Headers, LimitLink, Serve, keep_connected
 from handover.control.speed_limits import Allowed, SpeedLimits
 from handover.errors import Problem
-from handover.http_client import BodyReadingHttpClient, SendError
 from handover.messages import message
+from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.telemetry import get_logger
 from handover_cases.model.body import Body, read_body
 from handover_cases.model.sensor import Sensor

@@ -9,11 +9,11 @@ from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
 from handover.messages import message, with_code
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_cases.running.machine_runner import MachineRunner
 from handover_cases.trial import Trial
 

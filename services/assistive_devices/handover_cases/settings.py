@@ -3,7 +3,7 @@
 from pydantic import Field, SecretStr
 
 from handover.extensions import Service
-from handover.ros_dds import MAX_DOMAIN
+from handover.formats.ros_dds import MAX_DOMAIN
 from handover.service_addresses import (
     ASSISTIVE_DEVICES,
     AssistiveAddress,

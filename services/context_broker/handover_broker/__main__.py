@@ -1,6 +1,6 @@
 """Run the broker: `python -m handover_broker`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_broker.app import create_broker
 from handover_broker.settings import BrokerSettings
 

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 from pydantic import Field, FilePath, ValidationInfo, field_validator
 
 from handover.extensions import Service
-from handover.outbound_policy import is_loopback
+from handover.network.outbound_policy import is_loopback
 from handover.service_addresses import BROKER
 from handover.settings import Names, Settings
 from handover_datamodels.contexts import HANDOVER_URL

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 from uuid import uuid4
 
-from handover.http_client import PooledHttpClient
+from handover.network.http_client import PooledHttpClient
 from handover_broker.delivery.disclosure import Receivers
 from handover_broker.delivery.mqtt_sender import MqttSender
 from handover_broker.delivery.notifier import Notifier

@@ -1,6 +1,6 @@
 """Run the device gateway: `python -m handover_devices`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_devices.app import make_app
 from handover_devices.settings import GatewaySettings
 

@@ -5,16 +5,16 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.control_leasing import OpenSessions
+from handover.control.leasing import OpenSessions
 from handover.database import connect
-from handover.leadership import Leadership
-from handover.reporting_writer import reporting_writer
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.leadership import Leadership
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_devices import metrics
 from handover_devices.adapters.base import configured
 from handover_devices.anomalies.anomalies import Anomalies

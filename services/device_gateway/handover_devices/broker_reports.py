@@ -11,7 +11,7 @@ from collections import OrderedDict
 from typing import Final
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_devices import metrics

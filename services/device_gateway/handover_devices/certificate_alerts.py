@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Final
 
-from handover.alert_catalogue import DEVICE_CERTIFICATE_EXPIRES
 from handover.alerts import clear_alert, raise_alert
+from handover.alerts.catalogue import DEVICE_CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient, BrokerError
 from handover.messages import Message, message
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import EXPIRES_SOON

@@ -16,12 +16,12 @@ from urllib.parse import quote, urlencode
 import orjson
 from pydantic import ValidationError
 
-from handover.background_tasks import BackgroundTasks
 from handover.control.control_link import ControlLink, Ended
 from handover.errors import Problem
+from handover.formats.validation import fault_text
 from handover.messages import message
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
-from handover.validation import fault_text
 from handover_datamodels.streams import HumanInput
 from handover_devices.gateway import DeviceGateway
 from handover_devices.input_mapping import AxisInput, InputMapping, MappedAxes, written

@@ -16,11 +16,11 @@ from typing import Any, Final
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.broker import BrokerClient
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import Problem
-from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
+from handover.tasks.outcomes import outcome_unknown
 from handover.telemetry import get_logger
 from handover_devices.commands.command import Command, CommandState
 from handover_devices.commands.dispatcher import Dispatcher

@@ -1,6 +1,6 @@
 """Driving a registered robot: a person's velocities over its connection, within its registered limits.
 
-A person who drives has the lease of the robot (`handover.control_leasing`). The newest input counts; 50 times
+A person who drives has the lease of the robot (`handover.control.leasing`). The newest input counts; 50 times
 a second the gateway sends the robot a `drive` message with velocities, and one with `held` false once the
 dead-man control does not permit motion. Each velocity is valid for `VALID_S`: the program of the robot stops
 when no newer one arrives, so that a broken connection or a dead gateway stops it too. A message that would

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
-from handover.strict_json import StrictModel
+from handover.formats.strict_json import StrictModel
 from handover_datamodels.streams import HumanInput
 
 COMPONENTS: Final = ("x", "y", "z", "rx", "ry", "rz")

@@ -10,8 +10,8 @@ import orjson
 from sqlalchemy import Connection
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.errors import Problem
-from handover.latest_value_writer import LatestValueWriter
 from handover.telemetry import get_logger
 from handover_devices.registry.device import Device
 from handover_devices.registry.entities import (

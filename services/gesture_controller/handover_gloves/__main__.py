@@ -1,6 +1,6 @@
 """Run the gesture controller: `python -m handover_gloves`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_gloves.app import make_app
 from handover_gloves.settings import ControllerSettings
 

@@ -10,11 +10,13 @@ from fastapi.responses import StreamingResponse
 from pydantic import ConfigDict, Field, FiniteFloat
 from starlette.requests import HTTPConnection
 
-from handover.api_description import sends
-from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.ports import require_free
+from handover.formats.strict_json import StrictJson, StrictModel
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
+from handover.http.websocket_closing import close_websocket
+from handover.runtime.ports import require_free
 from handover.security.act_recording import lowers
 from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller
@@ -22,11 +24,9 @@ from handover.security.guard import Guard, ResourceOf, guard_of, require, requir
 from handover.security.permissions import Permission
 from handover.security.pin_check import MAX_PIN_CHARACTERS, require_pin
 from handover.security.protection import require_protection
-from handover.service import create_app
-from handover.storage import storage_check
-from handover.strict_json import StrictJson, StrictModel
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
-from handover.websocket_closing import close_websocket
 from handover_datamodels.states import Outcome
 from handover_gloves.accuracy_tests.accuracy_test_runner import AccuracyTestRunner
 from handover_gloves.accuracy_tests.routes import add_accuracy_tests

@@ -7,11 +7,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Self
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.states import Outcome
 from handover_gloves.calibration.calibration_store import CalibrationStore

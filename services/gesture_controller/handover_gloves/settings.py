@@ -6,7 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from handover.extensions import Service
-from handover.outbound_policy import is_loopback
+from handover.network.outbound_policy import is_loopback
 from handover.security.glove_token import site_glove_token
 from handover.service_addresses import CONTROLLER, ControllerAddress, GloveServerAddress
 from handover_gloves.recognition.hold import HoldTiming

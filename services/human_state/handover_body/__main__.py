@@ -4,7 +4,7 @@ import os
 
 from fastapi import FastAPI
 
-from handover.serving import run
+from handover.serving.server import run
 from handover.telemetry import get_logger
 from handover_body.app import make_app
 from handover_body.settings import HumanStateSettings

@@ -9,17 +9,17 @@ from contextlib import asynccontextmanager, contextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import UsageError
-from handover.garbage_collection import freeze_loaded
-from handover.reporting_writer import reporting_writer
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.garbage_collection import freeze_loaded
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_body.exchange.deletions import Deletions
 from handover_body.exchange.health_entities import HealthEntities
 from handover_body.metrics import REJECTED

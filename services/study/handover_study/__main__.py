@@ -1,6 +1,6 @@
 """Run the study service: `python -m handover_study`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_study.app import make_app
 from handover_study.settings import StudySettings
 

@@ -5,13 +5,13 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
+from handover.broker.resync import Resync
 from handover.database import connect
-from handover.resync import Resync
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_study.controller_client import ControllerClient
 from handover_study.gesture_conditions import GestureConditions
 from handover_study.routes import add_study

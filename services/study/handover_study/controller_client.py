@@ -9,7 +9,7 @@ import httpx
 
 from handover.broker import Credentials
 from handover.errors import HandoverError
-from handover.tls_trust import client_context
+from handover.network.tls_trust import client_context
 
 TIMEOUT = httpx.Timeout(3.0)
 

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import Problem
-from handover.strict_json import StrictModel
-from handover.validation import fault_lines
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import fault_lines
 from handover_study.questionnaires import (
     SUS_ITEMS,
     TLX_PAIRS,

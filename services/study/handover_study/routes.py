@@ -11,14 +11,14 @@ from typing import Annotated, Any, cast
 from fastapi import Body, FastAPI, Query, Request, Response
 from pydantic import ConfigDict, Field
 
-from handover.api_description import sends
 from handover.distribution import install_command
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.api_description import sends
 from handover.messages import message
-from handover.offload import Offload, OffloadFailed
+from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_study.protocol import FINISHED, STEPS, Language, Session
 from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
 from handover_study.study_session import DECLINED, StudySessions

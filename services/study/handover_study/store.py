@@ -28,8 +28,8 @@ from sqlalchemy import (
 from sqlalchemy.exc import IntegrityError
 
 from handover.database import purge_log
+from handover.database.migrations import migrate
 from handover.errors import Problem
-from handover.migrations import migrate
 from handover.security.audit_trail import record_request
 from handover_study.protocol import (
     FINISHED,

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any, Final, Self
 from uuid import uuid4
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem
 from handover_datamodels.times import iso
 from handover_study.gesture_conditions import GestureConditions

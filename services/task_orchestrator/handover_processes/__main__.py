@@ -1,6 +1,6 @@
 """Run the orchestrator: `python -m handover_processes`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_processes.app import make_only_app
 from handover_processes.settings import OrchestratorSettings
 

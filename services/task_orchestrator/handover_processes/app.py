@@ -3,8 +3,8 @@
 from fastapi import FastAPI
 
 from handover.security.audit_trail import AuditTrail, Way
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
 from handover_processes.components import Components
 from handover_processes.routes.definitions import add_definitions

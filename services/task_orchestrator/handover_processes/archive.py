@@ -23,11 +23,11 @@ from typing import Any
 from prometheus_client import Counter
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError
+from handover.broker.resync import Resync
 from handover.errors import Problem
-from handover.resync import Resync
-from handover.task_life import UNFINISHED_QUERY
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.tasks.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from handover_processes.orchestrator import Orchestrator
 from handover_processes.storage.store import EndedProcess, EndedTask

@@ -16,11 +16,11 @@ from typing import Any, Final, Self
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import AlreadyExists, BrokerClient, BrokerUnavailable, NotFound
-from handover.database_outage import outage_problem
+from handover.database.outage import outage_problem
 from handover.errors import Problem
-from handover.retry import Backoff, with_jitter
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff, with_jitter
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Cell
 from handover_datamodels.states import CellState

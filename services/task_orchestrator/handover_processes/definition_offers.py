@@ -3,7 +3,7 @@
 A notification is a hint: the entities that it names are read from the broker. All definitions are queried at
 the start, after a lost connection, and regularly. The file of each entity is loaded independently of the
 others, so that a slow address delays no other offer. An entity that a component of ours has written, and that
-nobody has changed since, is never offered (`handover.content_digest`).
+nobody has changed since, is never offered (`handover.files.content_digest`).
 """
 
 import asyncio
@@ -13,15 +13,15 @@ from typing import Any
 
 from fastapi import Request
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, NotFound
-from handover.cells import OtherCells
-from handover.content_digest import is_ours
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
 from handover.errors import Problem
+from handover.files.content_digest import is_ours
 from handover.messages import message, text_of
-from handover.notifications import NotificationReceiver
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.subscriptions.notifications import NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_processes.downloads import Downloader, DownloadFailed
 from handover_processes.offer_rules import (

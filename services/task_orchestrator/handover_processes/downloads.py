@@ -12,15 +12,15 @@ from pathlib import Path
 from urllib.parse import quote, urljoin, urlsplit, urlunsplit
 
 from handover.errors import HandoverError
-from handover.http_client import (
+from handover.messages import message
+from handover.network.http_client import (
     BodyReadingHttpClient,
     HttpResponse,
     ResponseTimeout,
     ResponseTooLarge,
     SendError,
 )
-from handover.messages import message
-from handover.outbound_policy import OutboundPolicy
+from handover.network.outbound_policy import OutboundPolicy
 from handover_processes.notation.document import MAX_BYTES
 
 SCHEMES = frozenset({"http", "https"})

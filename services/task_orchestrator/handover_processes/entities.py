@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from handover.content_digest import with_digest
+from handover.files.content_digest import with_digest
 from handover.messages import message, with_code
 from handover.settings import Settings
-from handover.specification import MAX_COMMAND_ID
-from handover.task_life import is_for_people, type_of
+from handover.tasks.specification import MAX_COMMAND_ID
+from handover.tasks.task_life import is_for_people, type_of
 from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.hints import due_of, follow_up_of, given_priority

@@ -16,16 +16,16 @@ from typing import Any
 
 from fastapi import Request
 
-from handover.alert_catalogue import ENTITY_FILTER_REFUSED
 from handover.alerts import alert_id, clear_alert, raise_alert
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.catalogue import ENTITY_FILTER_REFUSED
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.cells import OtherCells
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
 from handover.errors import Problem
 from handover.messages import message
-from handover.notifications import NotificationReceiver
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.subscriptions.notifications import NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_processes.entity_delivery import Watched
 from handover_processes.entity_matching import replay

@@ -6,7 +6,7 @@ from functools import partial
 
 from prometheus_client import Counter, Gauge, Histogram
 
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import TaskStatus
 from handover_processes.records import Step, TaskRecord
 

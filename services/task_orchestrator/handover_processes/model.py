@@ -12,10 +12,10 @@ from typing import Any, Final, TypeAlias
 
 import orjson
 
-from handover.durations import Duration
 from handover.errors import Problem
+from handover.formats.durations import Duration
 from handover.messages import Message, message
-from handover.outcomes import reason_of
+from handover.tasks.outcomes import reason_of
 from handover_datamodels.states import Outcome
 from handover_processes.languages.base import Expression, Json, Variables, quote_names
 

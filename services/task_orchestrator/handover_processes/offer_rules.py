@@ -14,10 +14,10 @@ from typing import Any
 
 import orjson
 
-from handover.content_digest import ATTRIBUTE, digest_of
 from handover.errors import HandoverError
+from handover.files.content_digest import ATTRIBUTE, digest_of
 from handover.messages import message
-from handover.specification import FIELDS, Specification
+from handover.tasks.specification import FIELDS, Specification
 from handover_datamodels.entities import TYPES, DataModelError, TaskDefinition
 from handover_processes.allocation.agents import position_of, read_shift, skill_name
 from handover_processes.allocation.task_kinds import TaskKind

@@ -24,9 +24,8 @@ from typing import Any, Self
 
 from prometheus_client import Counter, Gauge
 
-from handover.alert_catalogue import AlertType
 from handover.alerts import clear_alert, raise_alert
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.catalogue import AlertType
 from handover.broker import (
     MAX_FAULTS,
     AlreadyExists,
@@ -39,7 +38,8 @@ from handover.broker import (
 )
 from handover.errors import HandoverError, Problem
 from handover.messages import message, message_in, text_of
-from handover.retry import MAX_DELAY_S, Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import MAX_DELAY_S, Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_datamodels.states import Severity

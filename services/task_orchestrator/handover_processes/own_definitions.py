@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from handover.broker import BrokerClient
-from handover.content_digest import digest_of, is_ours
-from handover.notifications import MAX_IDS_PER_QUERY
+from handover.files.content_digest import digest_of, is_ours
+from handover.subscriptions.notifications import MAX_IDS_PER_QUERY
 
 
 async def write_definitions(broker: BrokerClient, entities: Sequence[dict[str, Any]]) -> None:

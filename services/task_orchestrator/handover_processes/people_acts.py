@@ -13,8 +13,8 @@ from uuid import uuid4
 
 from handover.errors import Problem
 from handover.messages import message, with_code
-from handover.outcomes import reason_of
-from handover.task_life import is_for_people, performers_of
+from handover.tasks.outcomes import reason_of
+from handover.tasks.task_life import is_for_people, performers_of
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
 from handover_processes.forms import form

@@ -12,15 +12,15 @@ from typing import Any
 
 from fastapi import Request
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.cells import OtherCells
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
 from handover.errors import HandoverError, Problem
-from handover.notifications import NotificationReceiver
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
-from handover.retry import MAX_DELAY_S, Backoff
-from handover.task_life import UNFINISHED_QUERY
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import MAX_DELAY_S, Backoff
+from handover.subscriptions.notifications import NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
+from handover.tasks.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from handover_processes.allocation.agents import TYPES, WATCHED, read_agents
 from handover_processes.orchestrator import Orchestrator

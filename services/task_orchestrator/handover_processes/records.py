@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Any
 
 from handover.security.audit_trail import AuditedRequest
-from handover.task_life import FINISHED, performers_of
+from handover.tasks.task_life import FINISHED, performers_of
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
 from handover_processes.execution.machine import Effect

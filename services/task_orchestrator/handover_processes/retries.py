@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
-from handover.outcomes import is_outcome_unknown
+from handover.tasks.outcomes import is_outcome_unknown
 from handover_processes.languages.base import ExpressionError, Variables
 from handover_processes.model import RetryPolicy
 

@@ -14,17 +14,17 @@ from typing import Any, Self
 from sqlalchemy import Engine
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
 
-from handover.alert_catalogue import SPECIFICATIONS_NOT_WRITTEN
 from handover.alerts import clear_alert, raise_alert
+from handover.alerts.catalogue import SPECIFICATIONS_NOT_WRITTEN
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import HandoverError, UsageError
 from handover.messages import message
-from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
-from handover.specification import Specification
-from handover.specification_table import MAX_ID, SETTING, create_if_missing, remove, save
+from handover.tasks.specification import Specification
+from handover.tasks.specification_table import MAX_ID, SETTING, create_if_missing, remove, save
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)

@@ -20,12 +20,12 @@ from typing import Any, Self, TypeVar
 from prometheus_client import Histogram
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import LockLost
-from handover.database_outage import RETRY_AFTER_S, is_outage, outage_problem
+from handover.database.outage import RETRY_AFTER_S, is_outage, outage_problem
 from handover.errors import HandoverError, Problem
 from handover.messages import message
-from handover.retry import Backoff
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request
 from handover.telemetry import get_logger
 from handover_processes.outbox import Outbox

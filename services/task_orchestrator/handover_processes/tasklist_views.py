@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from handover.messages import message_in, with_code
-from handover.task_life import PASSIVE_TYPES, type_of
+from handover.tasks.task_life import PASSIVE_TYPES, type_of
 from handover_datamodels.times import iso
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
 from handover_processes.forms import form

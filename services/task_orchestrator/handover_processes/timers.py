@@ -23,7 +23,7 @@ from zoneinfo import ZoneInfo
 
 from croniter import CroniterBadDateError, croniter
 
-from handover.durations import MICROSECONDS_PER_S, Duration, parse_duration
+from handover.formats.durations import MICROSECONDS_PER_S, Duration, parse_duration
 
 MAX_CHARACTERS = 200
 MAX_REPETITIONS = 1_000_000

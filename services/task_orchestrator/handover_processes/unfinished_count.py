@@ -9,7 +9,7 @@ refuses to, is asked for the list every time.
 import asyncio
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.task_life import UNFINISHED_QUERY
+from handover.tasks.task_life import UNFINISHED_QUERY
 
 
 class UnfinishedCount:

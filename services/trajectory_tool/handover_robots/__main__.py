@@ -1,6 +1,6 @@
 """Run the trajectory tool: `python -m handover_robots`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_robots.app import make_app
 from handover_robots.settings import TrajectorySettings
 

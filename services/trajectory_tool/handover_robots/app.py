@@ -10,8 +10,8 @@ from handover.broker import BrokerClient
 from handover.control.lease import Leases
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover_datamodels.entities import DeviceState
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.robot import Robot

@@ -1,6 +1,6 @@
 """Run whole-body control: `python -m handover_humanoid`."""
 
-from handover.serving import run
+from handover.serving.server import run
 from handover_humanoid.app import make_app
 from handover_humanoid.settings import WholeBodySettings
 

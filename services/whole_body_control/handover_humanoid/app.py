@@ -11,14 +11,14 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
 from handover.control.limit_link import LimitLink
 from handover.database import connect
-from handover.reporting_writer import reporting_writer
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover_humanoid.metrics import REJECTED
 from handover_humanoid.recording.recordings import Keep, Recordings
 from handover_humanoid.recording.store import RecordingStore

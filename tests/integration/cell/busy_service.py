@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
-from handover.serving import run
+from handover.serving.server import run
 from handover.settings import RESTARTED, Settings
 
 

@@ -10,8 +10,8 @@ from handover.database import connect
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
-from handover.service import create_app
-from handover.serving import serve
+from handover.serving.server import serve
+from handover.serving.service import create_app
 from handover.settings import Settings
 
 PORT: Final = int(os.environ["LAMP_PORT"])

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from sqlalchemy import text
 
-import handover.service
+import handover.serving.service
 from handover.errors import Problem
 from handover.extensions import Service, application_of
 from handover.security.act_recording import audited, recorded_with_change, way_of
@@ -66,7 +66,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return audited(note)
 
-    monkeypatch.setattr(handover.service, "audited", noting)
+    monkeypatch.setattr(handover.serving.service, "audited", noting)
     return names
 
 

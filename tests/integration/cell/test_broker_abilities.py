@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from handover.broker import MAX_FAULTS, BrokerClient, BrokerUnavailable
-from handover.broker_abilities import ABILITIES, FILE, TYPE, find_abilities
-from handover.python_processes import module_command
+from handover.broker.abilities import ABILITIES, FILE, TYPE, find_abilities
+from handover.runtime.python_processes import module_command
 from handover.settings import Settings
 from tests.kit.cell import Cell, new_cell
 from tests.kit.other_broker.running import orion_like

@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
+from handover.network.tls_trust import client_context
 from handover.security.permissions import Grant, Role
-from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
 from handover_accounts import grants, users
 from handover_accounts.set_up import opened_store, set_up

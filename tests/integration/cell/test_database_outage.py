@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient, BrokerUnavailable
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from tests.kit.cell import Cell, new_cell
 from tests.kit.postgres import PostgresServer, postgres_server
 from tests.kit.waiting import until, wait_for

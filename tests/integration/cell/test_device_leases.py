@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.outcomes import is_outcome_unknown
+from handover.tasks.outcomes import is_outcome_unknown
 from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, path, start
 from tests.kit import processes
 from tests.kit.cell import Cell

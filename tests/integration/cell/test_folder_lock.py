@@ -11,10 +11,10 @@ import pytest
 
 from handover.database import connect
 from handover.errors import UsageError
-from handover.finished_tasks import FinishedTasks
-from handover.folder_lock import hold
-from handover.python_processes import module_command
+from handover.files.folder_lock import hold
+from handover.runtime.python_processes import module_command
 from handover.settings import Settings
+from handover.tasks.finished_tasks import FinishedTasks
 from tests.kit import processes
 from tests.kit.cell import MODULES, SERVICES, Cell
 from tests.kit.databases import DATABASE
@@ -111,7 +111,7 @@ async def test_the_record_of_a_performer_has_one_process(tmp_path: Path) -> None
     """Also without `serve`, as in a program of a stranger; a killed one leaves nothing behind."""
     script = (
         "import asyncio, sys\n"
-        "from handover.finished_tasks import FinishedTasks\n"
+        "from handover.tasks.finished_tasks import FinishedTasks\n"
         "from handover.settings import Settings\n"
         f"records = FinishedTasks(Settings(data_dir={str(tmp_path)!r}), 'lamp')\n"
         "asyncio.run(records.open())\n"
@@ -137,7 +137,7 @@ def test_a_lock_file_without_content_still_excludes(tmp_path: Path) -> None:
     release = hold(tmp_path / "lamp.db", "lamp")
     os.truncate(tmp_path / "lamp.db.lock", 0)  # without a descriptor, whose end would release the lock
     script = (
-        "from pathlib import Path; from handover.folder_lock import hold\n"
+        "from pathlib import Path; from handover.files.folder_lock import hold\n"
         f"hold(Path({str(tmp_path / 'lamp.db')!r}), 'lamp')"
     )
     try:

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import Engine, create_engine, text
 
 from handover.database import LockLost, connect
-from handover.leadership import Leadership
+from handover.serving.leadership import Leadership
 from handover_alerts.app import make_app
 from handover_alerts.settings import RouterSettings
 from tests.kit.ports import next_free_port

@@ -12,12 +12,12 @@ import httpx
 import pytest
 
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.finished_tasks import FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled
-from handover.notifications import KEY_HEADER
-from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
-from handover.task_life import UNFINISHED_QUERY
+from handover.subscriptions.notifications import KEY_HEADER
+from handover.tasks.finished_tasks import FinishedTasks
+from handover.tasks.outcomes import is_outcome_unknown
+from handover.tasks.task_life import UNFINISHED_QUERY
 from handover_datamodels.entities import Task, TaskStatus
 from tests.kit.cell import Cell
 from tests.kit.context_sources import ScriptedSource

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from handover.database import connect
 from handover.extensions import application_of
-from handover.leadership import OnlyLeading
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Requirement, _walk
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import ROLE_PERMISSIONS, Grant, Permission, Role
+from handover.serving.leadership import OnlyLeading
 from handover_cell.services import all_services, service_named
 from handover_humanoid.running.session_store import SessionStore
 from handover_humanoid.settings import WholeBodySettings

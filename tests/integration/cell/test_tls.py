@@ -16,11 +16,11 @@ import pytest
 from glove_sdk_bridge.frame_sender import FrameSender
 from glove_sdk_bridge.frames import Hello
 from handover import health
-from handover.alert_catalogue import CERTIFICATE_EXPIRES
+from handover.alerts.catalogue import CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient
-from handover.certificate_watch import CertificateWatch
+from handover.network.tls_trust import client_context
+from handover.serving.certificate_watch import CertificateWatch
 from handover.settings import Settings
-from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
 from handover.transport_security.server_certificate import ServerCertificate
 from tests.kit.cell import Cell, new_cell

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from handover.http_client import BodyReadingHttpClient, SendError
+from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover_datamodels.contexts import HANDOVER_URL, is_core, resolve
 from tests.kit.other_broker.profiles import Refused, problem
 

@@ -23,7 +23,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from handover.http_client import BodyReadingHttpClient, SendError, StreamedResponse, StreamingHttpClient
+from handover.network.http_client import (
+    BodyReadingHttpClient,
+    SendError,
+    StreamedResponse,
+    StreamingHttpClient,
+)
 from tests.kit.other_broker.profiles import BATCHES, RULES, Answer, Profile, Refused, problem, profile_of
 from tests.kit.other_broker.stored_contexts import PATH as CONTEXTS
 from tests.kit.other_broker.stored_contexts import TIMEOUT_S, StoredContexts

@@ -14,7 +14,7 @@ from dotenv import dotenv_values
 from psycopg.conninfo import conninfo_to_dict
 
 from glove_sdk_bridge.command_line import parse
-from handover.broker_credentials import credentials_of
+from handover.broker.credentials import credentials_of
 from handover.command_line.secrets import SECRETS
 from handover.command_line.waiting import wait_for_secrets
 from handover.security.glove_token import GLOVE_TOKEN_FILE

@@ -16,7 +16,7 @@ FOLDERS = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "s
 OURS = re.compile(r"handover(_\w+)?$|glove_sdk_bridge$")
 
 EXTRAS = {
-    "handover/handover/ros_dds.py": ("ros",),
+    "handover/handover/formats/ros_dds.py": ("ros",),
     "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/device_gateway": ("parquet",),

@@ -16,8 +16,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.control.control_link import ControlLink
 from handover.errors import Problem
+from handover.http.websocket_closing import close_websocket
 from handover.telemetry import get_logger
-from handover.websocket_closing import close_websocket
 from handover_web.http.page_guard import PageGuard
 
 log = get_logger(__name__)

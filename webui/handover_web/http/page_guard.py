@@ -17,11 +17,11 @@ from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from handover.client_networks import network_of
-from handover.clocks import Lifetime
 from handover.errors import Problem, UsageError
+from handover.http.origin_guard import send_problem
 from handover.messages import message
-from handover.origin_guard import send_problem
+from handover.network.client_networks import network_of
+from handover.runtime.clocks import Lifetime
 from handover.security.authentication import Guard
 from handover.security.caller import Caller, InvalidToken
 from handover.security.secret_tokens import is_secret_token, token_hash

@@ -23,7 +23,8 @@ from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from handover.errors import Problem
-from handover.http_client import (
+from handover.messages import Message, message
+from handover.network.http_client import (
     RawHeader,
     ResponseTimeout,
     SendError,
@@ -31,9 +32,8 @@ from handover.http_client import (
     StreamingHttpClient,
     address,
 )
-from handover.messages import Message, message
+from handover.network.tls_trust import client_context
 from handover.telemetry import get_logger
-from handover.tls_trust import client_context
 from handover_web.http.request_limits import READS, UPLOADS, ActiveRequest, ActiveRequests
 from handover_web.metrics import UPSTREAM_ERRORS
 

@@ -7,10 +7,10 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
 from handover.security.caller import CallerKind
 from handover.security.guard import require_signed_in
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_web.http.page_guard import PageGuard
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]

@@ -18,10 +18,10 @@ from typing import Final
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from handover.client_networks import network_of
 from handover.errors import Problem
+from handover.http.origin_guard import send_problem
 from handover.messages import message
-from handover.origin_guard import send_problem
+from handover.network.client_networks import network_of
 from handover_web.http.page_guard import OPEN_PATHS
 from handover_web.metrics import REJECTED_REQUESTS
 

@@ -14,8 +14,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
 from handover.errors import Problem
-from handover.tls_trust import tls_of
-from handover.websocket_closing import close_websocket
+from handover.http.websocket_closing import close_websocket
+from handover.network.tls_trust import tls_of
 from handover_web.http.page_guard import PageGuard
 
 OPEN_TIMEOUT_S: Final = 3.0

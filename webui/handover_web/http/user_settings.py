@@ -12,8 +12,8 @@ from fastapi import Body, FastAPI
 from fastapi import Path as InPath
 from sqlalchemy import Column, Engine, MetaData, String, Table, Text, delete, func, insert, select
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.http.body_limit import max_body
 from handover.security.caller import Caller
 from handover.security.guard import require_signed_in
 

@@ -18,7 +18,7 @@ from handover.alerts import PRIORITIES
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
 from handover.messages import message
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_datamodels.attributes import Relationship
 from handover_datamodels.entities import Alert, AlertState, DataModelError, Severity

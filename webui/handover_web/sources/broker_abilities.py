@@ -3,7 +3,7 @@
 from typing import Final, Literal
 
 from handover.broker import BrokerClient
-from handover.broker_abilities import FoundAbilities, find_abilities
+from handover.broker.abilities import FoundAbilities, find_abilities
 from handover.settings import Settings
 from handover_web.metrics import BROKER_ABILITIES
 

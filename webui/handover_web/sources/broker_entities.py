@@ -15,11 +15,11 @@ from typing import Any, Final
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.cells import OtherCells
-from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
+from handover.broker.cells import OtherCells
+from handover.broker.resync import Resync
 from handover.service_addresses import BROKER
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_web.settings import WebuiSettings
 from handover_web.sources.services import ServiceMonitor

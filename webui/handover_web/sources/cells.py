@@ -12,7 +12,7 @@ from itertools import chain
 from typing import Any, Final, Literal, Self
 
 from handover.broker import BrokerClient, BrokerError, NotFound
-from handover.cells import cell_of
+from handover.broker.cells import cell_of
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Alert, Cell, DataModelError

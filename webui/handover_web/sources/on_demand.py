@@ -14,11 +14,11 @@ import orjson
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import UsageError
+from handover.network.tls_trust import tls_of
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.telemetry import get_logger
-from handover.tls_trust import tls_of
 from handover_web.live.live_state import LiveState
 from handover_web.live.viewers import Viewers
 from handover_web.settings import WebuiSettings

@@ -12,9 +12,9 @@ from urllib.parse import quote
 import httpx
 
 from handover.messages import message_in, with_code
-from handover.retry import Backoff, with_jitter
+from handover.runtime.retry import Backoff, with_jitter
 from handover.service_addresses import ORCHESTRATOR
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import TaskStatus
 from handover_web.live.event_log import Event, EventLog, Level, normalized_timestamp

@@ -19,7 +19,7 @@ from handover_web.sources.source import Source
 
 POLL_INTERVAL_S = 2.0
 REQUEST_TIMEOUT_S = 4.0
-"""It is longer than `handover.service.CHECK_TIMEOUT_S`: a service says which dependency hangs."""
+"""It is longer than `handover.serving.service.CHECK_TIMEOUT_S`: a service says which dependency hangs."""
 RATE_WINDOW_S = 6.0
 
 State = Literal["up", "degraded", "down"]

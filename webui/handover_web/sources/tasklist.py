@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.service_addresses import ORCHESTRATOR
-from handover.task_life import FINISHED, is_for_people, performers_of
+from handover.tasks.task_life import FINISHED, is_for_people, performers_of
 from handover_datamodels.attributes import DateTime, Property
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from handover.messages import message_in, with_code
 from handover.service_addresses import BROKER
-from handover.task_life import FINISHED, is_news, performers_of
+from handover.tasks.task_life import FINISHED, is_news, performers_of
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 from handover_web.live.event_log import Event, EventLog, Level, normalized_timestamp

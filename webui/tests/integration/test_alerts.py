@@ -8,8 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.alert_catalogue import GLOVE_SILENT, AlertType
 from handover.alerts import alert_id, clear_alert, raise_alert
+from handover.alerts.catalogue import GLOVE_SILENT, AlertType
 from handover.broker import BrokerClient
 from handover.settings import Settings
 from handover_datamodels.states import Severity

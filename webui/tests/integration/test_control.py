@@ -10,7 +10,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from handover.origin_guard import OriginGuard, OriginPolicy
+from handover.http.origin_guard import OriginGuard, OriginPolicy
 from handover_robots.app import make_app as make_tool
 from handover_robots.settings import TrajectorySettings
 from handover_web.server import make_app

@@ -11,7 +11,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from handover.origin_guard import OriginGuard, OriginPolicy
+from handover.http.origin_guard import OriginGuard, OriginPolicy
 from handover_body.app import make_app as make_human_state
 from handover_body.settings import HumanStateSettings
 from handover_web.server import make_app

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from handover import ports
 from handover.extensions import load_service
+from handover.runtime import ports
 from handover.settings import Settings
 from handover_cell.doctor import examine
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from lxml import etree
 
-from handover.event_log import TASK_COLUMNS, XES
+from handover.tasks.event_log import TASK_COLUMNS, XES
 from handover_processes.command_line.exporters import csv_of, json_of, xes_of
 
 TASK: dict[str, Any] = {

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from handover_cell.launching import fork_server
 from handover_cell.launching.processes import ForkedProcess, Process, ProcessStarter
 from tests.kit.namesakes import leave_namesakes_in

@@ -11,8 +11,8 @@ from sqlalchemy import Column, Engine, MetaData, String, Table, insert, select
 from typer.testing import CliRunner
 
 from handover.database import connect
+from handover.database.migrations import migrate
 from handover.errors import Problem
-from handover.migrations import migrate
 from handover.security import audit_chains
 from handover.security.act_recording import lowers, recorded_with_change
 from handover.security.audit import INTENDED, AuditLog, AuditTables
@@ -21,7 +21,7 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Guard, in_path, require
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 from handover_cell.main import app as command_line
 from tests.kit.bearer_tokens import KEY, UR10, bearer, set_up_accounts

@@ -22,7 +22,7 @@ from handover.security.guard import (
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 from tests.kit.bearer_tokens import KEY, UR10, bearer, set_up_accounts
 

@@ -20,7 +20,7 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.security.secret_tokens import new_token
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 
 KEY = SigningKey.generate()

@@ -17,7 +17,7 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.secret_tokens import new_token
 from handover.security.service_access import ServiceAccess
-from handover.service import add_operations
+from handover.serving.service import add_operations
 from handover.settings import Settings
 
 

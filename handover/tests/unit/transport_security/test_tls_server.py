@@ -15,13 +15,13 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from websockets.asyncio.client import connect
 
-from handover.certificate_watch import CertificateWatch
 from handover.errors import UsageError
-from handover.http_client import BodyReadingHttpClient, SendError
-from handover.http_protocol import Connections, HttpProtocol
-from handover.serving import Server
+from handover.http.protocol import Connections, HttpProtocol
+from handover.network.http_client import BodyReadingHttpClient, SendError
+from handover.network.tls_trust import AuthorityUnreadable, client_context, handshake_fault
+from handover.serving.certificate_watch import CertificateWatch
+from handover.serving.server import Server
 from handover.settings import Settings
-from handover.tls_trust import AuthorityUnreadable, client_context, handshake_fault
 from handover.transport_security.local_authority import ServerFiles
 from handover.transport_security.server_certificate import CertificateInvalid, ServerCertificate
 from handover.transport_security.tls_listener import HANDSHAKES, listen

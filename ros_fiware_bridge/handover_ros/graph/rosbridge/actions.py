@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover_ros.errors import (
     BadMessage,
     GoalRefused,

@@ -16,7 +16,7 @@ import structlog
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidURI, WebSocketException
 
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover_ros.errors import (
     AdapterUnavailable,
     ClosedUnanswered,

@@ -13,9 +13,9 @@ import typer
 
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.command_line.access import cli_access
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.outbound_policy import address_of, is_loopback
+from handover.files.durable_files import replace_durably
+from handover.network.outbound_policy import address_of, is_loopback
 from handover.security.service_access import AccountsUnavailable
 from handover.settings import COMPONENTS_FILE
 from handover.transport_security.local_authority import AUTHORITY, LocalAuthority, checked_name

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 import orjson
 
 from handover.errors import HandoverError, UsageError
-from handover.http_client import BodyReadingHttpClient, SendError
-from handover.outbound_policy import is_loopback
+from handover.network.http_client import BodyReadingHttpClient, SendError
+from handover.network.outbound_policy import is_loopback
 from handover_accounts.settings import AccountsSettings
 
 if TYPE_CHECKING:

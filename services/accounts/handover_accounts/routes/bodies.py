@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
-from handover.strict_json import StrictModel
+from handover.formats.strict_json import StrictModel
 from handover_accounts.passwords import MAX_CHARACTERS
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]

@@ -4,7 +4,7 @@ from typing import Annotated, cast
 
 from fastapi import FastAPI
 
-from handover.body_limit import max_body
+from handover.http.body_limit import max_body
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission

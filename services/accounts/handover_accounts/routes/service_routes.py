@@ -8,13 +8,13 @@ from typing import Annotated, Any, Final, cast
 from fastapi import FastAPI, Query, Request, Response
 from sqlalchemy import Connection, func, insert, select
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.http.body_limit import max_body
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.security.secret_tokens import is_secret_token
-from handover.service import json_response
+from handover.serving.service import json_response
 from handover_accounts import links, tables, users
 from handover_accounts.changes import Change
 from handover_accounts.directory import NOBODY, Directory

@@ -5,8 +5,8 @@ from typing import Annotated, Any, cast
 from fastapi import FastAPI
 from sqlalchemy import Connection, select
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.http.body_limit import max_body
 from handover.security.caller import Caller
 from handover.security.guard import require, require_signed_in, require_somewhere
 from handover.security.permissions import Permission, Role

@@ -20,8 +20,8 @@ from fastapi import FastAPI
 from pydantic import SecretStr
 from starlette.requests import Request
 
-from handover.alert_catalogue import DEVICE_ANOMALY
 from handover.alerts import clear_alert, raise_alert
+from handover.alerts.catalogue import DEVICE_ANOMALY
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover_alerts import tables

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover_cases.running.machine_runner import MachineRunner
 from handover_datamodels.entities import DeviceState

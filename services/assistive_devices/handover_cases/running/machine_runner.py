@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from handover.background_tasks import BackgroundTasks
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_cases.body_link import BodyLink
 from handover_cases.machine import MAX_STEP_S, Case, Machine, Seen

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, Final
 
-from handover.device_lease import DeviceLease
-from handover.ros_dds import TopicEndpoints, require_extra, struct_of
+from handover.formats.ros_dds import TopicEndpoints, require_extra, struct_of
+from handover.tasks.device_lease import DeviceLease
 from handover.telemetry import get_logger
 from handover_cases.metrics import COMMANDS
 from handover_cases.model.command import Command, NumberCommand, VelocityCommand

@@ -19,7 +19,7 @@ from typing import Any, Final
 import orjson
 from sqlalchemy import Connection
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit import INTENDED, AuditLog
 from handover.security.audit_trail import DONE, FAILED, REFUSED, AuditEntry, AuditTrail, is_recorded
 from handover.security.caller import LOCAL_OWNER, Caller

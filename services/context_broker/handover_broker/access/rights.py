@@ -13,7 +13,7 @@ from handover.security.authentication import not_allowed
 from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
-from handover.task_life import performers_of
+from handover.tasks.task_life import performers_of
 from handover_broker.access.task_evidence import (
     TASK,
     performer_refusal,

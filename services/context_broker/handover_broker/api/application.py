@@ -19,7 +19,7 @@ from prometheus_client import Gauge
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from handover.errors import Problem, UsageError
-from handover.storage import require_storage
+from handover.serving.storage import require_storage
 from handover.telemetry import get_logger
 from handover_broker.api.description import paths_of
 from handover_broker.api.http_protocol import BrokerProtocol
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from handover.security.audit_trail import AuditTrail
     from handover.security.authentication import Guard
     from handover.security.caller import Caller
-    from handover.service import Check
+    from handover.serving.service import Check
 
 log = get_logger(__name__)
 
@@ -168,7 +168,7 @@ class BrokerApplication:
         """Return the application for everything but NGSI-LD: health, metrics and the like."""
         if self._rest is None:
             # Importing the web framework takes a quarter of the start; NGSI-LD does not need it.
-            service = await asyncio.to_thread(import_module, "handover.service")
+            service = await asyncio.to_thread(import_module, "handover.serving.service")
             self._rest = service.create_app(
                 "Context broker",
                 description="An NGSI-LD broker (ETSI GS CIM 009). NGSI-LD itself is under /ngsi-ld/v1.",

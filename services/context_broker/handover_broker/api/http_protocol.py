@@ -15,8 +15,8 @@ from starlette.types import Message, Receive
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from handover.http_protocol import BODY, HEAD, IDLE, IN_USE, Connections, HttpProtocol
-from handover.origin_guard import OriginPolicy
+from handover.http.origin_guard import OriginPolicy
+from handover.http.protocol import BODY, HEAD, IDLE, IN_USE, Connections, HttpProtocol
 from handover.telemetry import get_logger
 from handover_broker.request.request_context import (
     PREFIX,

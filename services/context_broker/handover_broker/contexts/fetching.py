@@ -16,8 +16,8 @@ from urllib.parse import urljoin, urlsplit
 import orjson
 
 from handover.errors import Problem
-from handover.http_client import BodyReadingHttpClient, SendError
-from handover.outbound_policy import OutboundPolicy
+from handover.network.http_client import BodyReadingHttpClient, SendError
+from handover.network.outbound_policy import OutboundPolicy
 from handover.settings import PASSWORD_IN_URL, STARS
 from handover_broker.model.problems import bad_request_data, context_not_available
 from handover_broker.model.validation import shown

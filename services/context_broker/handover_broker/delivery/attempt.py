@@ -6,7 +6,7 @@ from typing import Final, Protocol
 
 from prometheus_client import Counter
 
-from handover.http_client import SendError
+from handover.network.http_client import SendError
 from handover.telemetry import get_logger
 from handover_broker.delivery.endpoint_queue import EndpointQueue
 from handover_broker.delivery.subscription import Subscription

@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 from prometheus_client import Gauge
 
-from handover.retry import backoff_delay_s
+from handover.runtime.retry import backoff_delay_s
 
 WINDOW: Final = 256
 """Maximum notifications of one endpoint in memory; the others wait on disk."""

@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from handover.http_client import ResponseTimeout, SendError
-from handover.outbound_policy import AddressRefused, OutboundPolicy
+from handover.network.http_client import ResponseTimeout, SendError
+from handover.network.outbound_policy import AddressRefused, OutboundPolicy
 from handover_broker.delivery.mqtt_address import MqttAddress
 
 GOODBYE_WITHIN_S: Final = 1.0

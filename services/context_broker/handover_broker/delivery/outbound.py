@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
 from weakref import WeakValueDictionary
 
-from handover.http_client import PooledHttpClient
-from handover.outbound_policy import OutboundPolicy
+from handover.network.http_client import PooledHttpClient
+from handover.network.outbound_policy import OutboundPolicy
 from handover_broker.delivery.endpoint import Endpoint
 from handover_broker.delivery.endpoint_queue import WAITING, EndpointQueue, EndpointUser, MemoryBudget
 from handover_broker.delivery.mqtt_sender import MqttSender

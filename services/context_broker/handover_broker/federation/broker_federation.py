@@ -9,7 +9,7 @@ answered from the map; its pages are read with the same distribution.
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 
-from handover.http_client import BodyReadingHttpClient
+from handover.network.http_client import BodyReadingHttpClient
 from handover_broker.contexts.context_resolver import ContextResolver
 from handover_broker.extensions.federation import wants_map
 from handover_broker.federation.distribution.distributed_operations import (

@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from typing import Any, Final
 
-from handover.durations import parse_duration
 from handover.errors import Problem
+from handover.formats.durations import parse_duration
 from handover_broker.model.problems import bad_request_data
 
 MAX_ID_LENGTH = 2048

@@ -4,7 +4,7 @@ import asyncio
 from typing import Final
 from urllib.parse import urlsplit
 
-from handover.outbound_policy import AddressRefused, OutboundPolicy
+from handover.network.outbound_policy import AddressRefused, OutboundPolicy
 from handover_broker.model.problems import bad_request_data
 
 LOOKUP_TIMEOUT_S: Final = 1.0

@@ -14,8 +14,8 @@ from uuid import uuid4
 
 import orjson
 
-from handover.http_client import SendError
-from handover.retry import Backoff
+from handover.network.http_client import SendError
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_broker.delivery.delivery_worker import DROPPED
 from handover_broker.model.secrets import without_secrets

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable
 from typing import Final
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 from handover_broker.model.problems import not_stored
 from handover_broker.model.stored_documents import isolated
 from handover_broker.model.validation import timestamp_now

@@ -10,8 +10,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
+from handover.database.sqlite_files import faults_of, is_damage
 from handover.errors import UsageError
-from handover.sqlite_files import faults_of, is_damage
 from handover_broker.storage import checksums
 from handover_broker.storage.database import NotStored, SqliteDatabase
 from handover_broker.storage.journal import SCHEMA_VERSION, SCRIPT

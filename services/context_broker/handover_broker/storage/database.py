@@ -12,10 +12,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
-from handover.durable_files import sync_folder
+from handover.database.sqlite_files import damage, require_sound
 from handover.errors import UsageError
-from handover.folder_lock import hold
-from handover.sqlite_files import damage, require_sound
+from handover.files.durable_files import sync_folder
+from handover.files.folder_lock import hold
 
 Row = tuple[Any, ...]
 

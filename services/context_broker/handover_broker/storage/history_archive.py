@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from handover.sqlite_files import damage
+from handover.database.sqlite_files import damage
 from handover_broker.storage import checksums
 from handover_broker.storage.checksums import require_row
 from handover_broker.storage.database import Database, NotStored, Writer

@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
+from handover.database.sqlite_files import damage
 from handover.errors import UsageError
-from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from handover_broker.storage import checksums
 from handover_broker.storage.checksums import require_row

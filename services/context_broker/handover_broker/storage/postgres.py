@@ -23,8 +23,8 @@ from urllib.parse import urlsplit
 from uuid import uuid4
 
 from handover.errors import UsageError
+from handover.network.tls_trust import postgresql_remedy
 from handover.telemetry import get_logger
-from handover.tls_trust import postgresql_remedy
 from handover_broker.storage.database import DatabaseAway, NotStored, Row
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from handover.durations import MAX_YEARS, add_months, parse_duration
+from handover.formats.durations import MAX_YEARS, add_months, parse_duration
 from handover_broker.model.problems import bad_request_data
 from handover_broker.model.validation import MICROS, shown
 

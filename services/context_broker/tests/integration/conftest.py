@@ -15,7 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from tests.kit import processes
 from tests.kit.context_sources import ScriptedSource
 from tests.kit.databases import DATABASE

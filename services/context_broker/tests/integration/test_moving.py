@@ -14,11 +14,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from handover.broker_copy.copying import CopyReport, copy_broker, place_at
-from handover.free_values import FREE_VALUES
-from handover.notifications import KEY_HEADER
-from handover.python_processes import module_command
+from handover.formats.free_values import FREE_VALUES
+from handover.runtime.python_processes import module_command
 from handover.security.permissions import Role
 from handover.settings import Settings
+from handover.subscriptions.notifications import KEY_HEADER
 from handover_datamodels.contexts import HANDOVER_URL
 from tests.kit import processes
 from tests.kit.other_broker.profiles import ORION_LD

@@ -10,8 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.http_client import SendError
-from handover.outbound_policy import OutboundPolicy
+from handover.network.http_client import SendError
+from handover.network.outbound_policy import OutboundPolicy
 from handover_broker.delivery.mqtt_address import mqtt_address
 from handover_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.tests.integration import acts

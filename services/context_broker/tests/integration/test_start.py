@@ -52,7 +52,7 @@ def test_rarely_used_modules_are_not_loaded_at_the_start(own_broker: Any) -> Non
 
 
 def test_a_start_does_not_wait_for_the_web_framework() -> None:
-    started = "import sys, handover_broker.app, handover.serving; print('fastapi' in sys.modules)"
+    started = "import sys, handover_broker.app, handover.serving.server; print('fastapi' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", started], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "False"
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from handover.outbound_policy import OutboundPolicy
+from handover.network.outbound_policy import OutboundPolicy
 from handover_broker.contexts.context_resolver import CORE, ContextResolver
 from handover_broker.contexts.fetching import (
     MAX_KEPT_S,

@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem, UsageError
-from handover.http_client import (
+from handover.network.http_client import (
     BodyReadingHttpClient,
     PooledHttpClient,
     ResponseTooLarge,
     SendError,
     inflate,
 )
-from handover.outbound_policy import (
+from handover.network.outbound_policy import (
     SETTING,
     AddressRefused,
     OutboundPolicy,

@@ -30,10 +30,10 @@ from urllib.parse import unquote, urlsplit
 import orjson
 
 from handover.errors import UsageError
-from handover.outbound_policy import is_loopback
-from handover.retry import Backoff
+from handover.network.outbound_policy import is_loopback
+from handover.network.tls_trust import client_context
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import client_context
 from handover_devices import metrics
 from handover_devices.gateway import DeviceGateway, Session
 from handover_devices.protocol.messages import MAX_LINE_BYTES, BadMessage, parse_hello

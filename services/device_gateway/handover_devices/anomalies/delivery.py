@@ -16,13 +16,13 @@ from typing import Any, Final
 import orjson
 from sqlalchemy import Connection
 
-from handover.alert_catalogue import DEVICE_ANOMALY
 from handover.alerts import alert_id, clear_alert, raise_alert
+from handover.alerts.catalogue import DEVICE_ANOMALY
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import HandoverError, Problem
-from handover.http_client import BodyReadingHttpClient, SendError
 from handover.messages import Message, message
-from handover.retry import Backoff
+from handover.network.http_client import BodyReadingHttpClient, SendError
+from handover.runtime.retry import Backoff
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_devices import metrics

@@ -14,7 +14,7 @@ import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from handover.errors import UsageError
-from handover.validation import fault_text
+from handover.formats.validation import fault_text
 from handover_datamodels.states import Severity
 from handover_devices.model.description import Part
 

@@ -11,9 +11,9 @@ import yaml
 
 from handover.command_line.access import ask_service
 from handover.command_line.output import AsJson, print_json
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.tls_trust import client_context
+from handover.files.durable_files import replace_durably
+from handover.network.tls_trust import client_context
 from handover_devices.settings import GatewaySettings
 
 app = typer.Typer(help="Devices and robots of others: add, list, simulate.", no_args_is_help=True)

@@ -19,9 +19,9 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
-from handover.clocks import SteadyTime
 from handover.errors import Problem
 from handover.messages import Message, message, message_in, with_code
+from handover.runtime.clocks import SteadyTime
 from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
 from handover_devices import metrics

@@ -16,9 +16,9 @@ import socket
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol, Self, cast
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import UsageError
-from handover.outbound_policy import is_loopback
+from handover.network.outbound_policy import is_loopback
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.protection import require_protection
 from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import ServerCertificate

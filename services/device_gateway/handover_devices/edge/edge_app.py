@@ -10,13 +10,13 @@ import orjson
 from fastapi import FastAPI
 from typing_extensions import TypedDict
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import connect
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
-from handover.service import create_app
-from handover.storage import storage_check
+from handover.serving.service import create_app
+from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
 from handover_devices import metrics
 from handover_devices.adapters.base import configured

@@ -23,9 +23,9 @@ import orjson
 from pydantic import ValidationError
 
 from handover.errors import HandoverError, Problem
-from handover.retry import Backoff
+from handover.network.tls_trust import handshake_fault
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import handshake_fault
 from handover_devices import metrics
 from handover_devices.edge.commands import EdgeCommands, EdgeDispatcher
 from handover_devices.edge.upstream import Upstream

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from handover.errors import UsageError
-from handover.tls_trust import client_context
+from handover.network.tls_trust import client_context
 from handover_devices.settings import GatewaySettings
 
 DEFAULT_PORT: Final = 54010

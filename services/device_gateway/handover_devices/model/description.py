@@ -12,7 +12,7 @@ from jsonschema.exceptions import SchemaError
 from pydantic import ConfigDict, Field, field_validator, model_validator
 from pydantic.alias_generators import to_camel
 
-from handover.strict_json import StrictModel
+from handover.formats.strict_json import StrictModel
 from handover_devices.model.units import is_unit_code
 from handover_devices.protocol.messages import MAX_VALUES, is_device_name, is_value_name
 

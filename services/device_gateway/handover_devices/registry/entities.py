@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from handover.content_digest import with_digest
+from handover.files.content_digest import with_digest
 from handover.settings import Settings
 from handover_datamodels.numbers import portable
 from handover_datamodels.times import iso

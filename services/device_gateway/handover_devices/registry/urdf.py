@@ -10,8 +10,8 @@ from typing import Final
 from lxml import etree
 
 from handover.errors import Problem
+from handover.formats.robot_xml import loop_faults, mesh_faults, remove_namespace
 from handover.messages import Message, message
-from handover.robot_xml import loop_faults, mesh_faults, remove_namespace
 from handover_devices.model.description import Joint
 
 MAX_URDF_BYTES: Final = 4 * 1024 * 1024

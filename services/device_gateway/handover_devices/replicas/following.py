@@ -11,9 +11,9 @@ from typing import Final
 from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.retry import Backoff
+from handover.network.tls_trust import client_context
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import client_context
 from handover_devices.edge.commands import EdgeCommands, EdgeDispatcher
 from handover_devices.edge.edge_app import NoReports
 from handover_devices.edge.uplink import Uplink

@@ -18,13 +18,13 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
 from handover.errors import Problem
-from handover.http_client import Address, SendError, StreamingHttpClient
+from handover.http.origin_guard import send_problem
+from handover.http.websocket_closing import close_websocket
 from handover.messages import message
-from handover.origin_guard import send_problem
+from handover.network.http_client import Address, SendError, StreamingHttpClient
+from handover.network.tls_trust import client_context
 from handover.security.guard import PUBLIC_PATHS
 from handover.telemetry import get_logger
-from handover.tls_trust import client_context
-from handover.websocket_closing import close_websocket
 from handover_devices.gateway import DeviceGateway
 from handover_devices.refusals import WrongToken
 from handover_devices.replicas.following import Following

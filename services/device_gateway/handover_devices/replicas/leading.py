@@ -3,8 +3,8 @@
 import asyncio
 from functools import partial
 
-from handover.leadership import Leadership
 from handover.security.secret_tokens import new_token
+from handover.serving.leadership import Leadership
 from handover_devices.gateway import DeviceGateway
 from handover_devices.settings import GatewaySettings
 from handover_devices.storage import leader_store

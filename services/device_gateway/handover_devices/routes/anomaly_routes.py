@@ -10,13 +10,13 @@ from sqlalchemy import Engine
 from typing_extensions import TypedDict
 
 from handover.alerts import alert_id
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.settings import Settings
-from handover.strict_json import StrictModel
 from handover_datamodels.entities import Severity
 from handover_devices.anomalies.anomalies import Anomalies
 from handover_devices.anomalies.backtest import Finding, findings

@@ -7,13 +7,13 @@ from fastapi import Depends, FastAPI, Header, Request, Response
 from pydantic import BaseModel, ConfigDict
 from pydantic.alias_generators import to_camel
 
-from handover.api_description import sends
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
-from handover.service import accepts
+from handover.serving.service import accepts
 from handover_devices.camera_images import MAX_IMAGE_BYTES, CameraImages
 from handover_devices.gateway import DeviceGateway
 from handover_devices.registry.pictures import PICTURE_TYPES

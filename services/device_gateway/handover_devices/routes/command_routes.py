@@ -7,11 +7,11 @@ from fastapi import FastAPI, Query, Response
 from pydantic import ConfigDict, Field
 from sqlalchemy import Engine
 
+from handover.formats.strict_json import StrictModel
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
-from handover.service import json_response
-from handover.strict_json import StrictModel
+from handover.serving.service import json_response
 from handover_devices.commands.dispatcher import Dispatcher, command_of
 from handover_devices.gateway import DeviceGateway
 from handover_devices.routes.views import CommandView, command_view

@@ -7,12 +7,12 @@ from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_devices.device_inputs import DeviceControl, DeviceInputs
 from handover_devices.gateway import DeviceGateway
 from handover_devices.input_mapping import InputMapping

@@ -8,15 +8,15 @@ from fastapi import FastAPI, Query, Request, Response
 from pydantic import ConfigDict
 from sqlalchemy import Engine
 
-from handover.api_description import sends
-from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
-from handover.service import XML_TYPES, accepts, json_response
-from handover.strict_json import StrictModel
+from handover.serving.service import XML_TYPES, accepts, json_response
 from handover_devices.gateway import DeviceGateway
 from handover_devices.model.description import DeviceDescription, DeviceKind
 from handover_devices.model.units import SYMBOLS

@@ -7,7 +7,7 @@ from fastapi import FastAPI, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from handover.control.lease import Leases
-from handover.control_leasing import (
+from handover.control.leasing import (
     MODES,
     OF_ROBOT,
     OpenSessions,
@@ -16,13 +16,13 @@ from handover.control_leasing import (
     add_lease_routes,
     require_parameters,
 )
-from handover.control_session import InputRefused, receive_input, send_error, serve
+from handover.control.session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
+from handover.http.websocket_closing import close_websocket
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
-from handover.websocket_closing import close_websocket
 from handover_devices.driving import DriveSession, NotDrivable, require_drivable
 from handover_devices.gateway import DeviceGateway
 

@@ -14,13 +14,13 @@ from fastapi import Depends, FastAPI, Header, Query, Request, Response
 from sqlalchemy import Engine
 from starlette.responses import StreamingResponse
 
-from handover.api_description import sends
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.formats.validation import MAX_INTEGER
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
-from handover.validation import MAX_INTEGER
 from handover_datamodels.times import iso
 from handover_devices.forecast import COVERAGE, MAX_ORIGINS, TooShort, forecast, needed_intervals
 from handover_devices.gateway import DeviceGateway

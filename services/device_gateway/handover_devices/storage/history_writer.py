@@ -23,10 +23,10 @@ from typing import Any, Final, NamedTuple, TypeVar
 from sqlalchemy import Connection, Engine, Table, delete, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request, record_request
 from handover.telemetry import get_logger
 from handover_devices import metrics

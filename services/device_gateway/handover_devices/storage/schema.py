@@ -5,7 +5,7 @@ from typing import Final
 
 from sqlalchemy import Connection, Engine, inspect
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_devices.storage import partitions
 from handover_devices.storage.tables import meta
 

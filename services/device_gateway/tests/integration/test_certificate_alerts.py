@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.alert_catalogue import DEVICE_CERTIFICATE_EXPIRES
+from handover.alerts.catalogue import DEVICE_CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient
 from handover.transport_security import local_authority
 from handover_devices.app import make_app

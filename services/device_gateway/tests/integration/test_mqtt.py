@@ -12,7 +12,7 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem, UsageError
-from handover.retry import MAX_DELAY_S
+from handover.runtime.retry import MAX_DELAY_S
 from handover_devices.adapters.base import ADAPTERS
 from handover_devices.adapters.mqtt import MqttAdapter, MqttServer, make
 from handover_devices.gateway import DeviceGateway

@@ -10,7 +10,7 @@ import httpx
 import orjson
 
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover_devices.model.description import DeviceDescription
 from handover_devices.registry.device import Device
 from handover_devices.registry.entities import device_id, specification_id

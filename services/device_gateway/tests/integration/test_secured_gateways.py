@@ -14,9 +14,9 @@ from typing import Any
 import httpx
 import pytest
 
+from handover.network.tls_trust import client_context
 from handover.security.caller import Caller, CallerKind
 from handover.security.permissions import Grant, Role
-from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.signing_keys import SigningKeys

@@ -13,7 +13,7 @@ from handover.security.guard import Guard
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
 from handover.security.revocations import FollowedRevocations
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover_devices.camera_images import CameraImages
 from handover_devices.commands.dispatcher import Dispatcher
 from handover_devices.edge.edge_app import NoReports

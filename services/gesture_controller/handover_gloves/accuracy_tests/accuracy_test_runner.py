@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger

@@ -9,12 +9,12 @@ from fastapi import FastAPI, Request, Response
 from pydantic import ConfigDict, Field
 from starlette.requests import HTTPConnection
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.api_description import sends
 from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
-from handover.strict_json import StrictModel
 from handover_gloves.accuracy_tests.accuracy_test_runner import MAX_SEED, AccuracyTestRunner
 from handover_gloves.accuracy_tests.report import first_recognized, report_of
 from handover_gloves.accuracy_tests.store import AccuracyTest

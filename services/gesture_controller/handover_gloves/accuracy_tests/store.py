@@ -21,7 +21,7 @@ from sqlalchemy import (
     update,
 )
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_datamodels.times import iso
 from handover_gloves.accuracy_tests.trials import Attempt, Outcome, Phase, Plan, Trial
 

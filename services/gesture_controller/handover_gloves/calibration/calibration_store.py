@@ -7,7 +7,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Column, Engine, MetaData, Row, String, Table, Text, delete, insert, select
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_gloves.recognition.thresholds import FINGERS
 
 VERSION = 1

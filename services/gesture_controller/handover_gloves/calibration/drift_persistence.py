@@ -7,7 +7,7 @@ crash a level is off by at most that much.
 
 from dataclasses import replace
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from handover_gloves.calibration.calibration_store import CalibrationStore, FitKey, StoredDrift

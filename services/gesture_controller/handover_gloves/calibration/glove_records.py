@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Mapping
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover_gloves.calibration.glove_store import NOBODY, Fit, GloveStore, StoredGlove
 from handover_gloves.gloves.glove import Glove
 from handover_gloves.recognition.thresholds import Thresholds

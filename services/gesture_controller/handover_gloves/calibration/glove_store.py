@@ -13,8 +13,8 @@ from typing import Any
 import orjson
 from sqlalchemy import Connection, Engine, Row, delete, insert, select
 
+from handover.database.migrations import migrate
 from handover.errors import UsageError
-from handover.migrations import migrate
 from handover.telemetry import get_logger
 from handover_datamodels.times import iso
 from handover_gloves import tables

@@ -5,12 +5,12 @@ from typing import Annotated, Any
 from fastapi import FastAPI
 from pydantic import ConfigDict, Field, FiniteFloat
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_gloves.calibration.calibration_session import CalibrationSessions
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.recognition.registry import recognizers

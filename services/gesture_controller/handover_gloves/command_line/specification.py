@@ -31,7 +31,7 @@ def take_in(
     url: Url = None,
 ) -> None:
     """Write the definitions of a file into the database; each replaces the one with its id."""
-    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
+    from handover.tasks import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
     from handover_gloves.configuration.gestures_file import load  # noqa: PLC0415 - only this command needs it
     from handover_gloves.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
@@ -52,7 +52,7 @@ def take_in(
 @app.command("list")
 def every(url: Url = None, as_json: AsJson = False) -> None:
     """Print all definitions as a file that can be imported, in YAML or JSON."""
-    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
+    from handover.tasks import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
     from handover_gloves.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "read") as engine:
@@ -66,7 +66,7 @@ def every(url: Url = None, as_json: AsJson = False) -> None:
 @app.command("table")
 def show(url: Url = None) -> None:
     """Print the SQL statement that creates the table."""
-    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
+    from handover.tasks import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "asked") as engine:
         print(table.statement(engine))
@@ -77,7 +77,7 @@ def _database(url: str | None, act: str) -> "Iterator[Engine]":
     from sqlalchemy.exc import SQLAlchemyError  # noqa: PLC0415
 
     from handover.database import connect  # noqa: PLC0415
-    from handover.specification_table import SETTING  # noqa: PLC0415
+    from handover.tasks.specification_table import SETTING  # noqa: PLC0415
 
     engine = connect(url or ControllerSettings.load().specifications, setting=SETTING, is_own=False)
     try:

@@ -2,11 +2,11 @@
 
 from typing import Self
 
-from handover import alert_catalogue
+from handover.alerts import catalogue as alert_catalogue
 from handover.alerts import clear_alert, raise_alert, unshown_key
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient, BrokerError
 from handover.messages import message
-from handover.reporting_writer import reporting_writer
 from handover.telemetry import get_logger
 from handover_gloves import metrics
 from handover_gloves.connection.device_entities import DeviceEntities

@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover_datamodels.times import iso
 from handover_gloves.gloves.glove import Glove

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.security.secret_tokens import new_token, token_hash

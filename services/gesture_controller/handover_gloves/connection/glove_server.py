@@ -15,8 +15,8 @@ from typing import Any, Self, cast
 
 import orjson
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import UsageError
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.keys_in_force import RELOAD_INTERVAL_S
 from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import ServerCertificate

@@ -7,7 +7,7 @@ from contextlib import suppress
 import orjson
 from fastapi import WebSocket, WebSocketDisconnect
 
-from handover.websocket_closing import close_websocket
+from handover.http.websocket_closing import close_websocket
 from handover_gloves.gloves.glove import Glove
 from handover_gloves.gloves.glove_view import view_of
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import cast
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.telemetry import get_logger

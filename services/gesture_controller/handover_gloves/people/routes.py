@@ -10,15 +10,15 @@ import orjson
 from fastapi import FastAPI, Request, Response
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 
-from handover.api_description import sends
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
 from handover.messages import message, text_of
-from handover.offload import Offload, OffloadFailed
+from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import authenticated, guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
-from handover.service import YAML_TYPES, accepts
-from handover.strict_json import StrictModel
+from handover.serving.service import YAML_TYPES, accepts
 from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.calibration.glove_store import Fit
 from handover_gloves.calibration.sensor_diagnostics import find_lasting_faults

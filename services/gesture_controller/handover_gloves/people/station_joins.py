@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from handover.errors import UsageError
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.security.authentication import Guard
 from handover.security.performer_proof import performer_proof
 from handover.security.service_access import AccountsUnavailable

@@ -6,7 +6,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Connection, Engine, Table, delete, insert, select
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover.security.audit_trail import record_deletion, record_request
 from handover_gloves import tables
 from handover_gloves.calibration.glove_store import Fit, replace_fits

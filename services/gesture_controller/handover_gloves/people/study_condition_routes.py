@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI
 from pydantic import ConfigDict, Field
 
+from handover.formats.strict_json import StrictModel
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_gloves.people.study_conditions import StudyCondition
 from handover_gloves.people.wearers import Wearers
 

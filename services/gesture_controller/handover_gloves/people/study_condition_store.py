@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from sqlalchemy import Boolean, Column, Engine, MetaData, String, Table, delete, insert, select
 
 from handover.database import purge_log
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_gloves.people.study_conditions import StudyCondition
 
 VERSION = 1

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from handover.database_outage import in_database
+from handover.database.outage import in_database
 from handover.telemetry import get_logger
 from handover_gloves.calibration.glove_fits import GloveFits
 from handover_gloves.calibration.glove_store import NOBODY, Fit

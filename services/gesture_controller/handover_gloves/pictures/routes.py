@@ -9,8 +9,8 @@ from urllib.parse import quote
 
 from fastapi import FastAPI, Header, Response
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.guard import require_somewhere
 from handover.security.permissions import Permission

@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 from handover.job import Job, RequestedAction, TaskFailed
 from handover.messages import message
-from handover.outcomes import reason_of
 from handover.security import performer_proof, pin_check
 from handover.security.pin_check import ProvenPin
+from handover.tasks.outcomes import reason_of
 from handover_datamodels.states import Outcome
 from handover_gloves.prompting.sequence_gesture import SequenceProgress
 from handover_gloves.prompting.two_hand_gesture import TwoHandProgress

@@ -12,7 +12,7 @@ from typing import Any
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.job import TaskFailed
 from handover.messages import message
-from handover.retry import retry
+from handover.runtime.retry import retry
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Task
 from handover_gloves.prompting.prompt import PromptSpec

@@ -15,10 +15,10 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from handover.database import connect
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import UsageError
-from handover.retry import Backoff
-from handover.specification_table import SETTING, find
+from handover.runtime.retry import Backoff
+from handover.tasks.specification_table import SETTING, find
 from handover.telemetry import get_logger
 from handover_gloves.specifications.definition import Definition
 

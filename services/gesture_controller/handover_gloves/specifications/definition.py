@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from handover.specification import Specification
+from handover.tasks.specification import Specification
 
 
 @dataclass(frozen=True, slots=True)

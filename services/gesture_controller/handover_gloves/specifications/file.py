@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import yaml
 
-from handover.specification import FIELDS, Specification
+from handover.tasks.specification import FIELDS, Specification
 from handover_gloves.configuration.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
 from handover_gloves.specifications.definition import Definition
 

@@ -12,8 +12,8 @@ from sqlalchemy import Engine
 
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover.finished_tasks import FinishedTasks
 from handover.job import Job
+from handover.tasks.finished_tasks import FinishedTasks
 from handover_datamodels.entities import Task
 from handover_datamodels.states import Outcome
 from handover_gloves.configuration.gestures_file import built_in

@@ -13,8 +13,8 @@ import typer
 from handover.command_line.access import ask_service
 from handover.command_line.output import AsJson, print_json
 from handover.distribution import install_command
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover_body.settings import HumanStateSettings
 
 app = typer.Typer(

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from handover.messages import Message, message, text_of
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover_body.checks.monitor import SignalMonitor
 from handover_body.drivers.base import LinkLost, SensorDriver, Sink
 from handover_body.model.signals import (

@@ -2,10 +2,10 @@
 
 from contextlib import suppress
 
-from handover.alert_catalogue import DELETION_REFUSED
 from handover.alerts import raise_alert
+from handover.alerts.catalogue import DELETION_REFUSED
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.messages import message
 from handover.settings import Settings
 from handover.telemetry import get_logger

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
-from handover.mcap_files import MAX_MESSAGE_BYTES, JsonMcapWriter
+from handover.formats.mcap_files import MAX_MESSAGE_BYTES, JsonMcapWriter
 from handover_body.formats.errors import ExchangeError
 from handover_body.formats.extra import required
 from handover_body.formats.json_messages import (

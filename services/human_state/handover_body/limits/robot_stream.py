@@ -11,9 +11,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from handover.control.latest_input import LatestInput
 from handover.errors import HandoverError
-from handover.retry import Backoff
+from handover.network.tls_trust import tls_of
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import tls_of
 from handover_body.metrics import REPORTS
 from handover_datamodels.streams import SpeedLimitReport
 

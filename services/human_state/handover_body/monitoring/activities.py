@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 from typing import Any, Final
 
-from handover.background_tasks import BackgroundTasks
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_body.processing.adl.classifier import (
     DEFAULT_MODEL,

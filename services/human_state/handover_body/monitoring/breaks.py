@@ -8,7 +8,7 @@ knows the pseudonym.
 import orjson
 
 from handover.errors import HandoverError
-from handover.http_client import BodyReadingHttpClient, SendError
+from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_body.monitoring.person_monitor import PersonMonitor

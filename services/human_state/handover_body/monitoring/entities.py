@@ -5,7 +5,7 @@ import time
 from dataclasses import replace
 from typing import Final
 
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_body.exchange.deletions import Deletions

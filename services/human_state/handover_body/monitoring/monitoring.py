@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import orjson
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import HandoverError
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver

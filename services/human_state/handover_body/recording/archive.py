@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from handover.mcap_files import rewrite
+from handover.formats.mcap_files import rewrite
 from handover_body.exchange.mcap import McapWriter
 from handover_body.formats.json_messages import Recorded
 from handover_body.recording.sealed import SealedReader, SealedWriter, SealError, chunks_of

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from handover.errors import HandoverError, Problem
-from handover.offload import Offload
+from handover.runtime.offload import Offload
 from handover_body.exchange.fhir import session_bundle
 from handover_body.exchange.mcap import read_stream
 from handover_body.exchange.xdf import XdfWriter

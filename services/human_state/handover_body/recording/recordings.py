@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Final
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_body.formats.errors import ExchangeError
 from handover_body.formats.json_messages import Marker, Recorded

@@ -2,9 +2,9 @@
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
+from handover.runtime.background_tasks import BackgroundTasks
 from handover_body.exchange.deletions import Deletions
 from handover_body.exchange.health_entities import HealthEntities
 from handover_body.monitoring.monitoring import Monitoring

@@ -4,7 +4,7 @@ from contextlib import suppress
 from typing import Final
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
 from handover.telemetry import get_logger
 from handover_body.exchange.deletions import Deletions
 from handover_body.exchange.health_entities import HealthEntities

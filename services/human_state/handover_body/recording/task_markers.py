@@ -13,10 +13,10 @@ from typing import Any, Final
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError
-from handover.latest_value_writer import LatestValueWriter
-from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver, ids_of
-from handover.own_subscriptions import OwnSubscriptions
-from handover.retry import with_jitter
+from handover.broker.latest_value_writer import LatestValueWriter
+from handover.runtime.retry import with_jitter
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver, ids_of
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_body.formats.json_messages import Marker
 from handover_body.recording.recordings import Recordings

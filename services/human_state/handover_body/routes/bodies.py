@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
 
-from handover.strict_json import StrictModel
-from handover.validation import Moment
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import Moment
 from handover_body.people.consent import Purpose
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]

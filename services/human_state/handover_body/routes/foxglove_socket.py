@@ -13,9 +13,9 @@ from typing import Final
 from fastapi import Depends, FastAPI
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from handover.http.websocket_closing import close_websocket
 from handover.security.guard import require, token_in_query
 from handover.security.permissions import Permission
-from handover.websocket_closing import close_websocket
 from handover_body.exchange.foxglove import SUBPROTOCOLS, FoxgloveStream
 from handover_body.formats.json_messages import Recorded
 from handover_body.monitoring.monitoring import Monitoring

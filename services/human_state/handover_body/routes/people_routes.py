@@ -9,11 +9,11 @@ from fastapi import Depends, FastAPI, Query, Request, Response
 from pydantic import ValidationError
 
 from handover.errors import HandoverError, Problem
+from handover.formats.validation import LocalMoment, fault_text
 from handover.messages import message, text_of
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
-from handover.validation import LocalMoment, fault_text
 from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
 from handover_body.fusion.baseline import (
     Baseline,

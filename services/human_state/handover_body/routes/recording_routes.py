@@ -10,8 +10,8 @@ from typing import Annotated
 from fastapi import FastAPI, Path, Request, Response
 from starlette.responses import StreamingResponse
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.permissions import Permission
 from handover_body.formats.json_messages import Marker

@@ -11,9 +11,9 @@ from fastapi import FastAPI
 from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from handover.formats.validation import fault_text
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.validation import fault_text
 from handover_body.drivers.base import NotSimulated
 from handover_body.fusion.person_state import FusedValue
 from handover_body.model.signals import Samples

@@ -19,7 +19,7 @@ from sqlalchemy import (
     Text,
 )
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 
 VERSION: Final = 2
 COMPONENT: Final = "human_state"

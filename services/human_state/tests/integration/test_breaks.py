@@ -8,8 +8,8 @@ import httpx
 import pytest
 import uvicorn
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import connect
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.service_access import ServiceAccess
 from handover_body.fusion.baseline import Baseline
 from handover_body.monitoring.breaks import BreakProposals

@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
 
-from handover.background_tasks import BackgroundTasks
 from handover.control.speed_limits import Allowed
+from handover.runtime.background_tasks import BackgroundTasks
 from handover_cases.body_link import BodyLink
 from handover_cases.machine import CASES, Seen
 from handover_cases.machines.wheelchair.case import WheelchairMachine

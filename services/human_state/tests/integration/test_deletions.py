@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient, NotFound
-from handover.reporting_writer import reporting_writer
 from handover_body.exchange.deletions import Deletions
 from tests.kit.cell import Cell
 from tests.kit.refusing_proxy import RefusingProxy, refusing_proxy

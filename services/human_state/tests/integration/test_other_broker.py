@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from handover.broker import BrokerClient
-from handover.broker_identity import BrokerIdentity
+from handover.broker.identity import BrokerIdentity
 from services.human_state.tests.integration.conftest import HEART_RATE, Running, consent
 from tests.kit.cell import Cell
 from tests.kit.other_broker.running import orion_like

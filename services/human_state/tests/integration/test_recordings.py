@@ -12,7 +12,7 @@ import pytest
 
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover.notifications import KEY_HEADER
+from handover.subscriptions.notifications import KEY_HEADER
 from handover_body.exchange.mcap import read_stream
 from handover_body.formats.json_messages import Marker
 from handover_body.model.features import Feature, FeatureName

@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any
 
 from handover.messages import Message, message
-from handover.task_life import performers_of
+from handover.tasks.task_life import performers_of
 from handover_processes.allocation.agents import Agents, Position
 from handover_processes.allocation.choice import DEFAULT_PRIORITY, Request
 from handover_processes.allocation.hints import (

@@ -16,8 +16,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import UsageError
-from handover.strict_json import StrictModel
-from handover.validation import fault_lines
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import fault_lines
 from handover_processes.references import is_reference
 
 MAX_ENTRIES = 10_000

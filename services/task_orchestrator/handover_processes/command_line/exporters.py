@@ -9,9 +9,9 @@ from typing import Any
 
 import orjson
 
-from handover.event_log import TASK_COLUMNS, task_rows, xes_log
 from handover.extensions import ExtensionPoint
-from handover.tables import csv_table
+from handover.formats.tables import csv_table
+from handover.tasks.event_log import TASK_COLUMNS, task_rows, xes_log
 
 Exporter = Callable[[Mapping[str, Any]], bytes]
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from datetime import date
 from typing import Any, NamedTuple
 
-from handover.durations import Duration
+from handover.formats.durations import Duration
 from handover_processes.languages.base import ExpressionError, check_text, within_limits
 from handover_processes.languages.feel_values import (
     MAX_STRING,

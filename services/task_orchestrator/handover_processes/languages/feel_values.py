@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, time
 from typing import Any, TypeAlias
 
-from handover.durations import Duration
+from handover.formats.durations import Duration
 from handover_processes.languages.base import MAX_ITEMS, MAX_NUMBER, ExpressionError, Json
 from handover_processes.languages.times import (
     days_between,

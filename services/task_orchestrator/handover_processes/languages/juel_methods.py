@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from datetime import timedelta
 from typing import Any, NamedTuple
 
-from handover.durations import Duration
+from handover.formats.durations import Duration
 from handover_processes.languages.base import (
     ExpressionError,
     Json,

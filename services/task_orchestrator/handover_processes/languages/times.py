@@ -3,7 +3,7 @@
 import re
 from datetime import UTC, date, datetime, timedelta
 
-from handover.durations import MICROSECONDS_PER_S, Duration, add_months, parse_duration
+from handover.formats.durations import MICROSECONDS_PER_S, Duration, add_months, parse_duration
 from handover_processes.languages.base import NOW, ExpressionError, Variables
 
 _S_PER_DAY = 86_400

@@ -8,7 +8,7 @@ from functools import partial
 
 from lxml import etree
 
-from handover.durations import parse_duration
+from handover.formats.durations import parse_duration
 from handover_processes.model import Escalation
 from handover_processes.notation.dialects.base import attempt
 from handover_processes.notation.dialects.handover import extensions_of

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from lxml import etree
 
-from handover.durations import parse_duration
+from handover.formats.durations import parse_duration
 from handover_processes.model import RetryPolicy, Value
 from handover_processes.notation.context import Context
 from handover_processes.notation.dialects.base import attempt

@@ -7,7 +7,7 @@ from functools import partial
 
 from lxml import etree
 
-from handover.specification import FIELDS, Specification
+from handover.tasks.specification import FIELDS, Specification
 from handover_processes.languages.juel import read_juel
 from handover_processes.model import Value
 from handover_processes.notation.context import Context

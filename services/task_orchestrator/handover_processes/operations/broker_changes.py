@@ -11,7 +11,7 @@ from handover.security.caller import InvalidToken
 from handover.security.keys_in_force import KeysInForce
 from handover.security.performer_proof import PERFORMER_MEMBER, require_proven_performer
 from handover.security.pin_check import proven_person
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Task, TaskStatus
 from handover_processes.allocation.agents import Agents

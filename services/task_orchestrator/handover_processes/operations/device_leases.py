@@ -1,4 +1,4 @@
-"""Device leases: of the performers of one Device, one acts. The kit's side is `handover.device_lease`.
+"""Device leases: of the performers of one Device, one acts. The kit's side is `handover.tasks.device_lease`.
 
 A lease has a holder, a duration and a number. The number grows with each grant and is stored before it is
 answered, so no two holders ever have the same. The time at which a lease ends is kept in memory, by a clock
@@ -19,9 +19,9 @@ from typing import Any
 from sqlalchemy.exc import DBAPIError
 
 from handover.database import LockLost
-from handover.database_outage import database_reason
-from handover.device_lease import boot_time_s
+from handover.database.outage import database_reason
 from handover.errors import Problem
+from handover.tasks.device_lease import boot_time_s
 from handover.telemetry import get_logger
 from handover_processes.storage import device_leases as table
 from handover_processes.storage.device_leases import LeaseHolder, StoredLease

@@ -11,8 +11,8 @@ A Task of a Device that never had a lease, as in a cell without leases, is not w
 import asyncio
 from collections.abc import Callable, Iterator
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import Problem
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.entities import TaskStatus
 from handover_processes.operations.device_leases import DeviceLeases

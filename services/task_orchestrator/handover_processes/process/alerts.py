@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from handover.alert_catalogue import (
+from handover.alerts import unshown_key
+from handover.alerts.catalogue import (
     PROCESS_FAILED,
     PROCESS_INCIDENT,
     TASK_LOST,
@@ -12,7 +13,6 @@ from handover.alert_catalogue import (
     TASK_UNREADABLE,
     AlertType,
 )
-from handover.alerts import unshown_key
 from handover.messages import message, with_code
 from handover_processes.model import Escalation
 from handover_processes.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord

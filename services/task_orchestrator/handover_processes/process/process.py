@@ -15,8 +15,8 @@ from typing import Any
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
-from handover.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown, outcome_unknown
-from handover.task_life import FINISHED, STARTED, is_reachable
+from handover.tasks.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown, outcome_unknown
+from handover.tasks.task_life import FINISHED, STARTED, is_reachable
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator, NoPerformer
 from handover_processes.allocation.assignment import Assignment

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import TaskStatus
 from handover_processes.records import ProcessRecord, Step, TaskRecord
 from handover_processes.tally import Counted, Sums, Version, elapsed_ms

@@ -5,7 +5,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
 
-from handover.specification import Specification
+from handover.tasks.specification import Specification
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.assignment import Assignment
 from handover_processes.entities import task_entity

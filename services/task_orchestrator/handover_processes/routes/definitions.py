@@ -5,14 +5,14 @@ from typing import Annotated
 from fastapi import FastAPI, Path, Query, Request, Response
 from starlette.responses import JSONResponse
 
-from handover.api_description import sends
-from handover.body_limit import max_body
-from handover.database_outage import shown_after_change
+from handover.database.outage import shown_after_change
+from handover.http.api_description import sends
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.service import XML_TYPES, accepts
+from handover.serving.service import XML_TYPES, accepts
 from handover_processes.allocation.report import allocation_report
 from handover_processes.model import Fault
 from handover_processes.notation.document import MAX_BYTES

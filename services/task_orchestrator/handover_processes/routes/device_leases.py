@@ -1,4 +1,4 @@
-"""Routes: the leases of Devices, for performers; `handover.device_lease` is their client."""
+"""Routes: the leases of Devices, for performers; `handover.tasks.device_lease` is their client."""
 
 from typing import Annotated, Any
 
@@ -6,11 +6,11 @@ from fastapi import FastAPI, Request, Response
 from pydantic import ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
-from handover.device_lease import MAX_DEVICES_PER_REQUEST, PATH
+from handover.formats.strict_json import StrictModel
 from handover.security.audit_trail import current_request
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
+from handover.tasks.device_lease import MAX_DEVICES_PER_REQUEST, PATH
 from handover_processes.components import Components
 from handover_processes.operations.device_leases import LeaseAnswer
 from handover_processes.requests import Plain

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
-from handover.api_description import sends
-from handover.event_log import TASK_COLUMNS, task_rows, xes_log
+from handover.formats.tables import csv_table
+from handover.http.api_description import sends
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.tables import csv_table
+from handover.tasks.event_log import TASK_COLUMNS, task_rows, xes_log
 from handover_processes.components import Components
 from handover_processes.requests import EventLogQuery
 from handover_processes.routes.resources import of_definition_query

@@ -4,13 +4,13 @@ from datetime import timedelta
 
 from fastapi import FastAPI, Request, Response
 
-from handover.body_limit import max_body
-from handover.durations import parse_duration
 from handover.errors import Problem
-from handover.notifications import REQUIRES_NOTIFICATION_KEY
+from handover.formats.durations import parse_duration
+from handover.http.body_limit import max_body
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_processes.components import Components
 from handover_processes.operations.process_control import check_variables
 from handover_processes.requests import (

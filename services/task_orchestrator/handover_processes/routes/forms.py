@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
-from handover.body_limit import max_body
+from handover.http.body_limit import max_body
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.components import Components

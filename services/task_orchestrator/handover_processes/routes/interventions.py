@@ -2,7 +2,7 @@
 
 from fastapi import FastAPI, Response
 
-from handover.body_limit import max_body
+from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission

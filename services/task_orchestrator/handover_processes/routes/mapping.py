@@ -5,8 +5,8 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
-from handover.body_limit import max_body
 from handover.errors import HandoverError, Problem
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission

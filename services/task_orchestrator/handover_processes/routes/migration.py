@@ -2,8 +2,8 @@
 
 from fastapi import FastAPI, Response
 
-from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission

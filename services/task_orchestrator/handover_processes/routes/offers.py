@@ -4,12 +4,12 @@ from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.http.api_description import sends
 from handover.messages import message
-from handover.notifications import REQUIRES_NOTIFICATION_KEY
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_processes.components import Components
 from handover_processes.operations.offering import OfferReader
 from handover_processes.records import OfferStatus

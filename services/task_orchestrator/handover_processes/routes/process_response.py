@@ -4,7 +4,7 @@ from typing import Any
 
 from fastapi import Response
 
-from handover.database_outage import shown_after_change
+from handover.database.outage import shown_after_change
 from handover.errors import Problem
 from handover.messages import message
 from handover_processes.components import Components

@@ -5,12 +5,12 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
-from handover.body_limit import max_body
-from handover.database_outage import shown_after_change
+from handover.database.outage import shown_after_change
+from handover.formats.validation import Moment
+from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
-from handover.validation import Moment
 from handover_processes.components import Components
 from handover_processes.requests import (
     MAX_PARAMETERS_BYTES,

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
-from handover.api_description import sends
 from handover.errors import HandoverError, Problem
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission

@@ -5,7 +5,7 @@ from typing import Any
 
 from fastapi import Response
 
-from handover.tables import csv_table
+from handover.formats.tables import csv_table
 
 
 def csv_response(

@@ -5,15 +5,15 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Path, Query, Request, Response
 from starlette.responses import JSONResponse
 
-from handover.body_limit import max_body
-from handover.database_outage import shown_after_change
+from handover.database.outage import shown_after_change
 from handover.errors import Problem
+from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.security.pin_check import require_pin
-from handover.task_life import is_for_people
+from handover.tasks.task_life import is_for_people
 from handover_datamodels.entities import TaskStatus
 from handover_processes.components import Components
 from handover_processes.people_acts import requires_pin

@@ -4,7 +4,7 @@ import secrets
 
 from sqlalchemy import Column, Engine, MetaData, String, Table, insert, select
 
-from handover import migrations
+from handover.database import migrations
 
 _meta = MetaData()
 _identity = Table("orchestrator_cell", _meta, Column("identity", String(32), primary_key=True))

@@ -19,7 +19,7 @@ from sqlalchemy import (
     update,
 )
 
-from handover import migrations
+from handover.database import migrations
 
 _meta = MetaData()
 device_leases = Table(

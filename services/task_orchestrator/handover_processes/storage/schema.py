@@ -1,4 +1,4 @@
-"""Schema: the tables of the orchestrator. `handover.migrations` creates and migrates them."""
+"""Schema: the tables of the orchestrator. `handover.database.migrations` creates and migrates them."""
 
 from sqlalchemy import (
     BigInteger,
@@ -16,7 +16,7 @@ from sqlalchemy import (
     text,
 )
 
-from handover import migrations
+from handover.database import migrations
 
 SCHEMA_VERSION = 7
 

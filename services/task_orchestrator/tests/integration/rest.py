@@ -14,7 +14,7 @@ from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 
 from handover.broker import BrokerClient
-from handover.notifications import KEY_HEADER
+from handover.subscriptions.notifications import KEY_HEADER
 from handover_datamodels.times import iso
 from handover_processes.app import make_app
 from handover_processes.orchestrator import utc_now

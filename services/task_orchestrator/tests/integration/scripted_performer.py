@@ -17,8 +17,8 @@ from fastapi import FastAPI
 
 from handover.broker import BrokerClient
 from handover.performer import Job, Performer, TaskFailed
-from handover.service import create_app
-from handover.serving import serve
+from handover.serving.server import serve
+from handover.serving.service import create_app
 from handover.settings import Settings
 
 PORT = int(os.environ["PERFORMER_PORT"])

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient
-from handover.notifications import KEY_HEADER
+from handover.subscriptions.notifications import KEY_HEADER
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.integration.rest import (
     KEYED,

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from handover.database import connect
-from handover.specification import Specification
-from handover.specification_table import every
+from handover.tasks.specification import Specification
+from handover.tasks.specification_table import every
 from services.task_orchestrator.tests.integration.cell import Cell, eventually
 from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, path, start
 from tests.kit.ports import next_free_port

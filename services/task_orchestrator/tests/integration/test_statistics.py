@@ -8,7 +8,7 @@ import httpx
 import pytest
 from lxml import etree
 
-from handover.event_log import XES
+from handover.tasks.event_log import XES
 from services.task_orchestrator.tests.integration.cell import Cell, eventually
 from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, path, start
 

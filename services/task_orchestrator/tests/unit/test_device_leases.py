@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.database import connect
-from handover.device_lease import LEASE_S, REST_S, Authority, DeviceLease, LeaseState
+from handover.tasks.device_lease import LEASE_S, REST_S, Authority, DeviceLease, LeaseState
 from handover_processes.operations.device_leases import DeviceLeases
 from handover_processes.storage.device_leases import LeaseHolder
 from handover_processes.storage.store import Store

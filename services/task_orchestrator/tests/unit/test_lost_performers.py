@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from handover.outcomes import is_outcome_unknown
+from handover.tasks.outcomes import is_outcome_unknown
 from handover_processes.notation.faults import BadBpmn
 from handover_processes.records import MessageKind
 from services.task_orchestrator.tests.unit.drawing import activity, end, path, start

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover.durations import Duration, parse_duration
+from handover.formats.durations import Duration, parse_duration
 from handover.messages import with_code
-from handover.outcomes import is_outcome_unknown, outcome_unknown
+from handover.tasks.outcomes import is_outcome_unknown, outcome_unknown
 from handover_processes.model import RetryPolicy, Value
 from handover_processes.process import interventions
 from handover_processes.process.process import Process

@@ -9,8 +9,8 @@ import pytest
 from sqlalchemy import Engine, inspect, text
 
 from handover.database import connect
+from handover.database.sqlite_integrity.marks import TABLE as COMMITS
 from handover.errors import UsageError
-from handover.sqlite_integrity.marks import TABLE as COMMITS
 from handover_processes.records import Step
 from handover_processes.storage import schema
 from handover_processes.storage.store import Store

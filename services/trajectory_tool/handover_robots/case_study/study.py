@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-from handover.python_processes import safe_path_in_workers
+from handover.runtime.python_processes import safe_path_in_workers
 from handover_robots.case_study.trial import Mode, Outcome, Trial
 
 

@@ -7,9 +7,9 @@ The specification is written at the start: joints with their limits, home, gripp
 from datetime import UTC, datetime
 from typing import Any, Self
 
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.content_digest import with_digest
-from handover.reporting_writer import reporting_writer
+from handover.files.content_digest import with_digest
 from handover_datamodels.entities import DeviceState
 from handover_datamodels.times import iso
 from handover_robots.cell.robot_unit import RobotUnit

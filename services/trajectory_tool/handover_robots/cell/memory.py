@@ -12,8 +12,8 @@ from typing import Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.telemetry import get_logger
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose

@@ -4,8 +4,8 @@ import asyncio
 from contextlib import AsyncExitStack
 from typing import Self
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_robots.cell.cell_file import RobotEntry
 from handover_robots.cell.kinematics import Kinematics

@@ -14,8 +14,8 @@ from websockets.exceptions import WebSocketException
 
 from handover.command_line.access import cli_access, no_answer
 from handover.errors import UsageError
+from handover.network.tls_trust import client_context, tls_of
 from handover.settings import Settings
-from handover.tls_trust import client_context, tls_of
 
 TOOL = "trajectory tool"
 

@@ -10,7 +10,7 @@ from handover.broker import BrokerClient
 from handover.command_line.access import cli_access
 from handover.errors import UsageError
 from handover.settings import Settings
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from handover.broker import BrokerClient
 from handover.errors import UsageError
-from handover.validation import fault_lines
+from handover.formats.validation import fault_lines
 from handover_robots.driver_base.position_file import PositionFile
 from handover_robots.driver_base.robot import Robot
 from handover_robots.limits.limiter import Limiter

@@ -18,8 +18,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 from typing import Protocol, Self, TypeVar
 
-from handover.device_lease import Authority
 from handover.messages import message
+from handover.tasks.device_lease import Authority
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.control_thread import ControlThread, Cycles
 from handover_robots.driver_base.robot import Robot, StopCategory

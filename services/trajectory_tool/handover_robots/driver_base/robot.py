@@ -20,8 +20,8 @@ from handover_robots.scene.vision import Vision
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-    from handover.device_lease import Authority, DeviceLease
-    from handover.subscription_record import SubscriptionRecord
+    from handover.subscriptions.record import SubscriptionRecord
+    from handover.tasks.device_lease import Authority, DeviceLease
 
 __all__ = [
     "JointState",

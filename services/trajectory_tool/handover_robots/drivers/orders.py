@@ -14,9 +14,9 @@ from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.messages import message, text_of
-from handover.retry import Backoff, retry
+from handover.runtime.retry import Backoff, retry
 from handover.settings import Settings
-from handover.task_life import FINISHED
+from handover.tasks.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_datamodels.times import iso

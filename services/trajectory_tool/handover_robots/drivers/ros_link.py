@@ -20,7 +20,7 @@ from handover.broker import Credentials
 from handover.control.limit_link import exchange
 from handover.errors import HandoverError
 from handover.messages import message, text_of
-from handover.retry import Backoff
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_datamodels.arm_stream import (
     ARM_REPORTS,

@@ -28,13 +28,13 @@ from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from handover.broker import BrokerClient, BrokerError
+from handover.broker.resync import Resync
 from handover.errors import UsageError
 from handover.messages import message
-from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
-from handover.outcomes import is_outcome_unknown
-from handover.own_subscriptions import OwnSubscriptions
-from handover.resync import Resync
-from handover.subscription_record import SubscriptionRecord
+from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
+from handover.subscriptions.record import SubscriptionRecord
+from handover.tasks.outcomes import is_outcome_unknown
 from handover.telemetry import get_logger
 from handover_datamodels.arm_stream import JOINT_VELOCITIES, ArmSetup, TrajectoryPoint, VelocityOutput
 from handover_robots.driver_base.context import RobotContext

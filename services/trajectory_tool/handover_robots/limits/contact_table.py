@@ -25,8 +25,8 @@ from pydantic import (
 )
 
 from handover.errors import UsageError
+from handover.formats.validation import fault_lines
 from handover.messages import message
-from handover.validation import fault_lines
 
 MAX_FILE_BYTES = 256 * 1024
 

@@ -8,11 +8,11 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any, Self
 
-from handover.alert_catalogue import ROBOT_STOPPED_BY_LIMIT
 from handover.alerts import clear_alert, raise_alert
+from handover.alerts.catalogue import ROBOT_STOPPED_BY_LIMIT
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
 from handover.messages import message
-from handover.reporting_writer import reporting_writer
 from handover.settings import Settings
 from handover_datamodels.streams import SpeedLimitReport
 from handover_datamodels.times import iso

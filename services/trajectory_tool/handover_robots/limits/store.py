@@ -16,11 +16,11 @@ from pydantic import (
     model_validator,
 )
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.strict_json import StrictModel
+from handover.files.durable_files import replace_durably
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import Moment
 from handover.telemetry import get_logger
-from handover.validation import Moment
 
 log = get_logger(__name__)
 

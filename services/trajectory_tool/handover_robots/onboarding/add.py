@@ -11,7 +11,7 @@ import yaml
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import number_of
+from handover.formats.robot_xml import number_of
 from handover_robots.model.joints import Joints
 from handover_robots.model.obstacles import World
 from handover_robots.model.robot_model import RobotModel

@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from handover.errors import UsageError
-from handover.robot_xml import parse_robot_xml
+from handover.formats.robot_xml import parse_robot_xml
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.onboarding.comparison import Comparison, compare, decide
 from handover_robots.onboarding.hulls import surface_points

@@ -16,7 +16,7 @@ import pinocchio as pin
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import SIZES, plain_shapes, settle_sizes, sizes_of
+from handover.formats.robot_xml import SIZES, plain_shapes, settle_sizes, sizes_of
 from handover_robots.onboarding.hulls import Piece, pieces_of
 from handover_robots.onboarding.meshes import mesh_of, read_surface, vector_of
 from handover_robots.onboarding.urdf import Examined, Finding

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import number_of, parse_robot_xml, tree_faults
+from handover.formats.robot_xml import number_of, parse_robot_xml, tree_faults
 from handover_robots.robots.urdf import MAX_URDF_BYTES
 
 Level = Literal["info", "warning", "error"]

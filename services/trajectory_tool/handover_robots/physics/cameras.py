@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from handover.durable_files import replace_durably
+from handover.files.durable_files import replace_durably
 from handover.telemetry import get_logger
 from handover_robots.model.poses import NO_TURN, Frame, Pose
 from handover_robots.perception.depth_image import Intrinsics

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handover.durable_files import replace_durably
+from handover.files.durable_files import replace_durably
 from handover.telemetry import get_logger
 from handover_robots.physics.simulation import Simulation
 

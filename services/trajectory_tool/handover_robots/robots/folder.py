@@ -22,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import UnknownExtension
+from handover.formats.validation import fault_lines
 from handover.telemetry import get_logger
-from handover.validation import fault_lines
 from handover_robots.model.robot_model import Finger, RobotModel
 from handover_robots.robots import ROBOTS
 from handover_robots.robots.urdf import read_model

@@ -9,7 +9,7 @@ from typing import Any
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import link_of, loop_faults, mesh_faults, number_of
+from handover.formats.robot_xml import link_of, loop_faults, mesh_faults, number_of
 from handover_robots.model.faults import Unreachable
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Frame, Vector

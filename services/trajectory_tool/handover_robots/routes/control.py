@@ -8,9 +8,8 @@ from uuid import uuid4
 from fastapi import FastAPI, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
-from handover.background_tasks import BackgroundTasks
 from handover.control.lease import Leases
-from handover.control_leasing import (
+from handover.control.leasing import (
     MODES,
     OF_ROBOT,
     OpenSessions,
@@ -19,14 +18,15 @@ from handover.control_leasing import (
     add_lease_routes,
     require_parameters,
 )
-from handover.control_session import InputRefused, receive_input, send_error, serve
+from handover.control.session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
+from handover.http.websocket_closing import close_websocket
 from handover.messages import message
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
-from handover.websocket_closing import close_websocket
 from handover_datamodels.entities import DeviceState
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.recording import Recording

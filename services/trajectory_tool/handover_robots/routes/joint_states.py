@@ -12,10 +12,10 @@ from fastapi import FastAPI
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.errors import Problem
+from handover.http.websocket_closing import close_websocket
 from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
-from handover.websocket_closing import close_websocket
 from handover_robots.driver_base.robot import Robot
 from handover_robots.metrics import DROPPED
 from handover_robots.tasks.controller import Controller

@@ -14,12 +14,12 @@ from pydantic.alias_generators import to_camel
 from starlette.websockets import WebSocket
 
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.websocket_closing import close_websocket
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
-from handover.websocket_closing import close_websocket
 from handover_datamodels.streams import PeopleReport, SpeedLimitReport
 from handover_robots.driver_base.robot import Robot
 from handover_robots.limits.robot_limits import RobotLimits

@@ -6,8 +6,8 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.control.speed_limits import RefusedReport
-from handover.validation import fault_text
+from handover.formats.validation import fault_text
 from handover_robots.metrics import LIMIT_REPORTS
 
 MAX_MESSAGE_BYTES = 16 * 1024

@@ -7,13 +7,13 @@ from fastapi import FastAPI, Response
 from pydantic import ConfigDict
 from starlette.requests import HTTPConnection
 
-from handover.api_description import sends
 from handover.control.lease import Leases
 from handover.errors import Problem
+from handover.formats.strict_json import StrictModel
+from handover.http.api_description import sends
 from handover.messages import message, text_of
 from handover.security.guard import ResourceOf, in_path, require, require_somewhere
 from handover.security.permissions import Permission
-from handover.strict_json import StrictModel
 from handover_robots.cell.device import description
 from handover_robots.model.faults import RobotFault
 from handover_robots.routes.scenes import scene_view

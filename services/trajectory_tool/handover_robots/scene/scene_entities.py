@@ -7,9 +7,9 @@ deleted.
 from collections.abc import Iterator
 from typing import Any, Self
 
+from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.content_digest import with_digest
-from handover.reporting_writer import reporting_writer
+from handover.files.content_digest import with_digest
 from handover.settings import Settings
 from handover_robots.metrics import SCENE_WRITES_REJECTED
 from handover_robots.scene.scene import Scene

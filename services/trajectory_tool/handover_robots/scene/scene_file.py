@@ -10,8 +10,8 @@ from typing import Any
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from handover.durable_files import replace_durably
 from handover.errors import UsageError
+from handover.files.durable_files import replace_durably
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)

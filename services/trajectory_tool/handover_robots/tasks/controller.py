@@ -9,15 +9,15 @@ from typing import Any, Self
 
 from fastapi import FastAPI
 
-from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.messages import message, text_of
-from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
-from handover.retry import Backoff, retry
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff, retry
 from handover.settings import RESTARTED
-from handover.subscription_record import SubscriptionRecord
-from handover.task_life import type_of
+from handover.subscriptions.record import SubscriptionRecord
+from handover.tasks.outcomes import outcome_unknown
+from handover.tasks.task_life import type_of
 from handover.telemetry import get_logger
 from handover_datamodels.entities import DeviceState
 from handover_robots.cell.cell import Cell

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from handover.messages import Message, message, text_of
-from handover.outcomes import outcome_unknown
 from handover.performer import TaskFailed
+from handover.tasks.outcomes import outcome_unknown
 from handover_robots.metrics import SCANS
 from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.joints import Joints

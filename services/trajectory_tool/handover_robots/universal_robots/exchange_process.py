@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
 
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from handover.telemetry import get_logger
 from handover_robots.model.trajectory import Limits, Setpoint
 from handover_robots.universal_robots.exchange import ExchangeParameters

@@ -13,11 +13,11 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient, NotFound
-from handover.outcomes import is_outcome_unknown
-from handover.own_subscriptions import OwnSubscriptions
 from handover.settings import RESTARTED, Settings
-from handover.subscription_record import SubscriptionRecord
-from handover.task_life import FINISHED
+from handover.subscriptions.own_subscriptions import OwnSubscriptions
+from handover.subscriptions.record import SubscriptionRecord
+from handover.tasks.outcomes import is_outcome_unknown
+from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover_robots.physics import is_available
 from tests.kit.cell import Cell

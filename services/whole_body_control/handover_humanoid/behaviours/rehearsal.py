@@ -15,7 +15,7 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from handover.durable_files import replace_durably
+from handover.files.durable_files import replace_durably
 from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.model.humanoid import Humanoid

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
-from handover.validation import fault_text
+from handover.formats.validation import fault_text
 from handover_humanoid.components.robot import Robot
 from handover_humanoid.model.humanoid import Humanoid
 

@@ -15,7 +15,7 @@ from lxml import etree
 
 from handover.distribution import install_command
 from handover.errors import UsageError
-from handover.robot_xml import parse_robot_xml
+from handover.formats.robot_xml import parse_robot_xml
 from handover_humanoid.model.urdf import number
 
 Capsule = tuple[Sequence[float], Sequence[float], float]

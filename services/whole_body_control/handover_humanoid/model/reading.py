@@ -27,8 +27,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
-from handover.robot_xml import parse_robot_xml
-from handover.validation import fault_lines
+from handover.formats.robot_xml import parse_robot_xml
+from handover.formats.validation import fault_lines
 from handover_humanoid.model.humanoid import (
     Chain,
     ContactSurface,

@@ -9,7 +9,7 @@ import numpy as np
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import link_of, number_of, parse_robot_xml, settle_sizes, tree_faults
+from handover.formats.robot_xml import link_of, number_of, parse_robot_xml, settle_sizes, tree_faults
 
 MOVING = frozenset({"revolute", "prismatic"})
 FIXED = "fixed"

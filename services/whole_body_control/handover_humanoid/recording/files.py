@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 
 import orjson
 
-from handover.mcap_files import JsonMcapWriter, McapFileError, library
+from handover.formats.mcap_files import JsonMcapWriter, McapFileError, library
 
 METADATA: Final = "handover.humanoid"
 LIVE_TOPIC: Final = "/live"

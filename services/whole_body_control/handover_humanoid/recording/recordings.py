@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from handover.errors import HandoverError, Problem
-from handover.mcap_files import McapFileError, rewrite
+from handover.formats.mcap_files import McapFileError, rewrite
 from handover.messages import message
 from handover.telemetry import get_logger
 from handover_humanoid.recording.files import Frames, read_frames

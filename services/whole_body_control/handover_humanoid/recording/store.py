@@ -19,7 +19,7 @@ from sqlalchemy import (
     update,
 )
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover.security.audit_trail import record_request
 
 VERSION: Final = 1

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
-from handover.strict_json import StrictModel
+from handover.formats.strict_json import StrictModel
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Reason = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]

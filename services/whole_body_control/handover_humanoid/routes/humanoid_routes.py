@@ -10,8 +10,8 @@ import orjson
 from fastapi import FastAPI, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
-from handover.api_description import sends
 from handover.errors import Problem, UsageError
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller

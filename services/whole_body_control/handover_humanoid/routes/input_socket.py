@@ -12,10 +12,10 @@ from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem
+from handover.formats.validation import fault_text
 from handover.messages import message, with_code
 from handover.security.guard import require_by_request
 from handover.security.permissions import Permission
-from handover.validation import fault_text
 from handover_humanoid.metrics import INPUTS
 from handover_humanoid.routes.access import of_humanoid
 from handover_humanoid.running.humanoid_control import HumanoidControl

@@ -8,8 +8,8 @@ from fastapi import FastAPI, Path, Query, Response
 from pydantic import Field
 from starlette.responses import FileResponse
 
-from handover.api_description import sends
 from handover.errors import Problem
+from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require

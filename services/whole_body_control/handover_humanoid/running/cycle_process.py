@@ -23,7 +23,7 @@ import yaml
 
 from handover.errors import Problem
 from handover.messages import message
-from handover.python_processes import module_command
+from handover.runtime.python_processes import module_command
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from handover_humanoid.metrics import CYCLE_ENDS, CYCLE_RUNS

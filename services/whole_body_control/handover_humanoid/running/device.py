@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from handover.broker import BrokerClient
-from handover.content_digest import with_digest
-from handover.latest_value_writer import LatestValueWriter
+from handover.broker.latest_value_writer import LatestValueWriter
+from handover.files.content_digest import with_digest
 from handover_datamodels.entities import DeviceState
 from handover_datamodels.times import iso
 from handover_humanoid.running.humanoid_control import HumanoidControl

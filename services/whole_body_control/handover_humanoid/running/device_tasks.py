@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
+from handover.formats.validation import fault_text
 from handover.messages import message
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
-from handover.validation import fault_text
 from handover_humanoid.running.humanoid_control import HumanoidControl
 from handover_humanoid.running.plans import JuggleParameters, WalkParameters, plan_of
 from handover_humanoid.running.session_writer import SessionWriter

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
 
+from handover.formats.strict_json import StrictModel
 from handover.settings import Settings
-from handover.strict_json import StrictModel
 from handover_humanoid.running.training import Plan
 from handover_humanoid.sessions.difficulty import CatchingSpace, DifficultyRules
 from handover_humanoid.sessions.exercise import Goal

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from handover.offload import Offload
+from handover.runtime.offload import Offload
 from handover.telemetry import get_logger
 from handover_humanoid.behaviours.rehearsal import (
     Throws,

@@ -26,7 +26,7 @@ from sqlalchemy import (
     update,
 )
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover.security.audit_trail import record_request
 from handover_humanoid.sessions.exercise import EndReason
 from handover_humanoid.sessions.report import SessionFigures

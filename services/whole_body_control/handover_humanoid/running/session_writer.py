@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from handover.database_outage import database_reason
+from handover.database.outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
 from handover_humanoid.running.session_store import SessionStore

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 from sqlalchemy import Column, Engine, Float, MetaData, String, Table, delete, insert, select
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover.security.audit_trail import record_request
 from handover_humanoid.running.gains import Shares
 from handover_humanoid.running.motion import Stopped

@@ -12,7 +12,7 @@ import numpy as np
 from lxml import etree
 
 from handover.errors import UsageError
-from handover.robot_xml import parse_robot_xml
+from handover.formats.robot_xml import parse_robot_xml
 from handover_humanoid.model.humanoid import ContactSurface, Humanoid
 from handover_humanoid.model.kinematics import GRAVITY_MPS2
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import HandoverError
-from handover.http_client import BodyReadingHttpClient, SendError
 from handover.messages import message
+from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.security.service_access import ServiceAccess
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
 from handover_cases.model.sensor import Sensor

@@ -12,9 +12,9 @@ from pydantic import ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem, UsageError
+from handover.formats.strict_json import StrictModel
+from handover.formats.validation import fault_text
 from handover.messages import Message, message, with_code
-from handover.strict_json import StrictModel
-from handover.validation import fault_text
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
 from handover_cases.machines.treadmill.belt import BeltState, StopReason
 from handover_cases.machines.treadmill.coach import Advice, Decision, Intensity, Reason

@@ -27,7 +27,7 @@ from sqlalchemy import (
     update,
 )
 
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_cases.machines.treadmill.coach import Advice, Decision, Intensity, Reason
 from handover_cases.machines.treadmill.wording import Words
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from handover.http_client import HttpResponse
+from handover.network.http_client import HttpResponse
 from handover_broker.federation.distribution.distributed_operations import Sources, gather_all
 from handover_broker.federation.distribution.forwarding import (
     SILENT,

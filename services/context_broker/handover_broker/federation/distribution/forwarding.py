@@ -12,14 +12,14 @@ from urllib.parse import quote
 
 import orjson
 
-from handover.http_client import (
+from handover.network.http_client import (
     BodyReadingHttpClient,
     HttpResponse,
     ResponseTimeout,
     ResponseTooLarge,
     SendError,
 )
-from handover.outbound_policy import OutboundPolicy
+from handover.network.outbound_policy import OutboundPolicy
 from handover.telemetry import get_logger
 from handover_broker.contexts.context_resolver import CORE, ContextResolver
 from handover_broker.federation.distribution.translation import older, translated

@@ -7,7 +7,7 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from handover.http_client import HttpResponse
+from handover.network.http_client import HttpResponse
 from handover_broker.federation.distribution.forwarding import SourceError
 from handover_broker.federation.registrations.registration import Registration
 from handover_broker.model.problems import ERRORS

@@ -9,7 +9,7 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from handover.http_client import HttpResponse
+from handover.network.http_client import HttpResponse
 from handover_broker.federation.distribution.distributed_operations import Sources
 from handover_broker.federation.distribution.forwarding import (
     INVALID,

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 from uuid import uuid4
 
-from handover.background_tasks import BackgroundTasks
 from handover.errors import Problem
-from handover.http_client import HttpResponse
-from handover.retry import Backoff
+from handover.network.http_client import HttpResponse
+from handover.runtime.background_tasks import BackgroundTasks
+from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_broker.contexts.context_resolver import ContextResolver
 from handover_broker.delivery.notification import change_data, notification

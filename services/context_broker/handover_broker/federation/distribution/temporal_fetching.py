@@ -12,7 +12,7 @@ from typing import Final
 import orjson
 
 from handover.errors import Problem
-from handover.http_client import HttpResponse
+from handover.network.http_client import HttpResponse
 from handover_broker.federation.distribution import temporal_merge
 from handover_broker.federation.distribution.distributed_operations import (
     Perform,

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from prometheus_client import Counter, Gauge
 
+from handover.database.sqlite_files import damage
 from handover.errors import UsageError
-from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from handover_broker.storage import checksums
 from handover_broker.storage.database import NotStored, Row, SqliteDatabase, Writer, unusable

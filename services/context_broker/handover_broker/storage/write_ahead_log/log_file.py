@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from handover.durable_files import sync_folder
+from handover.files.durable_files import sync_folder
 from handover_broker.storage.write_ahead_log.frames import (
     FILE_BYTES,
     PAGE_BYTES,

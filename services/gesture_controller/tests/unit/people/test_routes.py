@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import Engine
 
 from handover.security.guard import Guard
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover_gloves.calibration.glove_store import GloveStore
 from handover_gloves.configuration.gestures_file import built_in
 from handover_gloves.connection.admission import TokenStore

@@ -11,7 +11,7 @@ import pytest
 from fastapi import FastAPI
 
 from handover.security.guard import Guard
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 from handover_gloves.pictures import hand
 from handover_gloves.pictures.gif import gif_of

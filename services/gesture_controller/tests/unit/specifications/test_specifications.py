@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from handover import specification_table as table
 from handover.database import connect
-from handover.specification import Specification
+from handover.tasks import specification_table as table
+from handover.tasks.specification import Specification
 from handover_gloves.specifications import file
 from handover_gloves.specifications.database import DatabaseState, SpecificationDatabase
 from handover_gloves.specifications.definition import Definition, needs_definition

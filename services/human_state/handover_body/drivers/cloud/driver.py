@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from pydantic import Field, SecretStr, field_validator
 
-from handover.http_client import BodyReadingHttpClient, Resolver, SendError
+from handover.network.http_client import BodyReadingHttpClient, Resolver, SendError
 from handover.settings import Settings
 from handover_body.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, Sink, now_s
 from handover_body.drivers.cloud.oauth import MAX_ANSWER_BYTES, AccessDenied, Credentials, OAuthClient

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote, urlencode
 
-from handover.http_client import BodyReadingHttpClient, HttpResponse
+from handover.network.http_client import BodyReadingHttpClient, HttpResponse
 from handover_body.drivers.base import PacketError
 
 TIMEOUT_S: Final = 15.0

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from handover.errors import UsageError
-from handover.ros_dds import MAX_DOMAIN, TopicEndpoints
+from handover.formats.ros_dds import MAX_DOMAIN, TopicEndpoints
 from handover_body.drivers.base import (
     DriverSettings,
     FoundDevice,

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from functools import cache
 from typing import Any, Final
 
-from handover.ros_dds import struct_of
+from handover.formats.ros_dds import struct_of
 from handover_body.model.signals import GAIT_CHANNELS, SignalKind
 
 PACKAGE: Final = "handover_human_msgs"

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from handover.formats.ros_dds import struct_of
 from handover.messages import number_text
-from handover.ros_dds import struct_of
 from handover_body.formats.errors import ExchangeError
 from handover_body.model.signals import ClockKind, Samples, SignalInfo, SignalKind
 

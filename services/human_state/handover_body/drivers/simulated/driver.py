@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from handover.formats.strict_json import StrictModel
 from handover.messages import message
-from handover.strict_json import StrictModel
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from handover_body.drivers.simulated.person import Posture, SimulatedPerson
 from handover_body.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave

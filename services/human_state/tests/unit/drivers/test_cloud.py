@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from handover.outbound_policy import OutboundPolicy
+from handover.network.outbound_policy import OutboundPolicy
 from handover_body.drivers.base import PacketError
 from handover_body.drivers.cloud.driver import CloudSettings
 from handover_body.drivers.runner import RunnerTiming, SensorRunner

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from handover.ros_dds import TopicEndpoints, struct_of
+from handover.formats.ros_dds import TopicEndpoints, struct_of
 from handover_body.drivers.base import PacketError
 from handover_body.drivers.ros_topic import ros4hc
 from handover_body.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings

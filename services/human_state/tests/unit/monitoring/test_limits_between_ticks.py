@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import orjson
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import connect
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.service_access import ServiceAccess
 from handover_body.fusion.baseline import Baseline
 from handover_body.model.signals import Samples, SignalInfo, SignalKind

@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("mcap", reason="the extra [human-state] is not installed")
 
-from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.errors import Problem
+from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.service_access import ServiceAccess
 from handover_body.formats.json_messages import Marker
 from handover_body.fusion.baseline import Baseline

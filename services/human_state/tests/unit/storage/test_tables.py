@@ -5,7 +5,7 @@ from pathlib import Path
 from sqlalchemy import MetaData
 
 from handover.database import connect
-from handover.migrations import migrate
+from handover.database.migrations import migrate
 from handover_body.storage import tables
 from handover_body.storage.store import LimitRow, PersonRow, RecordingRow, Store, ValueRow
 from tests.kit.databases import default_url

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 import orjson
 from lxml import etree
 
-from handover.durations import Duration
+from handover.formats.durations import Duration
 from handover.messages import message, text_of
 from handover_processes.forms.form import form_fault
 from handover_processes.languages import native

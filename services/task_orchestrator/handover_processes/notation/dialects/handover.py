@@ -54,10 +54,10 @@ from contextlib import suppress
 import orjson
 from lxml import etree
 
-from handover.durations import Duration, parse_duration
+from handover.formats.durations import Duration, parse_duration
 from handover.messages import message
-from handover.specification import FIELDS
-from handover.task_life import PASSIVE_TYPES, type_of
+from handover.tasks.specification import FIELDS
+from handover.tasks.task_life import PASSIVE_TYPES, type_of
 from handover_processes.forms.form import form_fault
 from handover_processes.languages import native
 from handover_processes.languages.base import Expression, ExpressionError, Json

@@ -1,6 +1,6 @@
 """Escalations of Tasks that have not ended in time."""
 
-from handover.durations import parse_duration
+from handover.formats.durations import parse_duration
 from handover_processes.model import Escalation
 from services.task_orchestrator.tests.unit.notation.reading import between, extended, faults, node
 

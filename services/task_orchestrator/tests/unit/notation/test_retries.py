@@ -2,7 +2,7 @@
 
 import pytest
 
-from handover.durations import parse_duration
+from handover.formats.durations import parse_duration
 from handover_processes.model import RetryPolicy, Value
 from services.task_orchestrator.tests.unit.notation.reading import between, extended, faults, node, warnings
 

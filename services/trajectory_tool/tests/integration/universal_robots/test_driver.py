@@ -14,7 +14,7 @@ import pytest
 
 from handover.errors import UsageError
 from handover.security.guard import Guard
-from handover.service import create_app
+from handover.serving.service import create_app
 from handover.settings import Settings
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.model.faults import RobotFault

@@ -8,8 +8,8 @@ import pytest
 from prometheus_client import REGISTRY
 
 from handover.broker import BrokerClient
-from handover.finished_tasks import FinishedTasks
 from handover.performer import Job, TaskFailed
+from handover.tasks.finished_tasks import FinishedTasks
 from handover_datamodels.entities import DeviceState, Task
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.controller import Controller, Controllers

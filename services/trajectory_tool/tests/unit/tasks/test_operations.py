@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
+from handover.tasks.outcomes import is_outcome_unknown
 from handover_datamodels.streams import SpeedLimitReport
 from handover_robots.model.faults import RobotFault
 from handover_robots.settings import TrajectorySettings

@@ -1,0 +1,1 @@
+"""Forms of values and files: JSON, MCAP, tables, durations, descriptions of robots."""

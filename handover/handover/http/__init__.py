@@ -1,0 +1,1 @@
+"""Parts of an HTTP server below its routes: protocol, limits, origin check, description."""

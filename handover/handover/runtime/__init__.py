@@ -1,0 +1,1 @@
+"""The process of a service: clocks, retries, background work, processes, ports."""

@@ -1,0 +1,1 @@
+"""Services as servers: application, process, standby, watchdog, certificate."""

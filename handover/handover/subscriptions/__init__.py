@@ -1,0 +1,1 @@
+"""Subscriptions of a component at the broker, and their notifications."""

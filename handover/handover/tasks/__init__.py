@@ -1,0 +1,1 @@
+"""Tasks: their life, outcomes, leases, history and specifications."""
