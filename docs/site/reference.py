@@ -27,7 +27,7 @@ from handover.settings import PREFIX, Settings
 from handover_cell.commands import commands_of
 from handover_cell.main import app as command_line
 from handover_cell.services import own_services
-from handover_web.messages import found_messages
+from handover_web.messages import found_messages, python_sources
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "reference"
@@ -268,8 +268,8 @@ def _routes(service: Service, app: FastAPI) -> Iterator[str]:
 def metrics() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
     """Yield name, type, labels and meaning of each metric that the code defines."""
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            source = "" if "node_modules" in path.parts else path.read_text(encoding="utf-8")
+        for path in python_sources(ROOT / package):
+            source = path.read_text(encoding="utf-8")
             if "prometheus_client" in source:
                 yield from _metrics_in(source)
 

@@ -36,9 +36,17 @@ class InvalidMessage(ValueError):
 def found_messages(root: Path = ROOT) -> Iterator[FoundMessage]:
     """Yield every message in the source below `root`; raise `InvalidMessage` for invalid calls."""
     for package in PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            if "node_modules" not in path.parts:
-                yield from _in_module(path.read_text(encoding="utf-8"), path.relative_to(root).as_posix())
+        for path in python_sources(root / package):
+            yield from _in_module(path.read_text(encoding="utf-8"), path.relative_to(root).as_posix())
+
+
+def python_sources(folder: Path) -> Iterator[Path]:
+    """Yield the Python files below `folder` that are ours and no tests, in the order of their names."""
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and path.name not in {"tests", "node_modules", "__pycache__"}:
+            yield from python_sources(path)
+        elif path.suffix == ".py":
+            yield path
 
 
 def english(found: Iterator[FoundMessage]) -> dict[str, Any]:

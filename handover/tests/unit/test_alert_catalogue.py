@@ -4,6 +4,7 @@ import re
 
 from handover.alerts import catalogue as alert_catalogue
 from handover.alerts.catalogue import CATALOGUE, AlertCategory, AlertType, as_markdown
+from handover_web.messages import python_sources
 from tests.kit.paths import REPOSITORY
 
 
@@ -22,11 +23,16 @@ def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
     sources = [
         file.read_text()
         for folder in ("services", "ros_fiware_bridge")
-        for file in (REPOSITORY / folder).rglob("*.py")
+        for file in python_sources(REPOSITORY / folder)
     ]
     sources += [
         (REPOSITORY / "handover/handover" / f"{name}.py").read_text()
-        for name in ("certificate_watch", "own_subscriptions", "reporting_writer", "watchdog")
+        for name in (
+            "serving/certificate_watch",
+            "subscriptions/own_subscriptions",
+            "alerts/reporting_writer",
+            "serving/watchdog",
+        )
     ]
     named = {name: one for name, one in vars(alert_catalogue).items() if isinstance(one, AlertType)}
     assert set(named.values()) == set(CATALOGUE)
@@ -36,7 +42,7 @@ def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
 
 def test_no_service_writes_a_category_of_its_own() -> None:
     for folder in ("services", "ros_fiware_bridge", "webui"):
-        for file in (REPOSITORY / folder).rglob("*.py"):
+        for file in python_sources(REPOSITORY / folder):
             assert not re.search(r'\bAlertType\(\s*"', file.read_text()), file
 
 

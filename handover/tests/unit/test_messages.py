@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from handover.errors import Problem
 from handover.messages import Message, message, message_in, number_text, with_code
+from handover_web.messages import python_sources
 from tests.kit.paths import REPOSITORY
 
 PARAMETERS = st.dictionaries(
@@ -104,11 +105,6 @@ def unformatted(file: Path) -> Iterator[str]:
 
 def test_no_text_has_a_number_with_all_its_digits() -> None:
     folders = ("datamodels", "handover", "glove_sdk_bridge", "ros_fiware_bridge", "services", "webui")
-    files = [
-        file
-        for folder in folders
-        for file in (REPOSITORY / folder).rglob("*.py")
-        if "node_modules" not in str(file)
-    ]
+    files = [file for folder in folders for file in python_sources(REPOSITORY / folder)]
     found = [one for file in files for one in unformatted(file)]
     assert not found, f"use handover.messages.number_text: {found}"

@@ -10,6 +10,7 @@ import pytest
 
 from handover.runtime.offload import Offload
 from handover.runtime.python_processes import code_command, module_command
+from handover_web.messages import python_sources
 from tests.kit.namesakes import NAMESAKES, leave_namesakes_in
 from tests.kit.paths import REPOSITORY
 
@@ -59,7 +60,7 @@ def test_workers_of_a_pool_come_from_the_installation(
 def test_every_command_with_this_interpreter_has_a_safe_path() -> None:
     unsafe = []
     for package in SHIPPED:
-        for file in sorted((REPOSITORY / package).rglob("*.py")):
+        for file in python_sources(REPOSITORY / package):
             for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
                 words = _words(node)
                 if "sys.executable" in words and words & {"'-m'", "'-c'"} and "'-P'" not in words:

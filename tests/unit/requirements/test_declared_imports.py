@@ -10,6 +10,7 @@ from importlib.metadata import packages_distributions
 
 import pytest
 
+from handover_web.messages import python_sources
 from tests.kit.paths import REPOSITORY
 
 FOLDERS = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
@@ -71,9 +72,7 @@ def test_an_extra_repeats_no_dependency(extra: str) -> None:
 
 
 def _imports(folder: str) -> Iterator[tuple[str, str]]:
-    for path in sorted((REPOSITORY / folder).rglob("*.py")):
-        if "node_modules" in path.parts:
-            continue
+    for path in python_sources(REPOSITORY / folder):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             modules = []
             if isinstance(node, ast.Import):
