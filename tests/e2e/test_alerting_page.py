@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 PHONE = {"width": 390, "height": 844}
 REST = {"timeout": 120, "trust_env": False}

@@ -15,7 +15,7 @@ from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 AWAY = ("WebSocket connection", "Failed to load resource")
 """What a browser logs of services that are not started here."""

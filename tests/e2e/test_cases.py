@@ -17,7 +17,7 @@ from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled, wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(900)]
 
 SHORT_S = 20.0
 PATIENCE_S = 300.0

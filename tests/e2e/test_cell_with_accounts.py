@@ -9,6 +9,8 @@ from tests.kit.cell import new_cell
 from tests.kit.waiting import wait_for
 from webui.tests.integration.test_signing_in import Browser, invited, set_up
 
+pytestmark = pytest.mark.nightly
+
 SERVICES = (
     "context_broker",
     "accounts",

@@ -17,7 +17,7 @@ from tests.kit.cell import Cell
 from tests.kit.other_broker.running import context_link
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 AWAY = ("WebSocket connection", "Failed to load resource")
 """What a browser logs of services that are not started here."""

@@ -16,7 +16,7 @@ from tests.e2e.conftest import APPEARS, OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.nightly, pytest.mark.slow]
 
 FAKE_PAD = """
 const buttons = Array.from({length: 17}, () => ({pressed: false}));

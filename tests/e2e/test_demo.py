@@ -120,6 +120,7 @@ def require_completed_once(status: int, output: str, kills: int) -> None:
     assert output.count("place done") == 1, output
 
 
+@pytest.mark.nightly
 def test_the_demo_completes_and_runs_again_on_the_same_data_while_services_are_killed(
     handover: Start, cell: Any
 ) -> None:
@@ -134,6 +135,7 @@ def test_the_demo_completes_and_runs_again_on_the_same_data_while_services_are_k
     require_completed_once(*run_with_kills(handover, data_dir, TASK_BY_TASK), len(TASK_BY_TASK))
 
 
+@pytest.mark.nightly
 def test_the_demo_ends_at_once_if_an_incident_of_an_earlier_process_holds_the_robot(
     handover: Start, cell: Any, eventually: Callable[..., None]
 ) -> None:
@@ -160,6 +162,7 @@ def test_the_demo_ends_at_once_if_an_incident_of_an_earlier_process_holds_the_ro
     assert re.search(r"process retry bin-picking-\w+ \d+ --by YOU", output), output
 
 
+@pytest.mark.nightly
 def test_with_a_broker_of_somewhere_else_none_is_started(handover: Start, cell: Any) -> None:
     cell.start("context_broker")
     cell.extra = {"HANDOVER_BROKER_PORT": str(next_free_port())}
@@ -170,6 +173,7 @@ def test_with_a_broker_of_somewhere_else_none_is_started(handover: Start, cell: 
     assert "context-broker" not in {one.stem for one in (cell.data_dir / "logs").iterdir()}
 
 
+@pytest.mark.nightly
 def test_services_that_are_killed_twice_in_a_task_are_restarted(handover: Start) -> None:
     require_completed_once(*run_with_kills(handover, None, TWICE_IN_A_TASK), len(TWICE_IN_A_TASK))
 
@@ -188,6 +192,7 @@ def test_ctrl_c_stops_everything(handover: Start, cell: Any) -> None:
     assert not any(child.is_running() for child in children)
 
 
+@pytest.mark.nightly
 def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Callable[..., None]) -> None:
     process = handover("up")
     read_until_ready(process)

@@ -13,7 +13,7 @@ from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates
 from tests.kit.waiting import wait_for
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.nightly, pytest.mark.slow]
 
 
 def test_the_key_of_a_certificate_is_there_until_it_is_saved_and_values_are_saved_as_parquet(

@@ -141,6 +141,7 @@ def navigation_is_whole(page: Page) -> None:
     assert wider_by <= 0, f"{wider_by} px of the navigation are cut off"
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_pages_fit_and_are_accessible_in_all_themes_languages_and_sizes(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -158,6 +159,7 @@ def test_pages_fit_and_are_accessible_in_all_themes_languages_and_sizes(
         page.context.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_engineer_pages_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -184,6 +186,7 @@ def test_engineer_pages_fit_a_phone(
         keep(page, f"phone{re.sub('[^a-z]+', '-', path)}")
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_sensors_show_rooms_and_what_needs_attention(
     open_page: OpenPage, keep: Callable[[Page, str], Path], keep_sending: Callable[..., None]
@@ -208,6 +211,7 @@ def test_sensors_show_rooms_and_what_needs_attention(
     expect(page.get_by_role("img", name=re.compile("Temperature: least 260 °C"))).to_be_visible()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_a_device_is_added_described_and_deleted_on_the_page(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -264,6 +268,7 @@ def test_a_device_is_added_described_and_deleted_on_the_page(
     expect(page.get_by_role("row", name="Oven")).to_be_visible()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_tables_do_not_overlap_on_a_tablet(open_page: OpenPage, keep: Callable[[Page, str], Path]) -> None:
     for language in ("fi", "de"):
@@ -285,6 +290,7 @@ def test_tables_do_not_overlap_on_a_tablet(open_page: OpenPage, keep: Callable[[
         page.context.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_table_rows_are_tab_stops_and_their_times_are_not(open_page: OpenPage) -> None:
     page = open_page("/system")
@@ -299,6 +305,7 @@ def test_table_rows_are_tab_stops_and_their_times_are_not(open_page: OpenPage) -
     assert str(datetime.now(UTC).year) in shown, "the row with the focus shows the exact time"
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_first_steps_are_dismissed_and_shown_on_request(open_page: OpenPage) -> None:
     page = open_page("/")
@@ -313,6 +320,7 @@ def test_first_steps_are_dismissed_and_shown_on_request(open_page: OpenPage) -> 
     expect(steps).to_be_visible()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_language_theme_and_name_are_stored(open_page: OpenPage) -> None:
     page = open_page("/", who="")
@@ -329,6 +337,7 @@ def test_language_theme_and_name_are_stored(open_page: OpenPage) -> None:
     assert page.get_by_role("textbox", name="Nimi").input_value() == "Aino"
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_the_keyboard_reaches_every_page_and_lists_its_keys(
     open_page: OpenPage, keep: Callable[[Page, str], Path]
@@ -439,6 +448,7 @@ SCANNED = ("gw7", "c1p", "4 c", "nsb")
 MIN_KINDS = 25
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_a_scan_acts_on_no_page(open_page: OpenPage) -> None:
     """One element of each kind gets a scan, each time another one, on the first four pages that have it."""
@@ -472,6 +482,7 @@ def test_a_scan_acts_on_no_page(open_page: OpenPage) -> None:
     page.wait_for_url("**/processes*")
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_a_scan_goes_into_the_field_that_has_the_input_and_does_not_submit(open_page: OpenPage) -> None:
     page = open_page("/processes")
@@ -614,6 +625,7 @@ def test_every_parameter_of_an_address_is_tried_with_a_name_that_does_not_exist(
     } == set()
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(1500)
 @pytest.mark.usefixtures("screen")
 def test_an_address_that_names_nothing_says_so_on_every_page(

@@ -69,6 +69,7 @@ def test_every_example_has_a_readme_that_the_index_links() -> None:
     assert [path.name for path in EXAMPLES if f"({path.name}/README.md)" not in index] == []
 
 
+@pytest.mark.nightly
 def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
     cell = extended_cell
     cell.start("context_broker", "gesture_controller")
@@ -89,6 +90,7 @@ def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
         assert "no finger differs by more than" in recognition()["why"]
 
 
+@pytest.mark.nightly
 def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
     cell = extended_cell
     cell.start("context_broker", "gesture_controller")
@@ -109,6 +111,7 @@ def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
         bridge.communicate(timeout=scaled(20))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("driver", ["simulated", "steady"])
 async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     cell = extended_cell
@@ -150,6 +153,7 @@ async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     assert ET.fromstring(urdf.text).get("name") == "rail"
 
 
+@pytest.mark.nightly
 def test_the_driver_does_what_every_driver_does(extended_cell: Cell) -> None:
     """As its author runs the tests: in a project of its own, with the contract that Handover has."""
     tests = REPOSITORY / "examples" / "rail_robot" / "tests"
@@ -175,6 +179,7 @@ ngsild_to_ros:
 """
 
 
+@pytest.mark.nightly
 async def test_ros_adapter_carries_topics_both_ways(extended_cell: Cell) -> None:
     cell = extended_cell
     mapping = cell.data_dir / "datagrams.yaml"
@@ -201,6 +206,7 @@ async def test_ros_adapter_carries_topics_both_ways(extended_cell: Cell) -> None
     assert orjson.loads(sent) == {"topic": "/valve", "message": {"data": 0.25}}
 
 
+@pytest.mark.nightly
 def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
     cell = extended_cell
     cell.start("context_broker", "task_orchestrator")
@@ -235,17 +241,20 @@ def lamp(extended_cell: Cell) -> Iterator[Cell]:
         service.communicate(timeout=scaled(20))
 
 
+@pytest.mark.nightly
 async def test_service_performs_a_task(lamp: Cell) -> None:
     task = await create_task(lamp, "light", "lamp-1", steps=2)
     assert await task_ends_as(lamp, task) == "completed"
 
 
+@pytest.mark.nightly
 def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> None:
     printed, _ = handover(extended_cell, "settings").communicate(timeout=scaled(60))
     assert "HANDOVER_LAMP_PORT" in printed.decode()
     assert os.fspath(extended_cell.data_dir) in printed.decode()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("setting", "complaint"),
     [

@@ -15,7 +15,7 @@ from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 Keep = Callable[[Page, str], Path]
 

@@ -13,7 +13,7 @@ from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 WITHIN_S = 180.0
 # Drawing in software takes time by the pixel; the picture still stays in sight beside its cards.

@@ -20,7 +20,7 @@ from tests.kit.cell import Cell, new_cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled, wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SERVICE = "whole_body_control"
 WITHIN_S = 240.0

@@ -14,7 +14,7 @@ from tests.e2e.conftest import PANEL, OpenPage
 from tests.e2e.test_every_page import COLLIDING, nothing_is_cut_off
 from tests.kit.cell import Cell
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 AWAY = ("WebSocket connection", "Failed to load resource")
 """Messages of the browser about services that this test does not start."""

@@ -55,6 +55,7 @@ def until_done(page: Page, act: Callable[[], None]) -> None:
     pytest.fail(f"the process did not end: {page.locator('main').inner_text()}")
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("quiet_screen")
 def test_with_the_keyboard_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -99,6 +100,7 @@ def test_with_the_keyboard_only(
     assert set(completed_by(cell)) == {("screen", "Aino")}
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("quiet_screen")
 def test_with_the_mouse_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -129,6 +131,7 @@ def test_with_the_mouse_only(
     assert set(completed_by(cell)) == {("screen", "Anna")}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "lost",
     [
@@ -252,6 +255,7 @@ def test_with_the_glove_only(
     assert {by for by, _ in completed_by(cell)} == {"gesture"}
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("quiet_screen")
 def test_a_lost_glove_fills_the_page_until_it_reconnects(
     open_page: OpenPage,

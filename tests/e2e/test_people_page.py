@@ -17,7 +17,7 @@ from tests.kit.waiting import wait_for
 REFUSED = "the server responded with a status of 409"
 """What Chromium logs of an answer that the page shows."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")

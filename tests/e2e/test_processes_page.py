@@ -15,7 +15,7 @@ from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 SHIPPED = REPOSITORY / "services/task_orchestrator/handover_processes/processes" / "bin_picking.bpmn"
 REFUSED = "the server responded with a status of 422"

@@ -12,7 +12,7 @@ import pytest
 
 from tests.kit.waiting import scaled
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 GESTURE_OF_POSE = {
     "1": "Point with index",

@@ -15,7 +15,7 @@ from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController, running_controller
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 TASK = "urn:ngsi-ld:Task:demo:away-1"

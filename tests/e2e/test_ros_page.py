@@ -13,7 +13,7 @@ from tests.kit.cell import Cell, new_cell
 from tests.kit.other_broker.running import context_link
 from tests.kit.ros_domains import ros_domain
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 MAPPING = """
 ros_to_ngsild:

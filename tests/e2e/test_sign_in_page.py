@@ -49,6 +49,7 @@ def test_the_owner_joins_signs_out_and_signs_in(browser: Browser, own_cell: Cell
     page.close()
 
 
+@pytest.mark.nightly
 def test_an_admin_invites_a_person_who_may_then_drive_two_robots(browser: Browser, own_cell: Cell) -> None:
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
     devices = [f"urn:ngsi-ld:Device:demo:{name}" for name in ("ur10-1", "nao-1", "glove-1")]

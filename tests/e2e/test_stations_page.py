@@ -13,7 +13,7 @@ from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for
 from webui.tests.integration.test_signing_in import PASSWORD, set_up
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 ANNA = "urn:ngsi-ld:Person:demo:anna"
 PIN = "480215"

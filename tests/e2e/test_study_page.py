@@ -12,7 +12,7 @@ from tests.e2e.conftest import OpenPage, type_slowly
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")

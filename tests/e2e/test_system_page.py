@@ -18,7 +18,7 @@ from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
 from tests.kit.waiting import Bound, wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(300)]
 
 FORGIVEN = ("WebSocket connection", "Failed to load resource")
 """What a browser logs of a service that the test has killed."""

@@ -20,7 +20,7 @@ from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
 from tests.kit.chromium import FLAGS, chromium
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.nightly, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(900)]
 
 MAX_INSTALLED_MB = 250
 

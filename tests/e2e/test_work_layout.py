@@ -15,7 +15,7 @@ from tests.e2e.test_operators_page import Wearer
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(600)]
 
 WORK = "/work?glove=glove-1"
 SIZES = {
