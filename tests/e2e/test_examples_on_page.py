@@ -95,8 +95,7 @@ def test_the_page_lists_a_service_of_another_package_with_its_health(
     cell = extended_cell
     cell.ports["lamp"] = next_free_port()
     cell.extra["HANDOVER_LAMP_PORT"] = str(cell.ports["lamp"])
-    if wanted:
-        cell.extra["HANDOVER_EXTRA_SERVICES"] = "lamp"
+    cell.extra["HANDOVER_EXTRA_SERVICES"] = "lamp" if wanted else ""
     cell.run("context_broker")
     cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui")
     page = open_page("/system")

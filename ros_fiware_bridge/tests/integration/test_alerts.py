@@ -35,6 +35,7 @@ async def want(shop: Any, wanted: bool) -> None:
     await shop.broker.upsert([{"id": LAMP, "type": "Device", "wanted": value}])
 
 
+@pytest.mark.nightly
 async def test_a_failed_call_for_a_changed_attribute_raises_an_alert_until_one_succeeds(shop: Any) -> None:
     await want(shop, True)
     words = f'the rule "light" could not call the graph: {LAMP}: '

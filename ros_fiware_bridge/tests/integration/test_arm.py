@@ -91,6 +91,7 @@ async def no_orders(shop: Shop) -> bool:
     return not await shop.broker.query(type="Task", id_pattern=".*ur10-1-order-.*")
 
 
+@pytest.mark.nightly
 async def test_an_arm_without_joint_states_is_not_moved(shop: Shop) -> None:
     silent = await comes_to(shop, await ask(shop, "moveTo", joints=HOME), TaskStatus.FAILED)
     assert (
@@ -153,6 +154,7 @@ async def test_the_error_of_the_controller_is_the_reason_of_the_task(shop: Shop,
     assert ended["reason"].startswith("the robot cannot move: ")
 
 
+@pytest.mark.nightly
 async def test_a_task_fails_without_progress_while_the_arm_is_unavailable(shop: Shop, arm: RosArm) -> None:
     async def progress() -> float:
         task: Task = await shop.broker.get(task_id, Task)
@@ -169,6 +171,7 @@ async def test_a_task_fails_without_progress_while_the_arm_is_unavailable(shop: 
     assert await progress() <= way + 0.1
 
 
+@pytest.mark.nightly
 async def test_the_gripper_reports_whether_it_holds_a_part(shop: Shop, arm: RosArm) -> None:
     arm.part_between_fingers = True
     picked = await comes_to(

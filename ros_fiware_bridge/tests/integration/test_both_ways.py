@@ -25,6 +25,7 @@ def joints(angle: float) -> dict[str, Any]:
     return {"header": stamp, "name": ["wrist", "elbow"], "position": [0.0, angle]}
 
 
+@pytest.mark.nightly
 async def test_a_message_is_written_to_the_broker(shop: Any) -> None:
     publisher = await shop.publisher("/joint_states", "sensor_msgs/msg/JointState")
     publisher.publish(joints(math.pi / 2))
@@ -131,6 +132,7 @@ async def test_a_rule_for_every_value_skips_none(shop: Any) -> None:
     assert httpx.post(url, json=forged, timeout=120).status_code == 403
 
 
+@pytest.mark.nightly
 async def test_a_rule_for_every_value_publishes_a_value_that_was_not_notified(shop: Any) -> None:
     _, received = await shop.subscribe("/count", "std_msgs/msg/Int32", Qos(depth=1000))
     counter = {"id": "urn:ngsi-ld:Device:demo:counter-1", "type": "Device"}

@@ -93,6 +93,7 @@ def test_logs_of_a_command_go_to_standard_error(tmp_path: Path) -> None:
     assert rule["type"] == "sensor_msgs/msg/JointState"
 
 
+@pytest.mark.nightly
 async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Handover) -> None:
     await own_shop.robot.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR_DATA)
     code, scaffold, wrong = await handover("scaffold", "/joint_states", *LOOK)
@@ -152,6 +153,7 @@ async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover
     assert "speed: /robot will not receive messages: the reader wants transient_local" in live
 
 
+@pytest.mark.nightly
 async def test_graph_shows_the_configured_domain(
     own_shop: Any, handover: Handover, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,6 +136,7 @@ async def test_a_reader_overflow_is_counted_and_raises_an_alert(shop: Shop, slow
     await shop.until(alerted, 60.0)
 
 
+@pytest.mark.nightly
 async def test_a_slow_broker_raises_an_alert_for_drops_and_none_for_conflation(
     shop: Shop, slow: Slow
 ) -> None:
@@ -171,6 +172,7 @@ async def test_a_slow_broker_raises_an_alert_for_drops_and_none_for_conflation(
     assert await shop.value("urn:ngsi-ld:Device:demo:newest", "n") == sent - 1
 
 
+@pytest.mark.nightly
 async def test_forwarded_counts_only_accepted_updates(shop: Shop, slow: Slow) -> None:
     every = await shop.publisher("/every", "std_msgs/msg/Int32", ALL)
     shop.cell.kill("context_broker")

@@ -78,6 +78,7 @@ def answering_503(port: int) -> Iterator[list[str]]:
         server.server_close()
 
 
+@pytest.mark.nightly
 async def test_a_broker_that_answers_503_for_a_minute_misses_only_what_the_mapping_allows(shop: Any) -> None:
     level = await shop.publisher("/level", "std_msgs/msg/Float64")
     every = await shop.publisher("/every", "std_msgs/msg/Int32")
@@ -133,6 +134,7 @@ async def test_nan_and_text_over_the_limit_are_reported_and_counted(shop: Any) -
     await shop.until(lambda: "text of 70000 characters" in (shop.rule("words")["lastError"] or ""))
 
 
+@pytest.mark.nightly
 async def test_a_message_of_50_megabytes_is_refused_and_the_next_one_accepted(shop: Any) -> None:
     asked = JoinSettings(
         node="big", domain_id=shop.domain, interfaces=("127.0.0.1",), max_message_bytes=100 * 2**20
@@ -150,6 +152,7 @@ async def test_a_message_of_50_megabytes_is_refused_and_the_next_one_accepted(sh
         await big.close()
 
 
+@pytest.mark.nightly
 async def test_a_silent_topic_raises_an_alert_until_it_has_a_publisher(shop: Any) -> None:
     async def alert() -> dict[str, Any]:
         found = [one for one in await shop.broker.query(type="Alert") if "silent-words" in one["id"]]
@@ -174,6 +177,7 @@ async def test_a_silent_topic_raises_an_alert_until_it_has_a_publisher(shop: Any
     await words.close()
 
 
+@pytest.mark.nightly
 async def test_disabling_a_rule_clears_the_alerts_of_its_silent_topics(shop: Any) -> None:
     async def alert() -> dict[str, Any]:
         found = [one for one in await shop.broker.query(type="Alert") if "amr_9" in one["id"]]
@@ -195,6 +199,7 @@ async def test_disabling_a_rule_clears_the_alerts_of_its_silent_topics(shop: Any
     assert shop.post("/rules/charges/enable").is_success
 
 
+@pytest.mark.nightly
 async def test_a_peer_with_another_definition_is_reported(shop: Any, tmp_path: Path) -> None:
     folder = tmp_path / "std_msgs" / "msg"
     folder.mkdir(parents=True)

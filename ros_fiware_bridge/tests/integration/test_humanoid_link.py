@@ -75,6 +75,7 @@ def value_of(status: dict[str, Any], key: str) -> str:
     return {each["key"]: each["value"] for each in part["values"]}[key]
 
 
+@pytest.mark.nightly
 async def test_wishes_with_the_time_of_the_robot_walk_it_and_late_ones_do_not(shop: Graph) -> None:
     _, odometry = await shop.subscribe(ODOMETRY, "nav_msgs/msg/Odometry", SENSOR_DATA)
     _, status = await shop.subscribe(STATUS, "diagnostic_msgs/msg/DiagnosticArray")

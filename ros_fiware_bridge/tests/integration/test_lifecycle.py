@@ -22,6 +22,7 @@ ngsild_to_ros:
 BELT = "urn:ngsi-ld:Device:demo:belt-1"
 
 
+@pytest.mark.nightly
 async def test_subscriptions_latched_topics_and_disabled_rules_survive_a_restart(own_shop: Any) -> None:
     shop = own_shop
     shop.cell.start("context_broker")

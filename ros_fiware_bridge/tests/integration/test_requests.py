@@ -74,6 +74,7 @@ async def test_a_task_calls_a_service(shop: Any) -> None:
         await served.close()
 
 
+@pytest.mark.nightly
 async def test_a_task_for_an_unavailable_service_fails_with_the_reason(shop: Any) -> None:
     status, outputs = await end_of(shop, await ask(shop, "reset"))
     assert status == "failed"

@@ -108,6 +108,7 @@ async def has_alert(shop: Shop, task_id: str) -> None:
     await shop.until(stands, 60.0, f"no Alert about {task_id}")
 
 
+@pytest.mark.nightly
 async def test_a_goal_that_is_accepted_late_is_cancelled_and_its_task_has_an_unknown_outcome(
     shop: Shop, slow: Slow
 ) -> None:
@@ -121,6 +122,7 @@ async def test_a_goal_that_is_accepted_late_is_cancelled_and_its_task_has_an_unk
         await shop.until(slow.has("cancelled"), 120.0, "the goal is executed")
 
 
+@pytest.mark.nightly
 async def test_a_call_without_an_answer_has_an_unknown_outcome_unless_it_may_be_repeated(
     shop: Shop, slow: Slow
 ) -> None:
@@ -134,6 +136,7 @@ async def test_a_call_without_an_answer_has_an_unknown_outcome_unless_it_may_be_
         slow.answer()
 
 
+@pytest.mark.nightly
 async def test_a_server_that_is_killed_and_started_again_does_not_hold_up_its_robot(
     shop: Shop, slow: Slow
 ) -> None:
@@ -153,6 +156,7 @@ async def test_a_server_that_is_killed_and_started_again_does_not_hold_up_its_ro
             assert (await failure(shop, second))["reason"] == "cancelled"
 
 
+@pytest.mark.nightly
 async def test_a_goal_that_outlives_the_bridge_is_cancelled_and_its_outcome_is_unknown(
     shop: Shop, slow: Slow
 ) -> None:
@@ -168,6 +172,7 @@ async def test_a_goal_that_outlives_the_bridge_is_cancelled_and_its_outcome_is_u
         await has_alert(shop, task_id)
 
 
+@pytest.mark.nightly
 async def test_a_call_that_the_bridge_did_not_survive_is_not_sent_again(shop: Shop, slow: Slow) -> None:
     with slow.running():
         task_id = await ask(shop, "press")

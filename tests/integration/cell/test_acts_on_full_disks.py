@@ -61,6 +61,7 @@ def outcomes(screen: httpx.Client, action: str) -> list[str]:
     return [record["outcome"] for record in records]
 
 
+@pytest.mark.nightly
 async def test_a_refused_confirmation_does_not_count_and_a_pause_does(bench: Bench, disk: SmallDisk) -> None:
     bench.screen.put("/gloves/glove-1", json={"hand": "right"}).raise_for_status()
     task = await bench.put("confirm", description="Confirm that the part lies free", commandId=3)
@@ -128,6 +129,7 @@ def requested(cell: OrchestratorCell, process: str) -> list[Any]:
     return [task.get("requestedStatus", {}).get("value") for task in cell.tasks(process)]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("act", "wanted"), [("pause", "paused"), ("cancel", "cancelled")])
 def test_a_process_is_paused_and_cancelled_on_a_full_disk_and_continued_by_nothing(
     at_orchestrator: OrchestratorCell, disk: SmallDisk, act: str, wanted: str

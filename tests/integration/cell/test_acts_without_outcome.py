@@ -50,6 +50,7 @@ def lamp(tmp_path: Path) -> Iterator[Lamp]:
         processes.kill(made.process)
 
 
+@pytest.mark.nightly
 def test_an_act_that_was_interrupted_by_a_kill_is_shown_without_an_outcome(
     lamp: Lamp, tmp_path: Path
 ) -> None:

@@ -89,6 +89,7 @@ def changing(app: FastAPI) -> Iterator[tuple[str, APIRoute]]:
             yield f"{','.join(sorted(methods))} {route.path}", route
 
 
+@pytest.mark.nightly
 async def test_a_route_whose_intent_cannot_be_recorded_is_not_carried_out(
     app: FastAPI, service: Service, called: list[str]
 ) -> None:

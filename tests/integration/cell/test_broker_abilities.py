@@ -111,6 +111,7 @@ async def test_a_broker_that_cannot_be_reached_has_no_abilities(
     assert not (tmp_path / FILE).exists()
 
 
+@pytest.mark.nightly
 def test_the_doctor_says_it_before_a_cell_runs(proxy: RefusingProxy, tmp_path: Path) -> None:
     """Nothing serves our @context then."""
     given = {"HANDOVER_BROKER_URL": proxy.url, "HANDOVER_CONTEXT_URL": "http://127.0.0.1:9/none"}
@@ -120,6 +121,7 @@ def test_the_doctor_says_it_before_a_cell_runs(proxy: RefusingProxy, tmp_path: P
     assert re.search(r"ok +broker http://\S+: Orion-LD 1\.6\.0", run.stdout)
 
 
+@pytest.mark.nightly
 def test_the_doctor_the_page_and_the_metrics_say_it(proxy: RefusingProxy, tmp_path: Path) -> None:
     folder = tmp_path / "cell"
     folder.mkdir()

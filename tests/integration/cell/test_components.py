@@ -95,6 +95,7 @@ def perform(broker: httpx.Client, name: str) -> None:
     wait_for(ends, 120, f"the lamp does not perform {name}")
 
 
+@pytest.mark.nightly
 def test_the_lamp_of_the_tutorial_performs_with_the_file_alone(cell: Cell, tmp_path: Path) -> None:
     cell.ports["lamp"] = port = next_free_port()
     made = handover(
@@ -127,6 +128,7 @@ def test_a_client_that_is_no_service_is_refused_with_the_way_out(cell: Cell, tmp
     assert "handover component add NAME --device ID" in refused.stderr
 
 
+@pytest.mark.nightly
 def test_a_component_that_was_removed_has_neither_rights_nor_subscriptions(
     cell: Cell, tmp_path: Path
 ) -> None:
@@ -164,6 +166,7 @@ class SecuredCell(Cell):
         wait_ready_over_tls(self.url(service), self.files, lambda: self.log(service), within_s)
 
 
+@pytest.mark.nightly
 def test_a_component_on_another_machine_works_with_the_file_alone(tmp_path: Path) -> None:
     with ExitStack() as stack:
         machine = stack.enter_context(other_machine())

@@ -62,6 +62,7 @@ def answers(urls: list[str]) -> dict[str, int]:
     return statuses
 
 
+@pytest.mark.nightly
 def test_requests_get_503_and_the_logs_one_line_at_each_change(cell: Cell, server: PostgresServer) -> None:
     cell.start(*SERVICES)
     urls = routes(cell)
@@ -88,6 +89,7 @@ def test_requests_get_503_and_the_logs_one_line_at_each_change(cell: Cell, serve
             wait_for(lambda: cell.log(service).count("database available again") == nth, 60, service)  # noqa: B023
 
 
+@pytest.mark.nightly
 async def test_what_a_service_writes_while_the_broker_has_no_database_is_written_later(
     cell: Cell, server: PostgresServer
 ) -> None:

@@ -47,6 +47,7 @@ async def http(app: FastAPI) -> AsyncIterator[httpx.AsyncClient]:
         yield client
 
 
+@pytest.mark.nightly
 async def test_a_method_that_is_not_described_is_answered_with_those_that_are(
     app: FastAPI, http: httpx.AsyncClient
 ) -> None:
@@ -69,6 +70,7 @@ def is_same_path(path: str, method: str, template: str, operations: Mapping[str,
     return method.lower() in operations and re.fullmatch(pattern, path) is not None
 
 
+@pytest.mark.nightly
 async def test_a_number_is_refused_for_a_described_time(app: FastAPI, http: httpx.AsyncClient) -> None:
     for template, operations in app.openapi()["paths"].items():
         for method, operation in operations.items():

@@ -131,6 +131,7 @@ def shop(request: pytest.FixtureRequest, cell: Cell) -> Iterator[Cell]:
             process.send_signal(signal.SIGCONT)
 
 
+@pytest.mark.nightly
 def test_a_second_performer_says_who_holds_the_device_and_takes_over_from_a_killed_one(shop: Cell) -> None:
     first = Motor(shop, "first").wait_ready()
     second = Motor(shop, "second").wait_standby(first)
@@ -148,6 +149,7 @@ def test_a_second_performer_says_who_holds_the_device_and_takes_over_from_a_kill
     assert lease["number"] > 1
 
 
+@pytest.mark.nightly
 def test_a_paused_holder_sends_nothing_after_it_was_replaced(shop: Cell) -> None:
     """And it does not report over the end that the new holder has written."""
     first = Motor(shop, "first").wait_ready()
@@ -167,6 +169,7 @@ def test_a_paused_holder_sends_nothing_after_it_was_replaced(shop: Cell) -> None
     assert len(second.commands()) == 20, "nothing of the interrupted Task was executed again"
 
 
+@pytest.mark.nightly
 def test_a_short_outage_of_the_orchestrator_stops_nothing_and_a_long_one_pauses(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     motor = Motor(cell, "first").wait_ready()
@@ -184,6 +187,7 @@ def test_a_short_outage_of_the_orchestrator_stops_nothing_and_a_long_one_pauses(
     assert len({line.split()[2] for line in motor.commands()}) == len(motor.commands()) > count
 
 
+@pytest.mark.nightly
 def test_a_restarted_performer_has_its_lease_at_once(cell: Cell) -> None:
     """It replaces the process before it: the folder proves that it has ended."""
     cell.start("context_broker", "task_orchestrator")
@@ -195,6 +199,7 @@ def test_a_restarted_performer_has_its_lease_at_once(cell: Cell) -> None:
     comes_to(cell, post(cell, "one"), "completed", again.log)
 
 
+@pytest.mark.nightly
 def test_a_second_performer_on_the_same_folder_names_the_first(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     first = Motor(cell, "first").wait_ready()
@@ -203,6 +208,7 @@ def test_a_second_performer_on_the_same_folder_names_the_first(cell: Cell) -> No
     assert f"process {first.pid} on " in second.log()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("repeats", ["no", "yes"])
 def test_a_started_task_is_executed_again_only_where_its_performer_permits(cell: Cell, repeats: str) -> None:
     """After kill -9, with the same folder; the default of a stranger's performer is never."""
@@ -221,6 +227,7 @@ def test_a_started_task_is_executed_again_only_where_its_performer_permits(cell:
         assert not again.commands()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("mode", "acts"), [("auto", True), ("off", True), ("required", False)])
 def test_the_setting_decides_in_a_cell_without_an_orchestrator(cell: Cell, mode: str, acts: bool) -> None:
     cell.start("context_broker")
@@ -240,6 +247,7 @@ def test_the_setting_decides_in_a_cell_without_an_orchestrator(cell: Cell, mode:
     comes_to(cell, task, "completed", motor.log)
 
 
+@pytest.mark.nightly
 def test_a_performer_that_once_had_a_lease_does_not_act_without_the_orchestrator(cell: Cell) -> None:
     """In the mode `auto`, also after a restart: another performer may hold the Device."""
     cell.start("context_broker", "task_orchestrator")
@@ -284,6 +292,7 @@ def alerts_of(cell: Cell, kind: str) -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("choice", ["ask", "retry", "wait"])
 def test_a_performer_that_dies_in_progress_is_an_alert_and_then_what_the_definition_says(
     cell: Cell, choice: str

@@ -38,6 +38,7 @@ def entities(cell: Cell) -> Iterator[httpx.Client]:
         yield client
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("status", [401, 403, 404, 408, 409, 429, 500, 503, 507])
 def test_an_end_that_the_broker_refuses_for_a_while_is_reported_as_it_was(
     proxy: RefusingProxy, entities: httpx.Client, status: int

@@ -36,6 +36,7 @@ def second(cell: Cell, service: str, **settings: str) -> tuple[processes.Process
     return processes.spawn_module(MODULES[service], other.environment, log, cell.data_dir), log
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", sorted(set(SERVICES) - NOT_SERVICES))
 def test_each_service_is_refused_in_one_line_while_its_folder_is_held(cell: Cell, service: str) -> None:
     main = Path(importlib.import_module(MODULES[service]).__path__[0], "__main__.py").read_text()
@@ -56,6 +57,7 @@ def test_each_service_is_refused_in_one_line_while_its_folder_is_held(cell: Cell
     assert "HANDOVER_STANDBY" in lines[0]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", ["task_orchestrator", "trajectory_tool", "accounts", "webui"])
 def test_a_second_service_names_the_first_and_starts_after_its_end(cell: Cell, service: str) -> None:
     cell.start("context_broker", service)
@@ -66,6 +68,7 @@ def test_a_second_service_names_the_first_and_starts_after_its_end(cell: Cell, s
     cell.restart(service)
 
 
+@pytest.mark.nightly
 def test_a_service_that_stands_by_takes_over_from_one_that_was_killed(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     first = cell.processes["task_orchestrator"].pid
@@ -92,6 +95,7 @@ def test_two_services_of_different_names_that_own_one_database_exclude_each_othe
     assert f"another a program runs on {held}" in log.read_text()
 
 
+@pytest.mark.nightly
 def test_programs_that_read_work_beside_a_service(cell: Cell) -> None:
     cell.start("context_broker", "task_orchestrator")
     check = subprocess.run(

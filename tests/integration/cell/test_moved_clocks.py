@@ -61,6 +61,7 @@ class Entities:
         return {"status": entity["status"]["value"], "outcome": outputs.get("outcome"), "outputs": outputs}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seconds", [HOURS_S, -HOURS_S])
 def test_a_task_that_is_done_after_a_jump_of_the_clock_is_completed(tmp_path: Path, seconds: int) -> None:
     with clocked_cell(tmp_path) as (cell, clock), ExitStack() as stack:

@@ -30,6 +30,7 @@ def of_a_newer_orchestrator(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("service", "port_setting", "make"),
     [

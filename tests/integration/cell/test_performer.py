@@ -112,6 +112,7 @@ async def ask(broker: BrokerClient, task: Task, wish: str) -> None:
     )
 
 
+@pytest.mark.nightly
 async def test_a_lamp_takes_a_task_reports_progress_and_completes_it(broker: BrokerClient) -> None:
     task = a_task("one", steps=30)
     await broker.create(task)
@@ -173,6 +174,7 @@ async def test_one_task_is_done_at_a_time_and_one_that_waits_can_be_cancelled(br
     await comes_to(broker, first, TaskStatus.FAILED)
 
 
+@pytest.mark.nightly
 async def test_a_task_posted_while_nobody_listened_is_found_by_asking(
     broker: BrokerClient, lamp: LampProcess
 ) -> None:
@@ -183,6 +185,7 @@ async def test_a_task_posted_while_nobody_listened_is_found_by_asking(
     await comes_to(broker, task, TaskStatus.COMPLETED)
 
 
+@pytest.mark.nightly
 async def test_a_killed_performer_does_not_execute_again_what_it_had_begun(
     broker: BrokerClient, lamp: LampProcess
 ) -> None:
@@ -268,6 +271,7 @@ async def shown_key(broker: BrokerClient) -> str | None:
     return value
 
 
+@pytest.mark.nightly
 async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
     broker: BrokerClient, cell: Cell
 ) -> None:
@@ -290,6 +294,7 @@ async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
         await broker.retrieve(invented["id"])
 
 
+@pytest.mark.nightly
 async def test_the_key_is_kept_and_a_subscription_with_another_gets_it(
     broker: BrokerClient, cell: Cell, lamp: LampProcess
 ) -> None:
@@ -329,6 +334,7 @@ def test_the_tutorial_shows_the_lamp() -> None:
     assert shown == (HERE / "lamp.py").read_text()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_the_lamp_ends_on_a_signal(lamp: LampProcess, cell: Cell, number: signal.Signals) -> None:
     process, said_before = cell.processes["lamp"], len(cell.log("lamp"))
@@ -349,6 +355,7 @@ async def test_what_another_broker_refuses_of_an_update_is_said() -> None:
     source.stop()
 
 
+@pytest.mark.nightly
 async def test_the_broker_selects_the_unfinished_tasks_of_a_resource(broker: BrokerClient) -> None:
     other = a_task("of-another").to_normalized()
     other["involves"] = {
@@ -368,6 +375,7 @@ async def test_the_broker_selects_the_unfinished_tasks_of_a_resource(broker: Bro
     assert [entity["id"] for entity in await broker.query(type="Task", q=q)] == [both["id"]]
 
 
+@pytest.mark.nightly
 async def test_a_subscription_that_others_change_is_restored_with_an_alert(
     broker: BrokerClient, cell: Cell
 ) -> None:

@@ -85,6 +85,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         yield made
 
 
+@pytest.mark.nightly
 def test_every_socket_is_on_loopback_and_documented(cell: Cell) -> None:
     """Of all processes and what they start; the ROS bridge joins a graph by datagrams."""
     ours = services.own_services()
@@ -185,6 +186,7 @@ IN_A_BODY = frozenset({"chunk extension"})
 """The request may be answered before its body ends."""
 
 
+@pytest.mark.nightly
 def test_an_endless_head_is_refused_on_every_port(cell: Cell) -> None:
     """Of every socket that accepts connections; another client is served meanwhile."""
     found = listening_sockets(cell.processes[name].pid for name in SERVICES)
@@ -214,6 +216,7 @@ def test_health_is_available_under_any_name(cell: Cell, service: str) -> None:
         assert asked(cell, service, "GET", path, host="cell-3.evil.example").status == 200, path
 
 
+@pytest.mark.nightly
 def test_the_docs_of_each_service_show_its_operations_without_another_host(cell: Cell) -> None:
     with sync_playwright() as playwright:
         flags = [*FLAGS, "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
@@ -253,6 +256,7 @@ def test_a_service_answers_to_the_name_in_its_address(cell: Cell) -> None:
     assert asked(cell, "gesture_controller", "GET", "/gloves", host="bridge.cell").status == 403
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", [one for one in SERVICES if one != "context_broker"])
 def test_no_route_acts_on_plain_text_or_a_form(cell: Cell, service: str) -> None:
     schema = httpx.get(f"{cell.url(service)}/openapi.json", timeout=120).json()

@@ -186,6 +186,7 @@ async def answered(apps: dict[str, FastAPI], call: Call, grants: Sequence[Grant]
     return answer.status_code
 
 
+@pytest.mark.nightly
 @settings(
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )  # the applications keep no state of a refused call
@@ -227,6 +228,7 @@ def routes_of(apps: dict[str, FastAPI]) -> list[Route]:
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("role", [None, Role.VIEWER, Role.ADMIN])
 async def test_no_route_of_any_service_answers_a_user_whose_roles_lack_its_permission(
     apps: dict[str, FastAPI], role: Role | None

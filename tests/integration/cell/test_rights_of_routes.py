@@ -59,6 +59,7 @@ def app(request: pytest.FixtureRequest, environment: Path) -> FastAPI:
     return made
 
 
+@pytest.mark.nightly
 def test_every_successful_response_is_described_with_its_media_type_and_the_schema_of_its_json(
     app: FastAPI,
 ) -> None:
@@ -73,6 +74,7 @@ def test_every_successful_response_is_described_with_its_media_type_and_the_sche
     assert undescribed == []
 
 
+@pytest.mark.nightly
 def test_every_status_that_a_route_sets_is_described(app: FastAPI) -> None:
     paths = app.openapi()["paths"]
     undescribed = []
@@ -97,6 +99,7 @@ def test_an_exception_is_listed_only_while_it_is_one(name: str, environment: Pat
     assert made is None
 
 
+@pytest.mark.nightly
 async def test_with_accounts_no_route_answers_without_credentials(app: FastAPI, environment: Path) -> None:
     set_up_accounts(environment)
     transport = httpx.ASGITransport(app, raise_app_exceptions=False)

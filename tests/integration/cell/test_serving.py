@@ -49,6 +49,7 @@ def start(service: Service, data_dir: Path, **settings: str) -> "subprocess.Comp
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", own_services(), ids=lambda service: service.name)
 def test_a_service_refuses_a_data_directory_in_which_it_cannot_write(
     service: Service, read_only: Path

@@ -85,6 +85,7 @@ def closed(cell: Cell, service: str) -> str:
     return "\n".join(line for line in text.splitlines() if line.startswith("handover_http_connections"))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sent", [HALF_A_HEAD, NO_BODY % WRITTEN["context_broker"]])
 def test_eleven_hundred_half_sent_requests_do_not_make_the_broker_unreachable(
     cell: Cell,
@@ -145,6 +146,7 @@ def test_of_the_idle_connections_the_one_that_was_used_last_gives_way_last(
     assert sum(map(is_closed, others)) > len(others) // 2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", WRITTEN)
 def test_a_request_that_never_ends_is_ended(
     cell: Cell, crowd: Callable[..., list[socket.socket]], eventually: Eventually, service: str
@@ -186,6 +188,7 @@ def is_readable(link: socket.socket) -> bool:
     return True
 
 
+@pytest.mark.nightly
 def test_a_body_that_comes_in_pieces_but_fast_enough_is_taken(cell: Cell) -> None:
     cell.extra |= {"HANDOVER_HTTP_BODY_TIMEOUT_S": "1", "HANDOVER_HTTP_MIN_BODY_BYTES_PER_S": "100"}
     cell.start("context_broker")
@@ -201,6 +204,7 @@ def test_a_body_that_comes_in_pieces_but_fast_enough_is_taken(cell: Cell) -> Non
         assert b" 201 " in link.recv(65536)
 
 
+@pytest.mark.nightly
 def test_a_connection_that_is_used_stays(cell: Cell) -> None:
     cell.extra |= {
         "HANDOVER_HTTP_HEADER_TIMEOUT_S": "2",

@@ -41,6 +41,7 @@ def answered(http: httpx.Client, request: DescribedRequest) -> Iterator[httpx.Re
         yield answer
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("service", SERVICES[1:])
 def test_no_route_of_a_service_fails_for_a_strange_value_nor_a_read_after_it(
     cell: Cell, service: str

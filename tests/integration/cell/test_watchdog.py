@@ -74,6 +74,7 @@ async def watched(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[
         yield Watched(lines, broker)
 
 
+@pytest.mark.nightly
 async def test_a_service_that_spins_is_restarted_with_an_alert_and_not_twice_in_a_minute(
     watched: Watched,
 ) -> None:
@@ -99,6 +100,7 @@ async def test_a_service_that_spins_is_restarted_with_an_alert_and_not_twice_in_
     assert watched.process() == again or watched.said("it is restarted") == 2
 
 
+@pytest.mark.nightly
 async def test_a_service_without_processor_time_is_not_restarted(watched: Watched) -> None:
     before = watched.process()
     assert before is not None
@@ -122,6 +124,7 @@ runpy.run_module("{MODULE}", run_name="__main__", alter_sys=True)
 """
 
 
+@pytest.mark.nightly
 async def test_a_container_restarts_a_service_that_spins_and_forwards_signals(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,6 +59,7 @@ def controller(cell: Cell) -> ControllerClient:
     return ControllerClient(cell.url("gesture_controller"))
 
 
+@pytest.mark.nightly
 def test_a_person_makes_a_fist_and_opens_the_hand_and_the_glove_fits(
     cell: Cell, controller: ControllerClient
 ) -> None:

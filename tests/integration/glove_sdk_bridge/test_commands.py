@@ -172,6 +172,7 @@ def test_help_is_no_error(words: list[str], capsys: pytest.CaptureFixture[str]) 
     assert "handover glove" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_frames_that_nobody_takes_are_said_and_exit_code_2(bridge: Bridge, closed_desk: Any) -> None:
     process = bridge("forward", "--port", str(closed_desk.port))

@@ -72,6 +72,7 @@ def words(cell: Cell, glove: str, *more: str) -> list[str]:
 GESTURES = ["Thumbs up", "Point with index", "Horns", "Middle, ring and little straight", "Thumbs up"]
 
 
+@pytest.mark.nightly
 def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_restart_included(
     cell: Cell, workplace: Workplace, bridge: Callable[..., Any], eventually: Any
 ) -> None:

@@ -67,6 +67,7 @@ def made() -> Iterator[list[Running]]:
         one.stop()
 
 
+@pytest.mark.nightly
 def test_the_strict_broker_is_killed_and_started_again_with_what_it_stores(
     tmp_path: Path, made: list[Running]
 ) -> None:

@@ -93,6 +93,7 @@ def probed(made: Front, name: str) -> Callable[[], bool]:
     return ask
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", PROBES)
 async def test_each_rule_takes_its_ability_away(broker: BrokerProcess, tmp_path: Path, name: str) -> None:
     async with front(broker, tmp_path) as made:
@@ -113,6 +114,7 @@ async def test_what_is_known_of_a_version_counts_where_no_probe_is_sent(strict: 
     assert found == dict.fromkeys(RULES, False)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("sent", "read"),
     [

@@ -152,6 +152,7 @@ async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(
     assert away.status_code == 503
 
 
+@pytest.mark.nightly
 async def test_bulk_acknowledgement_reports_each_failure(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
@@ -207,6 +208,7 @@ async def test_alerts_older_than_the_event_log_are_in_it(cell: Any, browser: htt
     assert raised() == expected, "a restart adds nothing"
 
 
+@pytest.mark.nightly
 async def test_shelving_ends_by_itself_also_after_a_restart(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:

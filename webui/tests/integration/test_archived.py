@@ -12,6 +12,7 @@ from tests.kit.waiting import wait_for
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.nightly
 def test_archived_processes_are_shown(cell: Cell, look: Any) -> None:
     cell.extra["HANDOVER_RETENTION_H"] = "0.0001"
     cell.start("context_broker", "task_orchestrator", "webui")

@@ -38,6 +38,7 @@ async def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIter
         yield settings
 
 
+@pytest.mark.nightly
 async def test_a_page_gets_the_live_signals_of_a_person_who_consents(settings: WebuiSettings) -> None:
     page = f"127.0.0.1:{settings.webui_port}/api/human-state"
     live = f"ws://{page}/people/aino/live"

@@ -82,6 +82,7 @@ def task_moves(viewer: Any, task: str = TASK) -> list[str]:
     return [event["key"] for event in viewer.events if event["values"].get("task") == task]
 
 
+@pytest.mark.nightly
 def test_a_page_receives_a_snapshot_and_every_change(
     whole_cell: Any, look: Callable[[], Any], broker: Broker
 ) -> None:
@@ -117,6 +118,7 @@ def test_a_page_receives_a_snapshot_and_every_change(
     viewer.read_until(lambda: viewer.topics[JOINTS]["stamp"] > stamp)
 
 
+@pytest.mark.nightly
 def test_an_incident_and_what_a_person_does_about_it_arrive(
     whole_cell: Any, look: Callable[[], Any], broker: Broker, browser: httpx.Client
 ) -> None:
@@ -148,6 +150,7 @@ def test_an_incident_and_what_a_person_does_about_it_arrive(
     check_type(f"process/{begun['id']}", viewer.process())
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("whole_cell")
 def test_all_topics_match_their_types(look: Callable[[], Any], browser: httpx.Client) -> None:
     viewer = look()
@@ -286,6 +289,7 @@ async def read_to_the_end(link: ClientConnection) -> None:
         await link.recv()
 
 
+@pytest.mark.nightly
 async def test_a_page_that_does_not_read_is_disconnected(
     free_port: Callable[[], int],
 ) -> None:

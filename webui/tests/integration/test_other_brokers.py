@@ -44,6 +44,7 @@ def detail_of(cell: Cell, service: str) -> str:
         return ""
 
 
+@pytest.mark.nightly
 def test_no_credentials_of_ours_reach_it_and_people_have_their_rights(
     cell: Cell, proxy: RefusingProxy
 ) -> None:
@@ -82,6 +83,7 @@ def test_no_credentials_of_ours_reach_it_and_people_have_their_rights(
     assert proxy.tokens == set()
 
 
+@pytest.mark.nightly
 def test_it_gets_the_token_that_it_wants_and_says_what_to_set(
     cell: Cell, proxy: RefusingProxy, tmp_path: Path
 ) -> None:

@@ -53,6 +53,7 @@ def outcomes(answer: httpx.Response) -> dict[str, str]:
     return {part["service"]: part["outcome"] for part in found["parts"]}
 
 
+@pytest.mark.nightly
 def test_a_person_is_deleted_in_every_service_by_those_who_may(cell: Cell) -> None:
     local = Browser(cell)
     add_person(cell, local)
@@ -86,6 +87,7 @@ def test_a_person_is_deleted_in_every_service_by_those_who_may(cell: Cell) -> No
         assert owner.send("GET", f"/api/{service}/audit/verification").json()["fault"] is None
 
 
+@pytest.mark.nightly
 def test_a_person_sees_who_looked_at_the_own_health_data(cell: Cell) -> None:
     local = Browser(cell)
     add_person(cell, local)

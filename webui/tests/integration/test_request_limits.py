@@ -51,6 +51,7 @@ def value_of(url: str, metric: str) -> float:
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sent", [b" ", MORE_THAN_IS_BUFFERED])
 def test_eighty_slow_uploads_block_no_service(
     cell: Cell,

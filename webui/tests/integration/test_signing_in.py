@@ -105,6 +105,7 @@ def read_to_end(live: ClientConnection) -> None:
         live.recv(timeout=60)
 
 
+@pytest.mark.nightly
 def test_the_cookie_gives_a_user_their_rights_at_the_services(cell: Cell, owner: Browser) -> None:
     anna = invited(cell, owner, "Anna", {"role": "viewer", "resource": "*"})
     rosa = invited(cell, owner, "Rosa", {"role": "researcher", "resource": "*"})
@@ -266,6 +267,7 @@ def test_too_many_attempts_are_answered_with_the_time_to_wait(cell: Cell, owner:
     assert int(answers[-1].headers["retry-after"]) >= 1
 
 
+@pytest.mark.nightly
 def test_a_viewer_who_opens_many_websockets_keeps_nobody_out(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:

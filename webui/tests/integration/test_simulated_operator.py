@@ -30,6 +30,7 @@ def operators(cell: Cell) -> list[psutil.Process]:
     return found
 
 
+@pytest.mark.nightly
 def test_the_operator_completes_a_process(
     whole_cell: Cell, look: Callable[[], Any], browser: httpx.Client
 ) -> None:

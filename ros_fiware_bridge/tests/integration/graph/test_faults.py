@@ -35,6 +35,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 pytestmark = pytest.mark.usefixtures("peer")
 
 
+@pytest.mark.nightly
 async def test_unknown_types_and_invalid_names_are_refused_at_once(graph: RosGraph) -> None:
     with pytest.raises(UnknownType, match="did you mean sensor_msgs/msg/JointState"):
         await graph.subscribe("/joints", "sensor_msgs/JointStates", print)
@@ -68,6 +69,7 @@ async def test_an_oversized_message_is_refused_and_the_next_one_accepted(joined:
         assert await repeated(graph, "a", 1) == ["a"]
 
 
+@pytest.mark.nightly
 async def test_a_failing_callback_does_not_end_the_subscription(graph: RosGraph) -> None:
     seen: list[Any] = []
 
@@ -113,6 +115,7 @@ async def test_closing_the_graph_fails_pending_calls(graph: RosGraph) -> None:
             await one
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("only_cyclone")
 async def test_messages_of_a_peer_with_another_definition_are_refused(
     joined: Joined, adapter: Any, domain_id: int, tmp_path: Path
@@ -133,6 +136,7 @@ async def test_messages_of_a_peer_with_another_definition_are_refused(
             assert not seen
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("only_cyclone")
 async def test_a_peer_that_restarts_is_matched_again(
     joined: Joined, adapter: Any, domain_id: int, tmp_path: Path

@@ -98,6 +98,7 @@ def joined(pair: tuple[Adapter, str], domain_id: int, store: TypeStore, tmp_path
     return graph
 
 
+@pytest.mark.nightly
 async def test_a_goal_that_is_accepted_after_its_time_limit_is_cancelled(
     joined: Joined, server: Program, log: Callable[[], list[str]], answer: Callable[[], None]
 ) -> None:
@@ -114,6 +115,7 @@ async def test_a_goal_that_is_accepted_after_its_time_limit_is_cancelled(
             await true(lambda: "cancelled" in log(), scaled(60))
 
 
+@pytest.mark.nightly
 async def test_a_goal_of_a_killed_sender_is_cancelled_when_it_is_accepted(
     joined: Joined,
     server: Program,
@@ -130,6 +132,7 @@ async def test_a_goal_of_a_killed_sender_is_cancelled_when_it_is_accepted(
             await true(lambda: "cancelled" in log(), scaled(60))
 
 
+@pytest.mark.nightly
 async def test_an_active_goal_of_a_killed_sender_is_cancelled(
     joined: Joined,
     server: Program,
@@ -147,6 +150,7 @@ async def test_an_active_goal_of_a_killed_sender_is_cancelled(
             await true(lambda: "cancelled" in log(), scaled(60))
 
 
+@pytest.mark.nightly
 async def test_a_goal_ends_when_its_server_is_killed_and_started_again(
     joined: Joined, server: Program, log: Callable[[], list[str]], answer: Callable[[], None]
 ) -> None:
@@ -167,6 +171,7 @@ async def test_a_goal_ends_when_its_server_is_killed_and_started_again(
                 assert (await again.result(scaled(60))).status.name == "CANCELED"
 
 
+@pytest.mark.nightly
 async def test_a_call_whose_server_is_killed_ends_with_an_unknown_outcome(
     joined: Joined, server: Program, log: Callable[[], list[str]]
 ) -> None:
@@ -184,6 +189,7 @@ async def test_a_call_whose_server_is_killed_ends_with_an_unknown_outcome(
             assert not waiting.cancelled()
 
 
+@pytest.mark.nightly
 async def test_a_call_without_an_answer_has_an_unknown_outcome(
     joined: Joined, server: Program, answer: Callable[[], None]
 ) -> None:

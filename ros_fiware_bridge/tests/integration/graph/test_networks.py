@@ -121,6 +121,7 @@ def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
                 process.kill()
 
 
+@pytest.mark.nightly
 def test_a_robot_out_of_multicast_range_is_found_by_its_address(network: Network) -> None:
     with (
         node(network.robot, "publish", interfaces=[network.robot_interface]),
@@ -129,6 +130,7 @@ def test_a_robot_out_of_multicast_range_is_found_by_its_address(network: Network
         assert bridge.writes("from the robot")
 
 
+@pytest.mark.nightly
 def test_a_robot_that_starts_long_after_the_bridge_is_found(network: Network) -> None:
     with node(network.bridge, "subscribe", peers=[network.robot_address]) as bridge:
         time.sleep(PRUNED_AFTER_S)
@@ -136,11 +138,13 @@ def test_a_robot_that_starts_long_after_the_bridge_is_found(network: Network) ->
             assert bridge.writes("from the robot", 60.0)
 
 
+@pytest.mark.nightly
 def test_nodes_of_one_machine_find_each_other_by_default(network: Network) -> None:
     with node(network.bridge, "publish"), node(network.bridge, "subscribe") as bridge:
         assert bridge.writes("from the robot")
 
 
+@pytest.mark.nightly
 def test_a_robot_out_of_multicast_range_is_not_found_without_its_address(network: Network) -> None:
     # Control: without it the other tests prove nothing.
     with (

@@ -155,6 +155,7 @@ async def test_a_goal_whose_result_is_invalid_or_that_nobody_cancelled_is_aborte
         assert uncancelled.result["sequence"].tolist() == [2]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
     joined: Joined, adapter: Adapter, domain_id: int
@@ -175,6 +176,7 @@ async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
             assert ended.status is GoalStatus.SUCCEEDED
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("only_cyclone")
 async def test_a_goal_fails_when_another_server_replaces_its_own(graph: RosGraph, joined: Joined) -> None:
     async def work(_: ServedGoal) -> dict[str, Any]:

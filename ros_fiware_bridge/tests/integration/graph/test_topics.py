@@ -160,6 +160,7 @@ async def test_our_own_messages_are_received_and_marked_as_ours(graph: RosGraph)
     assert received.ours in (True, None)
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("only_cyclone")
 async def test_a_custom_type_is_supported(
     joined: Joined, adapter: Any, domain_id: int, tmp_path: Path

@@ -97,6 +97,7 @@ async def log_of(rest: httpx.AsyncClient, **filters: Any) -> list[dict[str, Any]
     return found
 
 
+@pytest.mark.nightly
 async def test_alerts_are_sent_once_by_mail_and_webhook_and_a_hanging_server_delays_nothing(
     shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
 ) -> None:
@@ -162,6 +163,7 @@ async def test_alerts_are_sent_once_by_mail_and_webhook_and_a_hanging_server_del
         assert len(box.mails) == 4
 
 
+@pytest.mark.nightly
 async def test_many_alerts_are_sent_together(
     shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
 ) -> None:
@@ -293,6 +295,7 @@ async def test_mail_by_starttls_is_verified_and_a_hanging_server_is_a_reason(tmp
     assert len(box.mails) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:.*imghdr:DeprecationWarning")  # a plugin of Apprise imports it
 async def test_apprise_sends_to_a_receiver_by_its_json_url() -> None:
     received: list[tuple[dict[str, str], bytes]] = []
@@ -306,6 +309,7 @@ async def test_apprise_sends_to_a_receiver_by_its_json_url() -> None:
         await Senders(RouterSettings.load()).send(channel, Outgoing("2", "Hot", "too hot", [{}]))
 
 
+@pytest.mark.nightly
 async def test_no_mail_is_lost_or_sent_more_than_twice_when_the_router_is_killed(
     shared_cell: Cell, mailbox: tuple[Mailbox, int], tmp_path: Path
 ) -> None:

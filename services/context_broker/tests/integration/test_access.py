@@ -191,6 +191,7 @@ async def test_a_grant_for_a_tenant_is_for_that_tenant(http: httpx.AsyncClient) 
     assert (await http.delete(f"/entities/{ROBOT}", headers=of_clinic | clinic)).status_code == 204
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("caller", [NOBODY, VIEWER, RESEARCHER, ENGINEER_OF_ONE])
 async def test_no_operation_of_a_caller_without_a_grant_changes_anything(
     http: httpx.AsyncClient, caller: dict[str, str]
@@ -389,6 +390,7 @@ READS = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("read", READS.values(), ids=READS)
 async def test_who_reads_about_the_body_of_a_person_is_recorded_once(
     http: httpx.AsyncClient, read: tuple[str, str, dict[str, Any] | None]
@@ -483,6 +485,7 @@ async def test_a_performer_sees_its_device_and_its_tasks_alone(tasks: httpx.Asyn
 STATUS = {"status": {"type": "Property", "value": "assigned"}}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("method", "path", "body", "is_allowed"),
     [

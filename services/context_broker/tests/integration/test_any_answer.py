@@ -44,6 +44,7 @@ _entities = st.fixed_dictionaries(
 _answers = _anything | _entities | st.lists(_entities | _anything, max_size=3)
 
 
+@pytest.mark.nightly
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(said=_answers, status=st.sampled_from([200, 200, 200, 201, 204, 207, 302, 404, 409, 500, 508]))
 def test_any_answer_is_borne(anyone: httpx.Client, answering: ScriptedSource, said: Any, status: int) -> None:

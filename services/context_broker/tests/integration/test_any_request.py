@@ -373,6 +373,7 @@ def check(answer: httpx.Response, drawn: dict[str, Any]) -> None:
         answer.json()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_any_request_is_answered(own_broker: Any, table: tuple[Operation, ...]) -> None:
     own_broker.extra["HANDOVER_BROKER_CONTEXT_TIMEOUT_S"] = "1"

@@ -20,6 +20,7 @@ def robot(kind: str, name: str, at: Any = None) -> dict[str, Any]:
     return {"id": f"urn:ngsi-ld:{kind}:{name}", "type": kind, "location": at or HERE}
 
 
+@pytest.mark.nightly
 def test_a_huge_coordinate_is_refused_wherever_a_geometry_is_accepted(http: httpx.Client, kind: str) -> None:
     fine, huge = robot(kind, "fine"), robot(kind, "huge", HUGE)
     assert http.post("/entities", json=fine).status_code == 201

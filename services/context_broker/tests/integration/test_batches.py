@@ -4,6 +4,7 @@ import json
 from typing import Any
 
 import httpx
+import pytest
 
 
 def lamp(name: str, **attributes: Any) -> dict[str, Any]:
@@ -18,6 +19,7 @@ def post(http: httpx.Client, operation: str, body: Any, **parameters: str) -> ht
     return http.post(f"/entityOperations/{operation}", json=body, params=parameters)
 
 
+@pytest.mark.nightly
 def test_a_batch_creates_what_it_can_and_reports_the_rest(http: httpx.Client) -> None:
     answer = post(http, "create", [lamp("a"), lamp("b", lit=True)])
     assert answer.status_code == 201

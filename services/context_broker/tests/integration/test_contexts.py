@@ -345,6 +345,7 @@ def test_contexts_survive_a_power_cut(own_broker: Any, publisher: Any, subscribe
         assert received["urn:x:sub:1"]["speed"]["value"] == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_how_contexts_are_used_is_kept_over_a_restart(own_broker: Any) -> None:
     own_broker.start()

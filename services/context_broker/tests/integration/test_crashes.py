@@ -17,6 +17,7 @@ CUTS = int(os.environ.get("HANDOVER_TEST_CRASHES", "4"))
 WRITERS = 6
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("own_broker", ["sqlite", "postgresql"], indirect=True)

@@ -61,6 +61,7 @@ def waiting(broker: Any, state: str) -> float:
     return found
 
 
+@pytest.mark.nightly
 def test_a_hundred_subscriptions_to_one_dead_endpoint_cost_one_attempt_at_a_time(
     http: httpx.Client, shared_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
@@ -150,6 +151,7 @@ def test_counts_are_true_after_a_power_cut(
         assert len(subscriber.received) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_pending_notifications_of_a_dead_endpoint_do_not_grow_memory(
     own_broker: Any, closing: Closing, eventually: Eventually
@@ -173,6 +175,7 @@ def test_pending_notifications_of_a_dead_endpoint_do_not_grow_memory(
     eventually(lambda: waiting(own_broker, "memory") + waiting(own_broker, "disk") == 20_000)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_pending_notifications_of_a_dead_endpoint_are_limited(
     own_broker: Any, closing: Closing, eventually: Eventually

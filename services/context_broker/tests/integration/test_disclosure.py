@@ -197,6 +197,7 @@ def scrubbed(value: Any) -> Any:
     return value
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("roles", [(Role.ENGINEER,), (Role.VIEWER,), (Role.ADMIN, Role.ENGINEER)], ids=str)
 def test_answers_are_the_same_with_and_without_private_data(
     broker: SecuredBroker, roles: tuple[Role, ...]
@@ -233,6 +234,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.nightly
 def test_no_operation_changes_private_data_or_says_whether_it_exists(broker: SecuredBroker) -> None:
     token = broker.script(Role.ENGINEER)[1]
     one, other = broker.client(token, **WITH_DATA), broker.client(token, **WITHOUT)
@@ -407,6 +409,7 @@ REGISTRATIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", REGISTRATIONS)
 def test_a_source_receives_and_replaces_nothing_private_without_the_right_of_its_owner(
     broker: SecuredBroker, source: ScriptedSource, name: str
@@ -547,6 +550,7 @@ def counts_in(document: dict[str, Any]) -> set[str]:
     return {name for name in COUNTED if name in document or name in document.get("notification", {})}
 
 
+@pytest.mark.nightly
 def test_no_count_says_how_often_private_data_was_sent_to_others(
     broker: SecuredBroker, sinks: Iterator[Subscriber], source: ScriptedSource
 ) -> None:
@@ -595,6 +599,7 @@ def test_no_count_says_how_often_private_data_was_sent_to_others(
     assert counts_in(colleague.get(own.removeprefix("/ngsi-ld/v1")).json()), "its owner is verified again"
 
 
+@pytest.mark.nightly
 def test_the_history_of_an_entity_stays_private_when_it_loses_the_type(broker: SecuredBroker) -> None:
     tenant = {"NGSILD-Tenant": "types"}
     service, doctor = broker.service(**tenant), broker.caller(*DOCTOR, **tenant)
@@ -633,6 +638,7 @@ def test_the_history_of_an_entity_stays_private_when_it_loses_the_type(broker: S
     require_private()
 
 
+@pytest.mark.nightly
 def test_the_result_of_a_snapshot_is_for_those_who_may_see_what_its_creator_may(
     broker: SecuredBroker, sinks: Iterator[Subscriber]
 ) -> None:

@@ -27,6 +27,7 @@ def instances(client: httpx.Client, entity_id: str, name: str) -> set[tuple[int,
     return {(one["value"], one.get("datasetId")) for one in (said if isinstance(said, list) else [said])}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("mode", ["inclusive", "redirect"])
 @pytest.mark.parametrize("way", ["create", "create_batch", "simplified"])
 def test_a_source_receives_only_the_instances_of_its_datasets(

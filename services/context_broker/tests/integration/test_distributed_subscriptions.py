@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.kit.context_sources import ScriptedSource, put, register
 
@@ -135,6 +136,7 @@ def test_forwarding_is_retried_until_the_source_is_back(
     assert sent[-1][4]["id"] != path.rpartition("/")[2]
 
 
+@pytest.mark.nightly
 def test_forwarded_subscriptions_survive_a_restart(
     own_broker: Any, source: ScriptedSource, kind: str, subscriber: Any, eventually: Eventually
 ) -> None:

@@ -133,6 +133,7 @@ BATCHES: list[tuple[Act, str, int, Values, Values]] = [
 ALL_TAKE = ["redirectionOps", "createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("takes", [ALL_TAKE, ["redirectionOps"]], ids=["at once", "one by one"])
 @pytest.mark.parametrize("case", BATCHES, ids=lambda case: f"{case[0].__name__}-{case[1]}")
 def test_a_batch_is_routed_entity_by_entity(
@@ -173,6 +174,7 @@ def test_a_batch_is_forwarded_as_a_batch_with_its_failures(
     assert source.asked[0][4] == entities
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case[0].__name__}-{case[1]}")
 def test_a_write_is_routed_to_the_sources_of_its_attributes(
     near: httpx.Client,

@@ -39,6 +39,7 @@ def numbers(subscriber: Any) -> list[int]:
     return [number for place, number in enumerate(received) if place == 0 or received[place - 1] != number]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @on_both
 def test_notifications_pending_at_a_power_failure_are_sent_after_it(
@@ -80,6 +81,7 @@ def test_notifications_pending_at_a_power_failure_are_sent_after_it(
     assert subscriber.received[before]["data"][0]["n"]["value"] == 300, "what was delivered is not sent again"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @on_both
 def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
@@ -102,6 +104,7 @@ def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
     assert first_received == sorted(first_received)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @on_both
 def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
@@ -135,6 +138,7 @@ def full_disk(own_broker: Any) -> Callable[[bool], None]:
     return fill
 
 
+@pytest.mark.nightly
 @in_a_file
 @pytest.mark.skipif(
     not hasattr(resource, "prlimit"), reason="only Linux can limit the files of another process"
@@ -185,6 +189,7 @@ def mounted_disk(tmp_path: Path) -> Iterator[Path]:
         yield disk.folder
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("ends", ["killed", "stopped"])
 def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
     small_disk: Path, ends: str, eventually: Eventually, broker_on: Callable[[Path], Any], subscriber: Any
@@ -251,6 +256,7 @@ def _rows(folder: Path) -> list[Any]:
         return database.execute("PRAGMA integrity_check").fetchall()
 
 
+@pytest.mark.nightly
 def test_a_full_disk_refuses_writes_until_there_is_space(
     small_disk: Path, eventually: Eventually, broker_on: Callable[[Path], Any]
 ) -> None:
@@ -280,6 +286,7 @@ def test_a_full_disk_refuses_writes_until_there_is_space(
         assert [one["id"] for one in http.get("/entities", params=asked).json()] == created
 
 
+@pytest.mark.nightly
 @in_a_file
 def test_writes_continue_while_another_process_locks_the_tables(
     own_broker: Any, subscriber: Any, eventually: Eventually
@@ -367,6 +374,7 @@ def test_a_value_of_the_past_that_is_damaged_is_not_served(own_broker: Any) -> N
         assert "the history of entity 1 is not as it was written" in answer.json()["detail"]
 
 
+@pytest.mark.nightly
 @in_a_file
 @pytest.mark.parametrize("others", ["stopped", "killed", "none"])
 def test_a_database_that_was_stopped_in_order_can_be_restored_alone(

@@ -37,6 +37,7 @@ def problem(answer: httpx.Response, status: int, kind: str, *words: str) -> None
         assert word in body["detail"]
 
 
+@pytest.mark.nightly
 def test_a_created_entity_is_read_back_unchanged(http: httpx.Client) -> None:
     entity = task(
         "round-trip",

@@ -118,6 +118,7 @@ def test_pages_are_filled_after_deletions_and_the_count_is_current(
     assert (counted.json(), counted.headers["ngsild-results-count"]) == ([], "6")
 
 
+@pytest.mark.nightly
 def test_a_walk_without_count_sees_every_entity_once(http: httpx.Client) -> None:
     ids = make(http, "Thinned", *range(400))
     made = http.get("/entityMaps", params={"type": "Thinned"})
@@ -249,6 +250,7 @@ def test_temporal_queries_have_maps(http: httpx.Client) -> None:
     assert [one["id"] for one in returned.json()] == ids[:1]
 
 
+@pytest.mark.nightly
 def test_maps_survive_a_crash(own_broker: BrokerProcess) -> None:
     own_broker.start()
     with own_broker.client() as http:

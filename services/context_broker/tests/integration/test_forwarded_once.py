@@ -48,6 +48,7 @@ def forgetful() -> Iterator[tuple[str, list[str]]]:
     server.close()
 
 
+@pytest.mark.nightly
 def test_a_write_with_unknown_result_is_not_repeated_but_a_query_is(
     near: httpx.Client, forgetful: tuple[str, list[str]], kind: str
 ) -> None:

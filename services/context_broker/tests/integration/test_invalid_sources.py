@@ -94,6 +94,7 @@ def everything(http: httpx.Client, kind: str) -> dict[str, httpx.Response]:
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("said", RUBBISH)
 def test_invalid_responses_cause_warnings_beside_the_other_results(
     http: httpx.Client, rubbish: RubbishSource, kind: str, said: str

@@ -129,6 +129,7 @@ def link(context_url: str) -> str:
     return f'<{context_url}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
 
 
+@pytest.mark.nightly
 def test_all_tenants_are_copied_with_documents_and_a_second_copy_finds_all_equal(tmp_path: Path) -> None:
     brokers = [BrokerProcess(tmp_path / name) for name in ("from", "to")]
     try:
@@ -199,6 +200,7 @@ def test_all_tenants_are_copied_with_documents_and_a_second_copy_finds_all_equal
             broker.stop()
 
 
+@pytest.mark.nightly
 def test_a_killed_copy_is_finished_by_the_same_command(
     pair: tuple[BrokerProcess, BrokerProcess], tenant: str, tmp_path: Path
 ) -> None:
@@ -225,6 +227,7 @@ def test_a_killed_copy_is_finished_by_the_same_command(
     assert entities["created"] + entities["present"] == 4000
 
 
+@pytest.mark.nightly
 def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
     pair: tuple[BrokerProcess, BrokerProcess],
     tenant: str,
@@ -292,6 +295,7 @@ def test_what_a_target_refuses_or_changes_is_reported_by_entity_and_attribute(
             assert found["https://example.org/n"] == instances
 
 
+@pytest.mark.nightly
 def test_parameters_of_tasks_are_kept_on_the_way_to_another_broker_and_back(
     pair: tuple[BrokerProcess, BrokerProcess],
     tenant: str,
@@ -326,6 +330,7 @@ def test_parameters_of_tasks_are_kept_on_the_way_to_another_broker_and_back(
         assert ("asText" in text) is (at == 0)
 
 
+@pytest.mark.nightly
 def test_another_content_in_the_target_is_replaced_only_if_wanted(
     pair: tuple[BrokerProcess, BrokerProcess], tenant: str, tmp_path: Path
 ) -> None:
@@ -349,6 +354,7 @@ def test_another_content_in_the_target_is_replaced_only_if_wanted(
     assert copied(tmp_path, *words)[0] == 0
 
 
+@pytest.mark.nightly
 def test_a_secret_that_cannot_be_read_is_for_a_person_and_own_subscriptions_are_for_the_services(
     pair: tuple[BrokerProcess, BrokerProcess], tenant: str, tmp_path: Path
 ) -> None:
@@ -381,6 +387,7 @@ def test_a_secret_that_cannot_be_read_is_for_a_person_and_own_subscriptions_are_
     assert copied(tmp_path, *words)[0] == 0
 
 
+@pytest.mark.nightly
 def test_a_broker_that_is_away_or_empty_is_no_success(
     pair: tuple[BrokerProcess, BrokerProcess],
     tenant: str,
@@ -408,6 +415,7 @@ def test_a_broker_that_is_away_or_empty_is_no_success(
     assert copied(tmp_path, url, target.url, "--tenant", lower, "--only")[0] == 0
 
 
+@pytest.mark.nightly
 def test_a_target_that_goes_away_is_named_with_the_way_out(
     pair: tuple[BrokerProcess, BrokerProcess], tenant: str, tmp_path: Path
 ) -> None:
@@ -564,6 +572,7 @@ def stripped(value: Any) -> Any:
 NUMBER = iter(range(10**9))
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(made=st.dictionaries(IDS, ENTITIES, min_size=1, max_size=4))
 def test_any_entity_is_the_same_after_a_copy(

@@ -45,6 +45,7 @@ def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) ->
     return entity_id
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("version", ["mqtt3.1.1", "mqtt5.0"])
 @pytest.mark.parametrize("qos", [0, 1, 2])
 def test_a_notification_is_published_with_its_metadata(

@@ -26,6 +26,7 @@ def link(url: str) -> dict[str, str]:
     return {"Link": f'<{url}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'}
 
 
+@pytest.mark.nightly
 def test_a_context_in_the_body_expands_names(http: httpx.Client) -> None:
     entity = task("body-context", colour="x", raw=1)
     answer = post(http, entity | {"@context": CONTEXT}, LD)
@@ -54,6 +55,7 @@ def test_json_ld_is_answered_with_its_context(http: httpx.Client) -> None:
     assert "@context" not in plain.json()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_context_is_fetched_once_and_survives_the_loss_of_its_server(
     own_broker: Any, new_subscriber: Callable[..., Any]

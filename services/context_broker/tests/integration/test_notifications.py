@@ -131,6 +131,7 @@ def test_json_ld_carries_its_context_and_headers_are_sent_along(
     assert "link" not in headers
 
 
+@pytest.mark.nightly
 def test_the_order_is_kept_and_the_counts_are_true(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:

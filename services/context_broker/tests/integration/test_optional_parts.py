@@ -30,6 +30,7 @@ print(*sorted(sys.modules))
 """
 
 
+@pytest.mark.nightly
 def test_packages_of_switched_off_parts_are_not_imported(tmp_path: Path) -> None:
     command = [sys.executable, "-c", LOADED, str(tmp_path)]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
@@ -98,6 +99,7 @@ def test_a_broker_without_optional_parts_serves_its_own_entities(limited: Broker
         assert client.get(f"/entities/{ENTITY['id']}").json()["temperature"]["value"] == 22
 
 
+@pytest.mark.nightly
 def test_stored_documents_of_a_switched_off_part_are_kept_with_a_warning(tmp_path: Path) -> None:
     registration = {
         "id": "urn:ngsi-ld:ContextSourceRegistration:1",

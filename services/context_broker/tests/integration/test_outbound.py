@@ -248,6 +248,7 @@ def test_redirects_of_notifications_are_not_followed(
     assert subscriber.received == []
 
 
+@pytest.mark.nightly
 def test_a_compression_bomb_is_not_inflated(
     http: httpx.Client, shared_broker: BrokerProcess, pages: Pages, kind: str
 ) -> None:

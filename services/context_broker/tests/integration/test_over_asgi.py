@@ -10,6 +10,7 @@ from services.context_broker.tests.integration.acts import create, patch, subscr
 ENTITY = "urn:ngsi-ld:Lamp:demo:1"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("http", ["asgi", "direct"])
 def test_requests_are_answered_alike_on_both_ways(
     own_broker: Any, subscriber: Any, eventually: Any, http: str

@@ -58,6 +58,7 @@ def ask(http: httpx.Client, stocked: None) -> Ask:
     return numbers
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("q", "hits"),
     [

@@ -105,6 +105,7 @@ def test_registrations_are_found_by_location_and_scope(http: httpx.Client) -> No
     assert http.get(PATH, params={"type": "Placed", "georel": "near"}).status_code == 400
 
 
+@pytest.mark.nightly
 def test_the_alias_differs_by_tenant_and_is_stable(own_broker: BrokerProcess) -> None:
     tenant = {"NGSILD-Tenant": "cell4"}
     own_broker.start()
@@ -191,6 +192,7 @@ def test_tenants_have_their_own_registrations(http: httpx.Client) -> None:
     assert len(http.get(PATH, params={"type": "Owned"}, headers=tenant).json()) == 1
 
 
+@pytest.mark.nightly
 def test_registrations_survive_a_restart_and_expire(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:

@@ -198,6 +198,7 @@ def test_credentials_of_a_client_are_passed_on_to_nobody(
         assert "cookie" not in headers
 
 
+@pytest.mark.nightly
 def test_subscriptions_of_the_present_version_have_no_owner_until_somebody_changes_them(
     tmp_path: Path, subscriber: Subscriber
 ) -> None:

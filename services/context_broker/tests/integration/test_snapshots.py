@@ -145,6 +145,7 @@ def test_the_endpoint_is_notified_of_creation_and_deletion(
     assert subscriber.received[1]["expiresAt"] <= subscriber.received[1]["notifiedAt"]
 
 
+@pytest.mark.nightly
 def test_pending_snapshot_notifications_survive_a_crash(
     own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
@@ -243,6 +244,7 @@ def test_snapshots_belong_to_their_tenant(http: httpx.Client) -> None:
     )
 
 
+@pytest.mark.nightly
 def test_snapshots_survive_a_crash_and_expire(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
@@ -263,6 +265,7 @@ def test_snapshots_survive_a_crash_and_expire(
         assert own_broker.metric("handover_broker_entities") == 0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
 def test_leftovers_of_a_snapshot_are_deleted_after_a_crash(
     own_broker: BrokerProcess, eventually: Callable[..., Any]

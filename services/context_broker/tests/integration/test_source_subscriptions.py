@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
+import pytest
 
 from .conftest import BrokerProcess, Subscriber
 
@@ -65,6 +66,7 @@ def test_a_new_subscriber_is_notified_of_all_matches_then_of_changes(
     assert http.get(f"{PATH}/{one}").status_code == 404
 
 
+@pytest.mark.nightly
 def test_a_throttled_subscriber_is_notified_of_several_at_once(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
@@ -112,6 +114,7 @@ def test_changes_of_entities_are_not_notified(
     eventually(lambda: notified(subscriber) == [("newlyMatching", [one])])
 
 
+@pytest.mark.nightly
 def test_pending_registration_notifications_survive_a_crash(
     own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:

@@ -100,6 +100,7 @@ def notified(subscriber: Any) -> list[int]:
     return [one["n"] for one in subscriber.entities() if "n" in one]
 
 
+@pytest.mark.nightly
 def test_a_second_broker_is_a_standby_and_reports_it(pair: Pair) -> None:
     first = pair.serving(0)
     second = pair.standby(1)
@@ -113,6 +114,7 @@ def test_a_second_broker_is_a_standby_and_reports_it(pair: Pair) -> None:
     assert httpx.get(f"{second.url}/healthz", trust_env=False, timeout=120).is_success
 
 
+@pytest.mark.nightly
 def test_a_standby_serves_everything_acknowledged_when_the_first_broker_is_killed(
     pair: Pair, subscriber: Any, eventually: Eventually
 ) -> None:
@@ -144,6 +146,7 @@ def test_a_standby_serves_everything_acknowledged_when_the_first_broker_is_kille
     eventually(lambda: wanted <= set(notified(subscriber)), why="some notifications were lost")
 
 
+@pytest.mark.nightly
 def test_brokers_that_are_killed_in_turn_lose_nothing_and_repeat_little(
     pair: Pair, subscriber: Any, eventually: Eventually
 ) -> None:
@@ -191,6 +194,7 @@ def received(subscriber: Any) -> set[tuple[str, int]]:
     return {(one["id"], one["n"]) for one in subscriber.entities() if "n" in one}
 
 
+@pytest.mark.nightly
 def test_a_broker_that_lost_the_lock_becomes_a_standby_and_loads_the_database_again(
     pair: Pair, eventually: Eventually
 ) -> None:
@@ -217,6 +221,7 @@ def test_a_broker_that_lost_the_lock_becomes_a_standby_and_loads_the_database_ag
         assert http.post("/entities", json=entity("2", n=1)).status_code == 201
 
 
+@pytest.mark.nightly
 def test_a_standby_stops_on_sigterm(pair: Pair) -> None:
     pair.serving(0)
     process = pair.standby(1).process
@@ -225,6 +230,7 @@ def test_a_standby_stops_on_sigterm(pair: Pair) -> None:
     process.wait(scaled(20))
 
 
+@pytest.mark.nightly
 def test_when_the_database_crashes_under_load_nothing_acknowledged_is_lost(
     pair: Pair, subscriber: Any, eventually: Eventually
 ) -> None:
@@ -287,6 +293,7 @@ def test_a_database_out_of_reach_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "secret" not in broker.log()
 
 
+@pytest.mark.nightly
 def test_tables_of_another_format_are_refused_and_left_as_they_are(pair: Pair) -> None:
     broker = pair.serving(0)
     with broker.client() as http:

@@ -40,6 +40,7 @@ def test_common_contexts_need_no_network(own_broker: Any) -> None:
         assert answer.status_code == 504, "this one had to be fetched"
 
 
+@pytest.mark.nightly
 @in_a_file
 def test_rarely_used_modules_are_not_loaded_at_the_start(own_broker: Any) -> None:
     own_broker.is_forked = False
@@ -51,6 +52,7 @@ def test_rarely_used_modules_are_not_loaded_at_the_start(own_broker: Any) -> Non
     assert not [name for name in SELDOM if f"site-packages/{name}" in loaded.read_text()]
 
 
+@pytest.mark.nightly
 def test_a_start_does_not_wait_for_the_web_framework() -> None:
     started = "import sys, handover_broker.app, handover.serving.server; print('fastapi' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", started], capture_output=True, text=True, check=True)

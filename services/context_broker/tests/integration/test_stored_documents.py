@@ -198,6 +198,7 @@ VALUES = st.one_of(
 )
 
 
+@pytest.mark.nightly
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(PLACES), VALUES, st.booleans())
 def test_whatever_is_accepted_others_read_and_write_as_before(
@@ -244,6 +245,7 @@ POISON: dict[str, list[dict[str, Any]]] = {
 }
 
 
+@pytest.mark.nightly
 def test_stored_documents_that_poison_an_earlier_version_neither_stop_the_start_nor_the_reads(
     own_broker: BrokerProcess, tmp_path: Path
 ) -> None:

@@ -29,6 +29,7 @@ def made(http: httpx.Client, name: str, **members: Any) -> str:
     return f"/subscriptions/{wish(name)['id']}"
 
 
+@pytest.mark.nightly
 def test_a_subscription_is_read_back_as_it_was(http: httpx.Client) -> None:
     given = wish(
         "full",

@@ -24,6 +24,7 @@ def car(http: httpx.Client, entity_id: str) -> str:
     return a_car(http, entity_id)
 
 
+@pytest.mark.nightly
 def test_changes_of_current_entities_are_recorded(http: httpx.Client, entity_id: str) -> None:
     entity = {"id": entity_id, "type": "Car", "scope": "/a", "speed": readings([1])[0], "colour": "red"}
     path = f"/entities/{entity_id}"

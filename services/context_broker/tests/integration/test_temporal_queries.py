@@ -23,6 +23,7 @@ def car(http: httpx.Client, entity_id: str) -> str:
     return a_car(http, entity_id)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("window", "expected"),
     [

@@ -91,6 +91,7 @@ def test_nothing_of_a_tenant_is_seen_by_another(http: httpx.Client) -> None:
     assert http.get("/entities/urn:x:same", params=local, headers=other).status_code == 200
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_thousands_of_tenants_begin_at_once_and_are_there_after_a_power_cut(own_broker: Any) -> None:
     own_broker.start()

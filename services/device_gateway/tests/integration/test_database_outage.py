@@ -46,6 +46,7 @@ def turn(name: str) -> dict[str, Any]:
     }
 
 
+@pytest.mark.nightly
 async def test_a_task_that_comes_while_the_database_is_away_is_performed_once(
     bench: Bench, server: PostgresServer
 ) -> None:

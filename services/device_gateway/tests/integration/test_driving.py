@@ -61,6 +61,7 @@ async def until_shown(bench: Bench, robot: str, condition: Callable[[dict[str, A
             await asyncio.sleep(0.05)
 
 
+@pytest.mark.nightly
 async def test_any_registered_robot_is_driven_by_its_id(robots: Bench) -> None:
     for robot in ("nao-1", "cobot-1"):
         await until_shown(robots, robot, lambda view: view["connected"] and view["state"] == "idle")

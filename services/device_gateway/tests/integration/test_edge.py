@@ -176,6 +176,7 @@ def connected(site: Site, name: str, token: str) -> DeviceClient:
     return client
 
 
+@pytest.mark.nightly
 def test_devices_are_relayed_and_nothing_acknowledged_is_lost_or_doubled(
     new_site: Callable[..., Site],
 ) -> None:
@@ -247,6 +248,7 @@ def test_devices_are_relayed_and_nothing_acknowledged_is_lost_or_doubled(
     wait_for(lambda: site.device("hall-1")["connected"])
 
 
+@pytest.mark.nightly
 def test_an_edge_connects_with_its_certificate_and_to_the_right_centre_only(
     new_site: Callable[..., Site], tmp_path: Path
 ) -> None:
@@ -265,6 +267,7 @@ def test_an_edge_connects_with_its_certificate_and_to_the_right_centre_only(
     assert not site.state()["connected"]
 
 
+@pytest.mark.nightly
 def test_a_motion_that_arrives_late_is_not_executed(new_site: Callable[..., Site]) -> None:
     site = new_site(HANDOVER_EDGE_MAX_MOTION_DELAY_S="0.5")
     token = site.add("hall-1", edge=EDGE)
@@ -292,6 +295,7 @@ def test_a_motion_that_arrives_late_is_not_executed(new_site: Callable[..., Site
     assert turned == [5.0]
 
 
+@pytest.mark.nightly
 def test_robots_stop_at_the_edge_when_the_link_is_lost(new_site: Callable[..., Site]) -> None:
     site = new_site(HANDOVER_EDGE_CANCEL_MOTIONS_AFTER_S="0.1")
     body = {"name": "rover-1", "description": {"kind": "mobileRobot", "edge": EDGE, **_ROVER}}
@@ -316,6 +320,7 @@ def test_robots_stop_at_the_edge_when_the_link_is_lost(new_site: Callable[..., S
     assert site.command("rover-1", made["id"])["reason"] == "stopped"
 
 
+@pytest.mark.nightly
 async def test_the_edge_stops_a_driven_robot_when_the_link_is_cut(new_site: Callable[..., Site]) -> None:
     site = new_site()
     token = site.add("rover-1", kind="mobileRobot", edge=EDGE)
@@ -339,6 +344,7 @@ async def test_the_edge_stops_a_driven_robot_when_the_link_is_cut(new_site: Call
             assert stop["validS"] == 0.0  # of the edge; the centre cannot send one any more
 
 
+@pytest.mark.nightly
 def test_an_input_device_and_a_camera_work_through_the_edge(new_site: Callable[..., Site]) -> None:
     site = new_site()
     tokens = {
@@ -424,6 +430,7 @@ def test_inputs_and_images_that_arrive_late_are_dropped(new_site: Callable[..., 
 _ROVER = {"commands": [{"name": "driveTo", "kind": "motion"}]}
 
 
+@pytest.mark.nightly
 def test_the_centre_takes_from_an_edge_what_was_granted_to_it_and_each_number_once(
     new_site: Callable[..., Site],
 ) -> None:
@@ -474,6 +481,7 @@ def test_the_centre_takes_from_an_edge_what_was_granted_to_it_and_each_number_on
     assert edge.until("error") == {}
 
 
+@pytest.mark.nightly
 async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
     new_site: Callable[..., Site], tmp_path: Path
 ) -> None:

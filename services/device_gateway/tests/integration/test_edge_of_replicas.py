@@ -36,6 +36,7 @@ def edge(pair: Pair, tmp_path: Path) -> Iterator[Cell]:
         yield cell
 
 
+@pytest.mark.nightly
 def test_an_edge_whose_replica_is_killed_loses_and_doubles_nothing(pair: Pair, edge: Cell) -> None:
     token = pair.add("hall-1", edge=EDGE)
     site = httpx.Client(base_url=edge.url("device_gateway"), timeout=120, trust_env=False)

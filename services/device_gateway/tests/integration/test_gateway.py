@@ -313,6 +313,7 @@ HOT = {
 }
 
 
+@pytest.mark.nightly
 async def test_an_anomaly_raises_an_alert_and_starts_a_process_once(
     new_bench: Callable[[], Bench],
 ) -> None:

@@ -53,6 +53,7 @@ async def open_page(state: LiveState, viewers: Viewers) -> Viewer:
     return viewer
 
 
+@pytest.mark.nightly
 async def test_a_page_follows_the_devices_and_sees_when_their_values_are_old(
     new_bench: Callable[[], Bench], tmp_path: Path
 ) -> None:

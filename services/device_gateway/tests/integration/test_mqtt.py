@@ -94,6 +94,7 @@ def stored(engine: Engine, device: str = "hall-1") -> list[float]:
     return [point.mean for _, point in history.every_value(engine, series, 0, 2**62)]
 
 
+@pytest.mark.nightly
 async def test_a_device_sends_and_is_commanded_with_its_token_only(
     mosquitto: Mosquitto, settings: GatewaySettings, engine: Engine
 ) -> None:

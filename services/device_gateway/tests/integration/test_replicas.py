@@ -225,6 +225,7 @@ def sensors(pair: Pair) -> Iterator[list[Sensor]]:
         sensor.client.stop()
 
 
+@pytest.mark.nightly
 def test_devices_and_commands_survive_the_death_of_each_replica(pair: Pair, sensors: list[Sensor]) -> None:
     pushing = pair.add("pusher")
     pushed = 0
@@ -291,6 +292,7 @@ def test_devices_and_commands_survive_the_death_of_each_replica(pair: Pair, sens
     assert latest == (sensors[0].sent - 1) % 50, "the leader knows the latest value of every device"
 
 
+@pytest.mark.nightly
 def test_what_is_registered_or_revoked_counts_at_every_replica(pair: Pair) -> None:
     leader = pair.leader()
     follower = pair.other(leader)
@@ -352,6 +354,7 @@ class Through:
         self.cell = cell
 
 
+@pytest.mark.nightly
 async def test_driving_and_mqtt_continue_with_the_next_leader(pair: Pair, mosquitto: Mosquitto) -> None:
     leader = pair.leader()
     follower = pair.other(leader)

@@ -109,6 +109,7 @@ def metric(cell: SecuredCell, name: str) -> float:
     return float(line.rpartition(" ")[2])
 
 
+@pytest.mark.nightly
 def test_a_replica_passes_requests_on_over_tls_and_the_audit_names_the_caller(
     new_secured: Callable[..., SecuredCell], new_database: Callable[[], str]
 ) -> None:
@@ -200,6 +201,7 @@ class Meter:
         self.connection.close()
 
 
+@pytest.mark.nightly
 def test_a_partition_between_edge_and_gateway_loses_nothing_and_delays_no_motion(
     namespace: Namespace, new_secured: Callable[..., SecuredCell]
 ) -> None:

@@ -75,6 +75,7 @@ def work(monitor: PersonMonitor, bpm: float) -> None:
         monitor.strain = monitor.strain.take(exertion, begun_s + second)
 
 
+@pytest.mark.nightly
 async def test_a_lasting_strain_proposes_one_break(orchestrator: httpx.AsyncClient, tmp_path: Path) -> None:
     settings = HumanStateSettings.load(data_dir=tmp_path, orchestrator_url=str(orchestrator.base_url))
     engine = connect(settings.database("human-state"))

@@ -37,6 +37,7 @@ async def alert(broker: BrokerClient, kind: str) -> str | None:
     return str(found[0]["description"]["value"]) if found else None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("refused", "status", "kind", "remains"),
     [

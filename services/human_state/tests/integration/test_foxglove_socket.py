@@ -39,6 +39,7 @@ async def values_of(client: ClientConnection, values: list[dict[str, Any]]) -> N
             values.append(json.loads(message[13:]))  # noqa: PERF401 - seen while it grows
 
 
+@pytest.mark.nightly
 async def test_a_client_gets_the_heart_rate_until_the_consent_is_withdrawn(running: Running) -> None:
     port = next_free_port()
     async with running(port=port) as rest:

@@ -25,6 +25,7 @@ async def streams_of(pseudonym: str, wait_s: float) -> list[pylsl.StreamInfo]:
     return await asyncio.to_thread(pylsl.resolve_bypred, predicate, 1, wait_s)
 
 
+@pytest.mark.nightly
 async def test_an_inlet_gets_the_heart_rate_until_the_consent_is_withdrawn(running: Running) -> None:
     names = {"health_lsl_people": "aino", "health_lsl_signals": "heartRate"}
     async with running(grants=OWNER_GRANTS, **names) as rest:

@@ -23,6 +23,7 @@ def orion(shared_cell: Cell, tmp_path: Path) -> Iterator[str]:
         yield url
 
 
+@pytest.mark.nightly
 async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an_alert(
     running: Running, shared_cell: Cell, orion: str
 ) -> None:

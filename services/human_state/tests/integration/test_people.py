@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from handover.broker import BrokerClient
 from services.human_state.tests.integration.conftest import HEART_RATE, Running, add_person, consent
@@ -25,6 +26,7 @@ async def stored(rest: httpx.AsyncClient, name: str = "aino") -> list[dict[str, 
     return found
 
 
+@pytest.mark.nightly
 async def test_a_person_is_sensed_with_consent_and_forgotten_without(
     running: Running, shared_cell: Cell
 ) -> None:
@@ -71,6 +73,7 @@ async def test_a_person_is_sensed_with_consent_and_forgotten_without(
         await until(is_gone)
 
 
+@pytest.mark.nightly
 async def test_only_what_was_allowed_is_stored_and_published(running: Running, shared_cell: Cell) -> None:
     async with running() as rest, BrokerClient(shared_cell.settings) as broker:
         made = await add_person(rest, "eero", "live")
@@ -101,6 +104,7 @@ async def test_a_consent_ends_by_itself_and_has_an_end(running: Running) -> None
         assert only.json()["detailCode"] == "health.live_required"
 
 
+@pytest.mark.nightly
 async def test_a_restart_keeps_persons_and_continues(running: Running) -> None:
     async with running() as rest:
         made = await add_person(rest)

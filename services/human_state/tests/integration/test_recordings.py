@@ -88,6 +88,7 @@ def assert_digest(answer: httpx.Response) -> None:
     assert answer.headers["repr-digest"] == f"sha-256=:{digest}:"
 
 
+@pytest.mark.nightly
 async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
     running: Running, shared_cell: Cell, tmp_path: Path
 ) -> None:
@@ -212,6 +213,7 @@ async def test_a_withdrawn_consent_ends_a_recording_and_deletes_what_was_asked(
         assert list((tmp_path / "recordings").iterdir()) == []
 
 
+@pytest.mark.nightly
 async def test_the_next_start_closes_what_a_crash_has_left_and_deletes_what_is_old(
     running: Running, tmp_path: Path
 ) -> None:

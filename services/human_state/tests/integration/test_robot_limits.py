@@ -61,6 +61,7 @@ async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
             yield Bench(cell, body, tool)
 
 
+@pytest.mark.nightly
 async def test_heart_rate_slows_the_robot_silence_stops_it_and_a_person_resets(bench: Bench) -> None:
     made = await add_person(bench.body)
     bench.source = f"body-{made['pseudonym']}"

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import pytest
+
 from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES
 from tests.kit.waiting import until
 
@@ -62,6 +64,7 @@ async def complete_task(bench: Any, name: str, glove: str = "glove-1", **paramet
     return str(task["gesture"])
 
 
+@pytest.mark.nightly
 async def test_participants_go_through_the_study_and_what_they_said_is_analysed(bench: Any) -> None:
     for nth in range(2):
         participant = Participant(bench, language="de")
@@ -82,6 +85,7 @@ async def test_participants_go_through_the_study_and_what_they_said_is_analysed(
     assert report.content.startswith(b"%PDF")
 
 
+@pytest.mark.nightly
 async def test_a_session_continues_after_the_service_was_killed(bench: Any) -> None:
     participant = Participant(bench, pseudonym="Lumi")
     participant.go_to("tlx1")
@@ -113,6 +117,7 @@ async def test_nothing_is_asked_out_of_turn_and_nothing_is_taken_back(bench: Any
     assert participant.seen()["answers"]["sus"] == {"answers": [5, 1] * 5}
 
 
+@pytest.mark.nightly
 async def test_a_deleted_session_is_gone_from_list_analysis_and_files(bench: Any) -> None:
     participant = Participant(bench)
     participant.go_to("preference")
@@ -136,6 +141,7 @@ async def test_the_wording_is_there_in_three_languages(bench: Any) -> None:
     assert bench.study.get("/wording", params={"language": "sv"}).status_code == 422
 
 
+@pytest.mark.nightly
 async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(bench: Any, put_on: Any) -> None:
     put_on()
     screen = bench.screen
@@ -206,6 +212,7 @@ async def test_conditions_cannot_be_changed_while_they_are_tried(bench: Any) -> 
     assert screen.put("/people/P01/commands", json={}).status_code == 200
 
 
+@pytest.mark.nightly
 async def test_a_session_that_was_left_does_not_decide_for_the_next_participant(
     bench: Any, put_on: Any
 ) -> None:

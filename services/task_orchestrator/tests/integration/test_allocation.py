@@ -56,6 +56,7 @@ def posted(running: Cell, process: str, element: str) -> dict[str, Any]:
     return eventually(look, f"the Task of {element}")
 
 
+@pytest.mark.nightly
 def test_a_file_gives_no_work_to_a_robot_until_an_engineer_confirms_the_mapping(allocating: Cell) -> None:
     running = allocating
     table = running.api.get("/mapping").json()

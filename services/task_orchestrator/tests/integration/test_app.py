@@ -307,6 +307,7 @@ async def test_a_retry_that_cannot_be_says_why(api: httpx.AsyncClient) -> None:
         assert (await api.post(url, json=nobody)).status_code == 422
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("path", "more", "act"),
     [
@@ -378,6 +379,7 @@ async def test_the_same_request_never_starts_a_second_process_and_is_no_business
     assert (await joined.post("/processes", json=body)).status_code == 200
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("body", "status", "detail"),
     [
@@ -414,6 +416,7 @@ async def test_a_cancelled_process_is_failed_and_cannot_be_cancelled_again(api: 
     assert (await api.get("/processes/nothing")).status_code == 404
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "body", [b"", b"not JSON", b"[]", b"{}", b'{"data": 7}', b'{"data": [7]}', b"\xff\x00"]
 )
@@ -461,6 +464,7 @@ async def test_a_notification_never_moves_a_process_the_broker_does(
     assert (await joined.get(f"/processes/{process['id']}")).json()["status"] == "completed"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -512,6 +516,7 @@ async def queries(broker: BrokerClient) -> float:
     )
 
 
+@pytest.mark.nightly
 async def test_everything_is_there_again_after_a_restart(
     at_broker: OrchestratorSettings, broker: BrokerClient
 ) -> None:

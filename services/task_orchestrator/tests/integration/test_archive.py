@@ -86,6 +86,7 @@ def without_leases(performer: Member) -> Iterator[None]:
         performer.environment = leased
 
 
+@pytest.mark.nightly
 def test_a_finished_process_leaves_the_broker_and_its_history_is_served(archiving: Cell) -> None:
     play(archiving, work_1={"grip": 3})
     deploy(archiving, ONE_STEP)
@@ -131,6 +132,7 @@ def test_what_was_to_be_deleted_when_the_orchestrator_was_killed_is_deleted_afte
     assert steps(archiving, process) == ["work-1"]
 
 
+@pytest.mark.nightly
 def test_killed_at_any_moment_everything_leaves_and_nothing_is_done_twice(archiving: Cell) -> None:
     moments = random.Random(7)
     deploy(archiving, TWO_STEPS)
@@ -148,6 +150,7 @@ def test_killed_at_any_moment_everything_leaves_and_nothing_is_done_twice(archiv
         assert steps(archiving, process) == ["first-1", "second-1"]
 
 
+@pytest.mark.nightly
 def test_a_task_that_is_posted_again_is_not_performed_and_is_deleted(archiving: Cell) -> None:
     play(archiving, work_1={"grip": 3, "after_s": 1.0})
     deploy(archiving, ONE_STEP)
@@ -186,6 +189,7 @@ def test_a_task_that_is_posted_again_is_not_performed_and_is_deleted(archiving: 
     assert steps(archiving, process) == ["work-1"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("retention", ["gone", "kept"])
 def test_a_broker_restored_from_an_old_backup_gets_what_the_orchestrator_has_recorded(
     tmp_path: Path, retention: str

@@ -148,6 +148,7 @@ async def test_a_second_cell_with_one_name_sends_nothing_until_the_first_has_end
             assert (await refused.leases.acquire([arm], holder, 10.0))[0].is_granted
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("was_stopped", [False, True])
 async def test_of_two_cells_with_one_name_that_start_together_one_runs(
     tmp_path: Path, broker: BrokerClient, monkeypatch: pytest.MonkeyPatch, was_stopped: bool
@@ -185,6 +186,7 @@ async def test_of_two_cells_with_one_name_that_start_together_one_runs(
             assert await claims() == [False, True]
 
 
+@pytest.mark.nightly
 async def test_a_cell_that_was_killed_leaves_its_name_after_it_was_silent(
     tmp_path: Path, broker: BrokerClient
 ) -> None:

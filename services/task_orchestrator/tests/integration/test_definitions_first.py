@@ -20,6 +20,7 @@ def refused_again(proxy: RefusingProxy) -> None:
     eventually(lambda: proxy.refusals >= before + 2, "more refusals")
 
 
+@pytest.mark.nightly
 def test_a_task_waits_for_its_definition_over_a_kill(tmp_path: Path) -> None:
     running = Cell(tmp_path, next_free_port)
     broker = running.broker.environment["HANDOVER_BROKER_URL"]

@@ -433,6 +433,7 @@ def deployed(
         yield running
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_an_element_is_executed(deployed: Cell, name: str) -> None:
     running, case = deployed, CASES[name]
@@ -539,6 +540,7 @@ def test_a_message_needs_the_right_key_and_one_receiver(deployed: Cell) -> None:
     assert [ended.status_code, unknown.status_code] == [409, 404]
 
 
+@pytest.mark.nightly
 def test_a_stored_message_survives_a_kill_and_reaches_only_the_process_it_names(deployed: Cell) -> None:
     running = deployed
     wait = catch("wait", refer("message", "go"))

@@ -101,6 +101,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         yield running
 
 
+@pytest.mark.nightly
 def test_a_new_alert_starts_a_process_which_has_it_as_a_variable(world: Cell) -> None:
     old = create(world, "FireAlert", "old", severity="high")
     alert = on("message", "FireAlert", variable="alert", q='severity=="high"')
@@ -242,6 +243,7 @@ def test_a_forged_notification_has_no_effect(world: Cell) -> None:
     assert world.ended(process)["variables"]["entity"]["id"] == "urn:ngsi-ld:Kiln:demo:2"
 
 
+@pytest.mark.nightly
 def test_a_filter_that_the_broker_refuses_does_not_stop_the_others(world: Cell) -> None:
     refused = on("message", "Wrong", q="((")
     deploy(world, "wrong", starts_with(refused) + end() + path("start", "end"))
@@ -269,6 +271,7 @@ def test_a_filter_that_the_broker_refuses_does_not_stop_the_others(world: Cell) 
     eventually(lambda: "validTo" in (alert() or {}) or None, "the end of the Alert")
 
 
+@pytest.mark.nightly
 def test_entities_created_while_the_orchestrator_is_down_are_found_exactly_once(
     tmp_path: Path,
 ) -> None:
@@ -292,6 +295,7 @@ def test_entities_created_while_the_orchestrator_is_down_are_found_exactly_once(
         assert sizes == [1, 2, 3]
 
 
+@pytest.mark.nightly
 def test_a_lost_subscription_is_created_again_and_what_happened_meanwhile_is_found(
     tmp_path: Path,
 ) -> None:
@@ -308,6 +312,7 @@ def test_a_lost_subscription_is_created_again_and_what_happened_meanwhile_is_fou
         eventually(lambda: not subscriptions(running), "the removal of the unused subscription")
 
 
+@pytest.mark.nightly
 def test_entities_created_before_and_after_an_outage_of_the_broker_are_found(tmp_path: Path) -> None:
     with cell(tmp_path, next_free_port) as running:
         smoke = on("message", "Smoke")
@@ -326,6 +331,7 @@ def test_entities_created_before_and_after_an_outage_of_the_broker_are_found(tmp
         assert sizes == [1, 2, 3]
 
 
+@pytest.mark.nightly
 def test_a_limit_that_was_passed_while_the_orchestrator_was_down_counts(tmp_path: Path) -> None:
     with cell(tmp_path, next_free_port) as running:
         tank = create(running, "Tank", "1", level=1, colour="red")

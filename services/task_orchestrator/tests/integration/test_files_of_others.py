@@ -100,6 +100,7 @@ CASES = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_a_file_of_another_engine_is_done_by_a_person(running: Cell, name: str) -> None:
     case = CASES[name]

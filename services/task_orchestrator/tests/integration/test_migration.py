@@ -3,6 +3,7 @@
 from typing import Any
 
 import httpx
+import pytest
 
 from handover.broker import BrokerClient
 from handover_processes.settings import OrchestratorSettings
@@ -113,6 +114,7 @@ async def test_a_migration_that_is_impossible_names_every_obstacle(joined: httpx
     assert (again.status_code, "already" in again.json()["detail"]) == (409, True)
 
 
+@pytest.mark.nightly
 async def test_a_migrated_process_is_resumed_in_its_version(
     at_broker: OrchestratorSettings, broker: BrokerClient
 ) -> None:

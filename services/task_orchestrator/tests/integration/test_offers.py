@@ -135,6 +135,7 @@ def web_server(**served: bytes) -> Iterator[str]:
         thread.join()
 
 
+@pytest.mark.nightly
 def test_a_definition_of_a_mes_runs_after_an_engineer_has_accepted_it(world: Cell) -> None:
     entity = definition("bottle", process_file("bottle", "fill", "cap", title="Fill a bottle"))
     urn = post(world, entity)
@@ -209,6 +210,7 @@ def test_all_faults_of_a_file_are_listed_in_its_words_and_it_cannot_be_accepted(
     assert '"name"' in offered(world, urn, version="3")["faults"][0]["message"]
 
 
+@pytest.mark.nightly
 def test_a_file_is_loaded_from_its_address_within_bounds(world: Cell) -> None:
     with web_server(good=process_file("by-address", "a").encode()) as address:
         urns = {
@@ -264,6 +266,7 @@ def test_two_systems_that_change_an_entity_in_turn_make_two_offers(world: Cell) 
     assert "several systems change it in turn" in found[0]["warnings"][0]["message"]
 
 
+@pytest.mark.nightly
 def test_our_own_definitions_are_never_offered_and_those_of_others_never_overwritten(world: Cell) -> None:
     xml = process_file("ours", "a", "b").encode()
     answer = world.api.post("/definitions", content=xml, headers={"Content-Type": "application/xml"})
@@ -317,6 +320,7 @@ def posted(world: Cell, process: str) -> dict[str, Any]:
     return {"definition": task["isDefinedBy"]["object"], **parameters}
 
 
+@pytest.mark.nightly
 def test_an_accepted_task_definition_completes_tasks_and_a_later_change_waits(world: Cell) -> None:
     involves = '<handover:involves resource="Device:glove-1"/>'
     deploy(world, naming("weigh", involves))
@@ -410,6 +414,7 @@ def test_closed_and_unknown_offers_are_refused(world: Cell) -> None:
     assert world.api.get("/offers", params={"status": "strange"}).status_code == 422
 
 
+@pytest.mark.nightly
 def test_offers_survive_on_postgresql(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     url = str(request.getfixturevalue("new_database")())
     with cell(tmp_path, next_free_port, url) as running:

@@ -26,6 +26,7 @@ def refusal(answer: httpx.Response) -> str:
     return f"{answer.status_code} {answer.json()['detail']}"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("act", ["pause", "cancel"])
 def test_what_lowers_acts_without_a_database_and_says_so(
     act: str, server: PostgresServer, tmp_path: Path

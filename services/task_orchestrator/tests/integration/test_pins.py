@@ -118,6 +118,7 @@ async def test_without_it_the_task_fails_and_says_why(
     await until(is_corrected, 30, "the broker shows what the orchestrator has decided")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("prove", "person", "is_known"),
     [

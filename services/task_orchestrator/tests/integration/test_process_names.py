@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from services.task_orchestrator.tests.integration.rest import XML, service, settings_in
 from services.task_orchestrator.tests.unit.drawing import ONE_STEP, drawing
 
@@ -11,6 +13,7 @@ TITLED = (
 )
 
 
+@pytest.mark.nightly
 async def test_processes_are_numbered_by_definition_across_restarts_deletions_and_versions(
     tmp_path: Path,
 ) -> None:

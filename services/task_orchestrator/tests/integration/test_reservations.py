@@ -20,6 +20,7 @@ def of_process(running: Cell, process: str, state: str) -> dict[str, Any] | None
     return next((each for each in found if each["state"] == state), None)
 
 
+@pytest.mark.nightly
 def test_two_bin_picking_processes_on_one_robot_work_one_after_the_other(running: Cell) -> None:
     running.script_file.write_bytes(orjson.dumps({"scan-1": FOUND, "scan-2": FOUND}))
     first, second = running.start("bin-picking"), running.start("bin-picking")
@@ -52,6 +53,7 @@ def stuck_holder(running: Cell, name: str) -> tuple[str, str, str]:
     return holder, str(incident["token"]), waiting
 
 
+@pytest.mark.nightly
 def test_an_incident_keeps_the_robot_across_kill_9_until_an_engineer_releases_it(running: Cell) -> None:
     holder, token, waiting = stuck_holder(running, "slips")
     running.orchestrator.kill()

@@ -56,6 +56,7 @@ def retry(running: Cell, seen: dict[str, Any]) -> dict[str, Any]:
     return goes_on
 
 
+@pytest.mark.nightly
 def test_a_retried_process_goes_on_in_the_broker_too_and_its_alert_is_over(running: Cell) -> None:
     play(running, work_1={"fails": "the part slipped"}, work_2={"grip": 3})
     deploy(running, ONE_STEP)
@@ -79,6 +80,7 @@ def test_a_retried_process_goes_on_in_the_broker_too_and_its_alert_is_over(runni
     assert len(entity["isComposedOf"]["value"]) == 2
 
 
+@pytest.mark.nightly
 def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_twice(
     running: Cell, database_url: str | None
 ) -> None:
@@ -98,6 +100,7 @@ def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_
     assert len(running.tasks(seen["id"])) == 4
 
 
+@pytest.mark.nightly
 def test_a_retry_of_the_policy_survives_a_kill_and_is_done_once(
     running: Cell, database_url: str | None
 ) -> None:

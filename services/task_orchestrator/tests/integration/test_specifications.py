@@ -100,6 +100,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
         yield made
 
 
+@pytest.mark.nightly
 def test_the_row_is_written_before_the_task_also_when_the_orchestrator_is_killed_in_between(
     site: Site,
 ) -> None:
@@ -119,6 +120,7 @@ def test_the_row_is_written_before_the_task_also_when_the_orchestrator_is_killed
     assert site.rows() == {"confirm": Specification("Confirm", "Look at the bin", "Thumbs up")}
 
 
+@pytest.mark.nightly
 def test_a_row_with_expressions_is_that_of_its_task_and_ends_with_it(site: Site) -> None:
     running = site.running
     deploy(running, one_step(specified("confirm", OF_PART), "confirm"), "by-part")
@@ -133,6 +135,7 @@ def test_a_row_with_expressions_is_that_of_its_task_and_ends_with_it(site: Site)
     assert "part" in stuck["incidents"][0]["reason"]
 
 
+@pytest.mark.nightly
 def test_a_database_that_is_unavailable_delays_no_other_task_and_raises_an_alert(site: Site) -> None:
     running = site.running
     site.file.mkdir()
@@ -159,6 +162,7 @@ def test_a_database_that_is_unavailable_delays_no_other_task_and_raises_an_alert
     eventually(lambda: "validTo" in (site.alert() or {}), "the end of the Alert")
 
 
+@pytest.mark.nightly
 def test_a_database_that_refuses_the_row_is_an_incident_that_can_be_retried(site: Site) -> None:
     running = site.running
     engine = connect(f"sqlite:///{site.file}", is_own=False)
@@ -180,6 +184,7 @@ def test_a_database_that_refuses_the_row_is_an_incident_that_can_be_retried(site
     assert site.task(stuck["id"])["workParameters"]["value"] == {"specification": "confirm"}
 
 
+@pytest.mark.nightly
 def test_an_accepted_task_definition_of_a_mes_names_what_is_written(site: Site) -> None:
     running = site.running
     entity = {
@@ -213,6 +218,7 @@ def test_an_accepted_task_definition_of_a_mes_names_what_is_written(site: Site) 
     assert site.rows() == {MES: Specification(None, "Look closely", None, 7)}
 
 
+@pytest.mark.nightly
 def test_a_task_whose_definition_the_broker_refuses_is_not_posted_but_an_incident(site: Site) -> None:
     running, proxy = site.running, site.proxy
     proxy.status, proxy.refused = 400, frozenset({WEIGH.encode() + b'","type":"TaskDefinition"'})

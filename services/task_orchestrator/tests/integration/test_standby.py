@@ -17,6 +17,7 @@ pytestmark = pytest.mark.slow
 STEPS = start() + activity("first") + activity("second") + end() + path("start", "first", "second", "end")
 
 
+@pytest.mark.nightly
 def test_a_standby_takes_over_and_nothing_is_lost_or_doubled(
     tmp_path: Path, new_database: Callable[[], str]
 ) -> None:
@@ -52,6 +53,7 @@ def test_a_standby_takes_over_and_nothing_is_lost_or_doubled(
             standby.stop()
 
 
+@pytest.mark.nightly
 def test_one_that_has_lost_its_lock_ends_instead_of_writing(
     tmp_path: Path, new_database: Callable[[], str]
 ) -> None:

@@ -60,6 +60,7 @@ async def start(api: httpx.AsyncClient, **parameters: Any) -> httpx.Response:
     return await api.post("/processes", json={"definition": "order", "parameters": parameters})
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("dialect", STARTS)
 async def test_start_variables_are_checked_against_the_form_of_the_start_event(
     api: httpx.AsyncClient, dialect: str

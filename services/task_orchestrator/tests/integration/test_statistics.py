@@ -26,6 +26,7 @@ def answer(running: Cell, path_: str, **query: Any) -> httpx.Response:
     return response
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("database_url")
 def test_statistics_count_what_has_happened(running: Cell) -> None:
     running.api.post(

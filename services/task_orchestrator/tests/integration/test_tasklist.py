@@ -75,6 +75,7 @@ def status_in_broker(running: Cell, task: str) -> str | None:
     return None if entity is None else entity["status"]["value"]
 
 
+@pytest.mark.nightly
 def test_of_two_persons_who_claim_at_once_one_gets_a_clear_answer(running: Cell) -> None:
     deploy(running, "race", ">")
     for _ in range(5):
@@ -283,6 +284,7 @@ def test_a_claimed_task_ends_when_its_process_is_cancelled(running: Cell) -> Non
     assert post(running, task, "complete", by="Anna").status_code == 409
 
 
+@pytest.mark.nightly
 def test_claims_and_comments_survive_a_kill_of_the_orchestrator(running: Cell) -> None:
     deploy(running, "killed", ">")
     process, task = begin(running, "killed")

@@ -61,6 +61,7 @@ def deploy(running: Cell, body: str) -> None:
     assert answer.is_success, answer.text
 
 
+@pytest.mark.nightly
 def test_bin_picking_goes_the_way_the_results_say(running: Cell) -> None:
     play(running, BIN_PICKING)
     process = running.start("bin-picking")
@@ -91,6 +92,7 @@ def test_bin_picking_goes_the_way_the_results_say(running: Cell) -> None:
     assert running.alerts(process) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("database_url", "victim"),
     [
@@ -120,6 +122,7 @@ def test_after_any_service_is_killed_the_process_ends_and_nothing_is_repeated(
     assert len(running.tasks(process)) == len(STORY), f"seed {seed}"
 
 
+@pytest.mark.nightly
 def test_many_processes_survive_kills_of_everybody(running: Cell) -> None:
     body = (
         start() + activity("a") + activity("b") + activity("c") + end() + path("start", "a", "b", "c", "end")

@@ -100,6 +100,7 @@ def start(cell: Cell) -> Any:
         person.close()
 
 
+@pytest.mark.nightly
 def test_a_person_confirms_repeats_and_adjusts_the_views_before_a_part_is_picked(
     start: Callable[[], Person],
 ) -> None:

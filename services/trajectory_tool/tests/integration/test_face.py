@@ -54,6 +54,7 @@ def joint_states(cell: Cell, query: str = "", robot: str = "ur10-1") -> ClientCo
     return connect(f"{url}/robots/{robot}/joint_states{query}", proxy=None)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     robots = httpx.get(f"{tool.url('trajectory_tool')}/robots", timeout=120).json()
@@ -148,6 +149,7 @@ def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
     assert garbage.status_code == 403
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "value", "complaint"),

@@ -24,6 +24,7 @@ PICK = """<bpmn:serviceTask id="pick"><bpmn:extensionElements><handover:task def
 IN_THE_AIR = {"position": [-0.5, -0.2, 0.4], "orientation": [1.0, 0.0, 0.0, 0.0]}
 
 
+@pytest.mark.nightly
 def test_a_pick_where_no_part_is_ends_in_an_incident_that_says_so(cell: Cell) -> None:
     cell.extra |= {"HANDOVER_ROBOT": "physics", "HANDOVER_SIMULATION_PACE": "0"}
     cell.run("context_broker", "task_orchestrator", "trajectory_tool")

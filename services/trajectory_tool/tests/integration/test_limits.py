@@ -126,6 +126,7 @@ def test_a_flood_exceeds_the_rate_until_the_next_second() -> None:
     assert rate.excess(6.0) == 0
 
 
+@pytest.mark.nightly
 def test_a_flood_changes_nothing_and_others_are_answered(tool: Tool) -> None:
     with tool.stream("robots/ur10-1/speed_limits") as flood:
         for _ in range(2000):

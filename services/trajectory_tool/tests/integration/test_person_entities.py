@@ -28,6 +28,7 @@ def person(x: float, y: float, age_s: float = 0.0) -> Person:
     return Person.from_ngsild({"id": AINO, "type": "Person", "relativePosition": place})
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 async def test_a_person_in_the_broker_counts_until_a_person_confirms_that_nobody_is_there(
     cell: Cell, tmp_path: Path

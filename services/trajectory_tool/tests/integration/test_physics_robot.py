@@ -150,6 +150,7 @@ async def physics(tmp_path: Path) -> AsyncIterator[PhysicsCell]:
         yield made
 
 
+@pytest.mark.nightly
 async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(physics: PhysicsCell) -> None:
     before = len(physics.parts.in_bin("bin-1"))
     seen = await physics.do("scan", bin="bin-1")
@@ -164,6 +165,7 @@ async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(physics
     assert len(physics.parts.in_bin("bin-1")) == before - 1
 
 
+@pytest.mark.nightly
 async def test_a_part_that_a_person_holds_out_is_gripped_and_placed(physics: PhysicsCell) -> None:
     async def confirm(work: Work) -> None:
         while not work.confirm():
@@ -190,6 +192,7 @@ async def test_a_part_that_a_person_holds_out_is_gripped_and_placed(physics: Phy
     assert not physics.robot.gripper_closed
 
 
+@pytest.mark.nightly
 async def test_a_panda_with_seven_joints_and_its_own_gripper_picks_and_places(tmp_path: Path) -> None:
     physics = PhysicsCell(tmp_path, robot_model="panda", scan_seed=174)
     async with physics.cell:
@@ -212,6 +215,7 @@ async def test_a_part_that_slips_out_of_the_gripper_fails_the_task_with_a_reason
     assert not physics.robot.gripper_closed
 
 
+@pytest.mark.nightly
 async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
     async with first.cell:
@@ -228,6 +232,7 @@ async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: P
         assert placed["part"] == seen["part"]
 
 
+@pytest.mark.nightly
 async def test_a_part_is_put_into_a_fixture_that_was_moved_while_the_robot_held_it(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
     async with first.cell:
@@ -409,6 +414,7 @@ async def test_an_arm_that_meets_another_arm_is_blocked_by_it() -> None:
         assert await free.move((ROBOT.home[0] + 1.5, *ROBOT.home[1:]), 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_one_robot_takes_the_part_that_another_one_has_put_down(tmp_path: Path) -> None:
     scene = ur10.FOLDER / "bin_picking_physics.yaml"
     cell_file = tmp_path / "cell.yaml"

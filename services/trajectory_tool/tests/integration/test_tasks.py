@@ -129,6 +129,7 @@ async def shop(shared_cell: Cell) -> AsyncIterator[Shop]:
         yield made
 
 
+@pytest.mark.nightly
 async def test_the_robots_part_of_the_process_is_done(new_shop: Shop) -> None:
     assert (await new_shop.done("", definition="home"))["joints"] == HOME
     missed = await new_shop.done("scan", bin="bin-1")
@@ -150,6 +151,7 @@ async def test_the_robots_part_of_the_process_is_done(new_shop: Shop) -> None:
     assert 'handover_trajectory_tool_tasks_total{operation="scan",outcome="completed"} 2.0' in metrics
 
 
+@pytest.mark.nightly
 async def test_a_task_reports_its_progress_while_the_robot_moves(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.3)
     fractions = []
@@ -163,6 +165,7 @@ async def test_a_task_reports_its_progress_while_the_robot_moves(shop: Shop) -> 
     assert any(0.1 < fraction < 0.9 for fraction in fractions)
 
 
+@pytest.mark.nightly
 async def test_the_device_shows_the_state_of_the_robot(shop: Shop) -> None:
     device = await shop.device_is(DeviceState.IDLE)
     assert device.category is not None
@@ -180,6 +183,7 @@ async def test_the_device_shows_the_state_of_the_robot(shop: Shop) -> None:
     assert idle.value.value["joints"] == AWAY
 
 
+@pytest.mark.nightly
 async def test_a_paused_task_stands_still_and_reaches_its_target_afterwards(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     seen = await shop.in_motion()
@@ -199,6 +203,7 @@ async def test_a_paused_task_stands_still_and_reaches_its_target_afterwards(shop
     assert shop.robot()["task"] is None
 
 
+@pytest.mark.nightly
 async def test_a_cancelled_task_stops_the_robot_and_the_next_one_is_done(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     following = await shop.ask("home")
@@ -227,6 +232,7 @@ async def test_a_task_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> N
     assert (await shop.done("home"))["joints"] == HOME
 
 
+@pytest.mark.nightly
 async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     await shop.in_motion()
@@ -234,6 +240,7 @@ async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
 
 
+@pytest.mark.nightly
 async def test_the_subscription_of_a_robot_that_was_removed_is_deleted_and_no_other(shop: Shop) -> None:
     def subscription(robot: str, address: str = shop.cell.url("trajectory_tool")) -> dict[str, Any]:
         return {
@@ -270,6 +277,7 @@ async def test_the_subscription_of_a_robot_that_was_removed_is_deleted_and_no_ot
     await until(is_forgotten, why="the record is not as the cell")
 
 
+@pytest.mark.nightly
 async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(new_shop: Shop) -> None:
     task = await new_shop.ask("moveTo", joints=AWAY, speed=0.2)
 
@@ -283,6 +291,7 @@ async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(n
     assert (await new_shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
 
 
+@pytest.mark.nightly
 async def test_a_tool_that_the_watchdog_has_restarted_continues_no_motion(new_shop: Shop) -> None:
     task = await new_shop.ask("moveTo", joints=AWAY, speed=0.4)
     await new_shop.in_motion()
@@ -303,6 +312,7 @@ async def test_a_tool_that_the_watchdog_has_restarted_continues_no_motion(new_sh
     assert (await new_shop.done("home"))["joints"] == HOME, "what is asked afterwards is done"
 
 
+@pytest.mark.nightly
 async def test_a_tool_that_is_killed_at_random_moments_repeats_no_act(cell: Cell) -> None:
     """Each pick and place is done once, or fails with an unknown outcome; no part is in two places."""
     chance = random.Random(7)
@@ -333,6 +343,7 @@ async def test_a_tool_that_is_killed_at_random_moments_repeats_no_act(cell: Cell
             assert robot["gripper"]["holds"] not in parts
 
 
+@pytest.mark.nightly
 async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Shop) -> None:
     task = await new_shop.ask("pick", bin="bin-1", speed=0.5)
     await until(lambda: new_shop.robot()["gripper"]["holds"] is not None)
@@ -348,6 +359,7 @@ async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Sh
     assert (await new_shop.done("pick", bin="bin-1"))["part"] == "part-2"
 
 
+@pytest.mark.nightly
 async def test_the_device_is_written_again_after_the_broker_was_unavailable(shop: Shop) -> None:
     await shop.device_is(DeviceState.IDLE)
     shop.cell.restart("context_broker")
@@ -359,6 +371,7 @@ async def test_the_device_is_written_again_after_the_broker_was_unavailable(shop
     assert idle.value.value["joints"] == AWAY
 
 
+@pytest.mark.nightly
 async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop: Shop) -> None:
     url = f"{new_shop.cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
     await new_shop.done("pick", bin="bin-1")
@@ -377,6 +390,7 @@ async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop
     assert freed.json()["gripper"] == {"closed": False, "holds": None, "interrupted": None}
 
 
+@pytest.mark.nightly
 async def test_a_part_is_found_picked_and_placed_in_simulated_physics(cell: Cell) -> None:
     if not is_available():
         pytest.skip("the extra physics is not installed")

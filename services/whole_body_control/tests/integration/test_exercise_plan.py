@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import httpx
+import pytest
 
 from services.whole_body_control.tests.integration.conftest import WITHIN_S, HumanoidCell
 from services.whole_body_control.tests.integration.people import (
@@ -72,12 +73,14 @@ def sessions_of(humanoid: HumanoidCell, person: str) -> list[dict[str, Any]]:
     return found[::-1]
 
 
+@pytest.mark.nightly
 def test_a_juggling_plan_runs_as_a_process(humanoid: HumanoidCell) -> None:
     parameters = {"person": "bert", "warmUpThrows": 1, "throws": 1}
     sessions = run_plan(humanoid, "juggling-exercise", parameters, catching_patient(humanoid))
     assert [one["throws"] for one in sessions] == [1, 1]
 
 
+@pytest.mark.nightly
 def test_a_walking_plan_runs_as_a_process_and_the_robot_is_led(humanoid: HumanoidCell) -> None:
     parameters = {"person": "clara", "warmUpSeconds": 5, "seconds": 10}
     sessions = run_plan(humanoid, "walking-exercise", parameters, leading_patient(humanoid))
@@ -87,6 +90,7 @@ def test_a_walking_plan_runs_as_a_process_and_the_robot_is_led(humanoid: Humanoi
     assert 3 < report["highestForceN"] < 15
 
 
+@pytest.mark.nightly
 def test_a_limit_of_the_heart_rate_slows_a_walk_and_then_ends_the_plan_on_both_feet(
     humanoid: HumanoidCell,
 ) -> None:

@@ -1,5 +1,7 @@
 """The heart rate of a person slows the humanoid: limits of human state only lower."""
 
+import pytest
+
 from handover_humanoid.cycle.ports import PortReader
 from services.whole_body_control.tests.integration.conftest import WITHIN_S, HumanoidCell
 from services.whole_body_control.tests.integration.people import heart_at, therapist_at
@@ -8,6 +10,7 @@ from tests.kit.waiting import wait_for
 AHEAD_MPS = 0.1
 
 
+@pytest.mark.nightly
 def test_a_heart_that_beats_fast_slows_it_and_a_person_releases_the_stop(humanoid: HumanoidCell) -> None:
     humanoid.start()
     with heart_at(humanoid) as heart:

@@ -5,6 +5,7 @@ import hashlib
 import io
 from typing import Any
 
+import pytest
 from mcap.reader import make_reader
 
 from services.whole_body_control.tests.integration.conftest import SERVICE, WITHIN_S, HumanoidCell
@@ -23,6 +24,7 @@ def _start(humanoid: HumanoidCell, label: str = "") -> dict[str, Any]:
     return made
 
 
+@pytest.mark.nightly
 def test_what_the_cycle_did_is_recorded_downloaded_and_replayed(humanoid: HumanoidCell) -> None:
     humanoid.start()
     made = _start(humanoid, "stand")
@@ -61,6 +63,7 @@ def test_what_the_cycle_did_is_recorded_downloaded_and_replayed(humanoid: Humano
     assert humanoid.http.get(f"{this}/frames").json()["title"] == "No such recording"
 
 
+@pytest.mark.nightly
 def test_a_recording_is_complete_after_the_service_was_killed_and_old_ones_make_room(
     humanoid: HumanoidCell,
 ) -> None:

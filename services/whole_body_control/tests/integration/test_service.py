@@ -5,6 +5,7 @@ import signal
 from typing import Any
 
 import orjson
+import pytest
 from websockets.sync.client import connect
 
 from handover_humanoid.cycle.ports import PortReader
@@ -13,6 +14,7 @@ from services.whole_body_control.tests.integration.people import socket_url, sta
 from tests.kit.waiting import wait_for
 
 
+@pytest.mark.nightly
 def test_the_model_is_shown_by_chains_and_drawn_by_its_urdf(humanoid: HumanoidCell) -> None:
     models = humanoid.http.get("/humanoids").json()
     model = next(each for each in models if each["model"] == "coman")
@@ -36,6 +38,7 @@ def test_the_live_state_follows_the_clock_of_the_robot(humanoid: HumanoidCell) -
     assert abs(sum(shares) - 1) < 0.05
 
 
+@pytest.mark.nightly
 def test_a_stop_stays_until_a_person_resets_it_also_over_a_restart_of_the_service(
     humanoid: HumanoidCell,
 ) -> None:
@@ -51,6 +54,7 @@ def test_a_stop_stays_until_a_person_resets_it_also_over_a_restart_of_the_servic
     assert not humanoid.post("/reset")["isStopped"]
 
 
+@pytest.mark.nightly
 def test_gains_of_chains_are_changed_within_their_limits_stored_and_reset(humanoid: HumanoidCell) -> None:
     humanoid.start()
 
@@ -88,6 +92,7 @@ def test_gains_of_chains_are_changed_within_their_limits_stored_and_reset(humano
     assert chain("left_arm")["stiffness"] == 1.0
 
 
+@pytest.mark.nightly
 def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(humanoid: HumanoidCell) -> None:
     humanoid.start()
     process = humanoid.cycle()["pid"]
@@ -103,6 +108,7 @@ def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(human
     wait_for(lambda: stands(humanoid), WITHIN_S, "it stands")
 
 
+@pytest.mark.nightly
 def test_a_therapist_walks_it_and_a_stop_or_a_killed_service_ends_that_on_both_feet(
     humanoid: HumanoidCell,
 ) -> None:

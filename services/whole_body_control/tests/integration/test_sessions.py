@@ -2,11 +2,14 @@
 
 from typing import Any
 
+import pytest
+
 from services.whole_body_control.tests.integration.conftest import WITHIN_S, HumanoidCell
 from services.whole_body_control.tests.integration.people import THROW_S, catching_patient, resume
 from tests.kit.waiting import wait_for
 
 
+@pytest.mark.nightly
 def test_what_cannot_be_a_session_is_refused_with_the_reason(humanoid: HumanoidCell) -> None:
     humanoid.start()
     asked = {"application": "juggling", "goal": {"throws": 1}}
@@ -19,6 +22,7 @@ def test_what_cannot_be_a_session_is_refused_with_the_reason(humanoid: HumanoidC
     assert humanoid.post("/sessions/none/end", status=404)["title"] == "No such session"
 
 
+@pytest.mark.nightly
 def test_a_patient_catches_what_the_robot_throws_and_the_report_says_so(humanoid: HumanoidCell) -> None:
     humanoid.start()
     asked = {
@@ -45,6 +49,7 @@ def test_a_patient_catches_what_the_robot_throws_and_the_report_says_so(humanoid
     assert humanoid.http.get(f"/sessions/{session}").status_code == 404
 
 
+@pytest.mark.nightly
 def test_a_place_out_of_reach_is_refused_with_the_farthest_that_is_not(humanoid: HumanoidCell) -> None:
     humanoid.start()
     far = {"target": [2.5, 0.0, 0.5], "hand": "right"}

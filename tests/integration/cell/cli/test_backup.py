@@ -111,12 +111,14 @@ def property_of(value: Any) -> dict[str, Any]:
     return {"type": "Property", "value": value}
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(os.name != "posix", reason="modes are of POSIX")
 def test_only_the_owner_can_read_it_and_nothing_else_is_left(archive: Path) -> None:
     assert archive.stat().st_mode & 0o777 == 0o600
     assert sorted(path.name for path in archive.parent.iterdir()) == ["cell.backup", "data", "names.yaml"]
 
 
+@pytest.mark.nightly
 def test_a_restored_cell_is_sound_and_its_process_continues(
     cell: Cell, archive: Path, waiting: str, tmp_path: Path
 ) -> None:
@@ -161,6 +163,7 @@ def test_a_cell_that_runs_and_a_folder_with_content_are_refused(
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.nightly
 def test_the_entities_of_a_foreign_broker_are_named(cell: Cell, tmp_path: Path) -> None:
     file, secret = tmp_path / "c.backup", tmp_path / "passphrase"
     secret.write_text("seven wet otters climb\n")
@@ -204,6 +207,7 @@ def test_a_database_in_postgresql_is_dumped_as_of_its_snapshot_and_loaded_into_a
         engine.dispose()
 
 
+@pytest.mark.nightly
 def test_the_databases_of_the_settings_are_in_the_backup(
     new_database: Callable[[], str], tmp_path: Path
 ) -> None:

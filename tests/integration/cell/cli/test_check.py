@@ -84,6 +84,7 @@ def cut(folder: Path) -> None:
     os.truncate(folder / "broker.db", 40_000)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("harm", "words"),
     [
@@ -104,6 +105,7 @@ def test_damage_is_listed_with_the_remedy(data_dir: Path, harm: Callable[[Path],
     assert "Traceback" not in reported.stderr
 
 
+@pytest.mark.nightly
 def test_an_empty_folder_has_nothing_to_check(tmp_path: Path) -> None:
     tmp_path.chmod(0o700)
     reported: Any = checked(tmp_path)
@@ -118,6 +120,7 @@ def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
+@pytest.mark.nightly
 def test_what_could_not_be_checked_is_no_success(data_dir: Path) -> None:
     (data_dir / "orchestrator.db").unlink()
     (data_dir / "orchestrator.db").mkdir()
@@ -126,6 +129,7 @@ def test_what_could_not_be_checked_is_no_success(data_dir: Path) -> None:
     assert "orchestrator.db" in reported.stdout
 
 
+@pytest.mark.nightly
 def test_what_others_can_read_is_no_success(data_dir: Path) -> None:
     (data_dir / "broker.db").chmod(0o644)
     reported = checked(data_dir)

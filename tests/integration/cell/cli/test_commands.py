@@ -51,6 +51,7 @@ def handover(cell: Any) -> Handover:
     return command
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_process_is_deployed_started_listed_shown_and_cancelled(
     handover: Handover, cell: Any, tmp_path: Path, eventually: Callable[..., None]
@@ -101,6 +102,7 @@ DESK = WAITS.replace("ask-somebody", "at-a-desk").replace(
 )
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_task_of_people_is_claimed_and_completed_and_a_migration_that_is_impossible_fails(
     handover: Handover, cell: Any, tmp_path: Path, eventually: Callable[..., None]
@@ -133,6 +135,7 @@ def test_a_task_of_people_is_claimed_and_completed_and_a_migration_that_is_impos
     assert handover("task", "list").stdout == "no Task of a person is open\n"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_failed_task_is_retried(
     handover: Handover, cell: Any, tmp_path: Path, eventually: Callable[..., None]
@@ -165,6 +168,7 @@ def test_a_failed_task_is_retried(
     assert shown()["acts"][0]["by"] == "Anna"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_offer_of_another_system_is_listed_shown_and_accepted_or_rejected(
     handover: Handover, cell: Any
@@ -200,6 +204,7 @@ def test_an_offer_of_another_system_is_listed_shown_and_accepted_or_rejected(
     assert "Traceback" not in again.stderr
 
 
+@pytest.mark.nightly
 def test_what_cannot_be_done_is_one_line_with_the_way_out(handover: Handover, tmp_path: Path) -> None:
     for words, expected in (
         (("process", "start", "bin-picking"), "handover up"),
@@ -215,6 +220,7 @@ def test_what_cannot_be_done_is_one_line_with_the_way_out(handover: Handover, tm
         assert len(said.stderr.strip().splitlines()) == 1, said.stderr
 
 
+@pytest.mark.nightly
 def test_settings_are_listed_with_where_they_come_from(handover: Handover, cell: Any) -> None:
     said = handover("settings").stdout
     port = next(line for line in said.splitlines() if line.startswith("HANDOVER_BROKER_PORT"))
@@ -224,6 +230,7 @@ def test_settings_are_listed_with_where_they_come_from(handover: Handover, cell:
         assert setting in said
 
 
+@pytest.mark.nightly
 def test_the_doctor_says_what_is_there_and_what_is_missing(handover: Handover) -> None:
     examined = handover("doctor")
     assert examined.returncode == 0, examined.stdout

@@ -28,6 +28,7 @@ def test_a_walk_says_where_it_is_slower_than_asked() -> None:
     assert "0.25 rad/s at most, instead of 0.3 rad/s" in output
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

@@ -38,6 +38,7 @@ def create(cell: Cell) -> None:
     assert httpx.post(url, json=[lamp(1), lamp(2), lamp(3)], timeout=120).status_code == 201
 
 
+@pytest.mark.nightly
 def test_the_changes_of_a_killed_broker_are_listed_and_printed(cell: Cell) -> None:
     cell.start("context_broker")
     create(cell)
@@ -59,6 +60,7 @@ def test_the_changes_of_a_killed_broker_are_listed_and_printed(cell: Cell) -> No
     assert len(found) == 3, "inspecting changes nothing"
 
 
+@pytest.mark.nightly
 def test_a_damaged_change_is_listed(cell: Cell) -> None:
     cell.start("context_broker")
     create(cell)

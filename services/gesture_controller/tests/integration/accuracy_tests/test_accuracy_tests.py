@@ -105,6 +105,7 @@ async def test_no_task_is_touched_while_a_test_is_on_its_way(
     assert await bench.status(task) == "inProgress"
 
 
+@pytest.mark.nightly
 async def test_a_test_survives_the_death_of_the_service(
     bench: Any, begin: Callable[..., Participant], put_on
 ) -> None:

@@ -66,6 +66,7 @@ def outcome(bench: Any) -> dict[str, Any] | None:
     return outcome
 
 
+@pytest.mark.nightly
 async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
     bench: Any,
     wearer: SimulatedWearer,
@@ -97,6 +98,7 @@ async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
     assert "index" in recognition["why"]
 
 
+@pytest.mark.nightly
 async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next_calibration(
     bench: Any,
     wearer: SimulatedWearer,

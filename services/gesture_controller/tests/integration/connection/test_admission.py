@@ -20,6 +20,7 @@ pytestmark = pytest.mark.slow
 UP, OPEN = "02222", "00000"
 
 
+@pytest.mark.nightly
 async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_goes_on(
     bench: Any, put_on: Callable[..., TcpGlove]
 ) -> None:
@@ -66,6 +67,7 @@ def handover(cell: Cell, *words: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
+@pytest.mark.nightly
 async def test_a_token_is_made_on_the_command_line_and_shown_once(
     bench: Any, put_on: Callable[..., TcpGlove]
 ) -> None:

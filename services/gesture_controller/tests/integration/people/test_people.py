@@ -36,6 +36,7 @@ async def ends(bench: Any, task_id: str, status: str) -> None:
     await until(so)
 
 
+@pytest.mark.nightly
 async def test_a_task_shows_the_gesture_of_who_does_it_and_it_survives_a_power_cut(
     bench: Any, put_on: PutOn
 ) -> None:

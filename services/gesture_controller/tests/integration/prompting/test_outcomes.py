@@ -148,6 +148,7 @@ async def robot_tasks(bench: Any) -> list[str]:
     return [task["id"] for task in tasks if task["involves"]["value"][0]["object"] == ROBOT]
 
 
+@pytest.mark.nightly
 async def test_after_no_in_a_process_that_does_not_handle_it_no_robot_is_asked(
     bench: Any, put_on: Callable[..., Any], orchestrator: httpx.Client
 ) -> None:
@@ -178,6 +179,7 @@ async def test_after_no_in_a_process_that_does_not_handle_it_no_robot_is_asked(
     assert await robot_tasks(bench) == []
 
 
+@pytest.mark.nightly
 async def test_the_shipped_process_asks_again_after_not_good_goes_on_after_ok_and_stops_at_a_problem(
     bench: Any, put_on: Callable[..., Any], orchestrator: httpx.Client
 ) -> None:

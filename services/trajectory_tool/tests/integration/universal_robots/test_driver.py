@@ -164,6 +164,7 @@ async def test_a_motion_needs_a_running_arm(
         await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_local_control_is_named(robot: UniversalRobot, controller: RunningController) -> None:
     controller.do(lambda each: setattr(each, "in_remote_control", False))
     with pytest.raises(RobotFault, match="local control; select remote control"):
@@ -236,6 +237,7 @@ async def test_a_controller_that_restarts_is_found_again(
         await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_an_absent_controller_is_a_fault_with_its_address(new_robot: NewRobot) -> None:
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
@@ -247,6 +249,7 @@ async def test_an_absent_controller_is_a_fault_with_its_address(new_robot: NewRo
                 await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_what_is_shown_of_a_controller_agrees_with_its_fault(
     new_robot: NewRobot, controller: RunningController
 ) -> None:
@@ -271,6 +274,7 @@ async def test_what_is_shown_of_a_controller_agrees_with_its_fault(
             await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_registers_of_another_client_are_named(
     new_robot: NewRobot, controller: RunningController
 ) -> None:

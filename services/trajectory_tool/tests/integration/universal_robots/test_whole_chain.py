@@ -54,6 +54,7 @@ async def shop(cell: Cell, controller: RunningController) -> AsyncIterator[Shop]
         yield made
 
 
+@pytest.mark.nightly
 async def test_a_process_moves_the_arm(shop: Shop, controller: RunningController) -> None:
     shop.cell.run("task_orchestrator")
     url = shop.cell.url("task_orchestrator")
@@ -78,6 +79,7 @@ async def test_a_process_moves_the_arm(shop: Shop, controller: RunningController
     assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
 
 
+@pytest.mark.nightly
 async def test_a_paused_task_continues_after_the_arm_was_moved_by_hand(
     shop: Shop, controller: RunningController
 ) -> None:
@@ -91,6 +93,7 @@ async def test_a_paused_task_continues_after_the_arm_was_moved_by_hand(
     assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
 
 
+@pytest.mark.nightly
 async def test_a_task_fails_with_the_state_of_the_controller(
     shop: Shop, controller: RunningController
 ) -> None:
@@ -105,6 +108,7 @@ async def test_a_task_fails_with_the_state_of_the_controller(
     assert shown["detailCode"] == "robot.ur_protective_stop", shown
 
 
+@pytest.mark.nightly
 async def test_the_arm_stops_when_the_tool_is_killed_and_continues_when_it_is_back(
     shop: Shop, controller: RunningController
 ) -> None:

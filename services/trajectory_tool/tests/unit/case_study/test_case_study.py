@@ -15,6 +15,7 @@ from handover_robots.control.recording import COLUMNS
 from handover_robots.model.poses import NO_TURN, Frame
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", [Mode.AUTONOMOUS, Mode.SHARED])
 def test_a_trial_is_determined_by_its_seed_and_recorded(mode: Mode, tmp_path: Path) -> None:

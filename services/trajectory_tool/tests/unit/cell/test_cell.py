@@ -84,6 +84,7 @@ def test_each_robot_has_its_model_place_and_limits(cell_of: Any) -> None:
     assert units["right"].tool_pose.position == pytest.approx((1.0 - 0.306891, 0.0, 0.486882), abs=1e-4)
 
 
+@pytest.mark.nightly
 @needs_planning
 async def test_robots_that_move_at_the_same_time_never_meet(
     settings: TrajectorySettings, tmp_path: Path

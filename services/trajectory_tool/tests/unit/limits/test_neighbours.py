@@ -89,6 +89,7 @@ def test_robots_that_are_moved_at_random_never_come_nearer_than_the_clearance(se
     assert max(distances_m) - min(distances_m) > 0.05, "they have moved"
 
 
+@pytest.mark.nightly
 def test_robots_that_are_moved_towards_each_other_come_near_and_can_be_moved_apart() -> None:
     towards: Joints = (0.0, 0.5, 0.0, 0.0, 0.0, 0.0)
     pair = Pair(1.95, ((3.14, *INWARDS[1:]), INWARDS))

@@ -396,6 +396,7 @@ def test_the_pieces_of_a_mesh_contain_all_of_it(seed: int) -> None:
     assert np.any([contains(fit(piece.corners), on_it) for piece in pieces], axis=0).all()
 
 
+@pytest.mark.nightly
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_a_polytope_around_a_fine_mesh_has_few_corners_and_contains_it(seed: int) -> None:
@@ -493,6 +494,7 @@ def test_a_robot_that_was_added_under_a_name_of_handover_is_not_used_silently(
     assert "(not used: ur10 is of Handover)" in listed.replace("\n", " ")
 
 
+@pytest.mark.nightly
 def test_an_arm_with_meshes_is_free_where_arms_of_this_kind_work(tmp_path: Path) -> None:
     """The shapes of a UR3 overlap beside its wrist, its meshes never do."""
     try:

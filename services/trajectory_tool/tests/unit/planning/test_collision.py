@@ -201,6 +201,7 @@ def test_a_held_part_collides_where_the_gripper_alone_does_not(arm: Arm) -> None
     assert {(one.first, one.second) for one in held.contacts(home)} == {("rod", "plate")}
 
 
+@pytest.mark.nightly
 def test_nothing_touches_on_a_certified_line(arm: Arm, cell: World) -> None:
     collisions = Collisions(arm, cell)
     motions = Motions(collisions, MARGIN_M)

@@ -41,6 +41,7 @@ def until_rest(course: PlannedCourse, stop_at_s: float) -> Any:
         now_s += EVERY_S
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["ur10", "panda"])
 @pytest.mark.parametrize("speed", [0.3, 0.6, 1.0])
 def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float) -> None:

@@ -40,6 +40,7 @@ def over_the_bin(height_m: float) -> Pose:
     return pointing_down((0.5, 0.0, height_m), 0.3)
 
 
+@pytest.mark.nightly
 def test_random_motions_are_free_and_within_the_limits(planner: Planner) -> None:
     random = np.random.default_rng(7)
     here = planner.model.home

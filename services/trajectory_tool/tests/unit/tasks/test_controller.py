@@ -62,6 +62,7 @@ async def test_the_operation_in_the_parameters_comes_first(controller: Controlle
     assert "found" in await controller.perform(a_job(controller, "home", operation="scan", bin="bin-1"))
 
 
+@pytest.mark.nightly
 async def test_a_pick_takes_the_only_material_of_its_task(controller: Controller) -> None:
     robot, part = controller.device.id, "urn:ngsi-ld:Material:demo:part-3"
     assert (await controller.perform(a_job(controller, "pick", (robot, part))))["part"] == "part-3"
