@@ -42,7 +42,7 @@ def found_messages(root: Path = ROOT) -> Iterator[FoundMessage]:
 
 def python_sources(folder: Path) -> Iterator[Path]:
     """Yield the Python files below `folder` that are ours and no tests, in the order of their names."""
-    for path in sorted(folder.iterdir()):
+    for path in sorted(folder.iterdir() if folder.is_dir() else ()):
         if path.is_dir() and path.name not in {"tests", "node_modules", "__pycache__"}:
             yield from python_sources(path)
         elif path.suffix == ".py":

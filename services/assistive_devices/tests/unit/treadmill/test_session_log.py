@@ -81,8 +81,10 @@ def test_no_column_says_who_the_person_is_or_how_the_heart_beats() -> None:
 
 def test_what_was_acknowledged_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
+import sys
 from pathlib import Path
-from services.assistive_devices.tests.unit.treadmill.test_session_log import *
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_session_log import *
 log = SessionLog(connect(Settings(data_dir=Path({str(tmp_path)!r})).database("assistive-devices")))
 log.open(0, 30)
 log.begin(session("s"))

@@ -17,7 +17,6 @@ from handover_body.model.features import Feature, FeatureName
 from handover_body.model.signals import Samples, SignalInfo, SignalKind
 from handover_body.recording.archive import JOURNAL, SUFFIX, Archive
 from handover_body.recording.sealed import SealError
-from tests.kit.paths import REPOSITORY
 
 KEY = bytes(range(32))
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0)
@@ -84,7 +83,7 @@ def test_a_journal_that_was_cut_off_is_finished_as_often_as_needed(
 def test_nothing_that_was_sealed_is_lost_when_the_process_is_killed(archive: Archive, tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path\n"
-        "from services.human_state.tests.unit.recording.test_archive import *\n"
+        "from test_archive import *\n"
         "journal = Archive(Path(sys.argv[1]), KEY).begin(NAME, 'P-1', '')\n"
         "journal.write(items(10)); print('written', flush=True); sys.stdin.read()"
     )
@@ -92,7 +91,7 @@ def test_nothing_that_was_sealed_is_lost_when_the_process_is_killed(archive: Arc
         [sys.executable, "-c", program, str(tmp_path / "recordings")],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"written\n"
