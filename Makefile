@@ -100,7 +100,7 @@ test: setup  ## every check and the tests of every part, in ten minutes; `make t
 		page-check $(firstword $(PARTS:%=part-%)) python-check $(wordlist 2,99,$(PARTS:%=part-%))
 
 part-%: setup
-	@echo "== tests of $*" && $(call pytest,$*) -n 0 -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
+	@echo "== tests of $*" && rm -rf .pytest_cache/$* && $(call pytest,$*) -n 0 -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
 
 test-%: setup
 	@test -n "$(TESTS_$*)" || { echo "there is no part $*; the parts are: $(sort $(PARTS))" >&2; exit 2; }
@@ -108,7 +108,7 @@ test-%: setup
 
 nightly-%: setup
 	@test -n "$(TESTS_$*)" || { echo "there is no part $*; the parts are: $(sort $(PARTS))" >&2; exit 2; }
-	@$(call pytest,$*) -n $(JOBS) -m nightly $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
+	@rm -rf .pytest_cache/$@ && $(call pytest,$@) -n $(JOBS) -m nightly $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
 
 # Six failed tests are no accident.
 test-failed: setup  ## every check, and alone the tests that failed in their last run, of which there may be five

@@ -9,6 +9,7 @@ others.
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from tests.kit.failed_tests import MAX_FAILED, failed_in
 from tests.kit.paths import REPOSITORY
 
 
@@ -60,7 +62,7 @@ PARTS: Final = (
     Part("orion-test", 30, ALL),
 )
 """What CI should not leave out comes first."""
-LAST_FAILED: Final = "-n 0 --last-failed --last-failed-no-failures none"
+OF_MAKE: Final = frozenset({"ARGS", "MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL"})
 
 
 def main(words: Sequence[str]) -> int:
@@ -87,9 +89,7 @@ def run(parts: Sequence[Part], minutes: float | None) -> int:
         print(f"== {part.target}", flush=True)
         result = "ok"
         if not _make(part.target):
-            # Beside others a test may fail on a busy machine. It is repeated alone, once.
-            is_ok = part.target.startswith("nightly-") and _make(part.target, f"ARGS={LAST_FAILED}")
-            result = "repeated" if is_ok else "failed"
+            result = "repeated" if _repeat_failed(part.target) else "failed"
         has_failed = has_failed or result == "failed"
         took = (time.monotonic() - begin_s) / 60 - elapsed
         lines.append(f"{result:<8} {part.target}: {took:.1f} minutes")
@@ -97,8 +97,25 @@ def run(parts: Sequence[Part], minutes: float | None) -> int:
     return int(has_failed)
 
 
-def _make(*words: str) -> bool:
-    return subprocess.run(["make", "--no-print-directory", *words], cwd=REPOSITORY).returncode == 0
+def _make(target: str) -> bool:
+    """Run a target without the arguments of the `make` that started us."""
+    environment = {name: value for name, value in os.environ.items() if name not in OF_MAKE}
+    command = ["make", "--no-print-directory", target]
+    return subprocess.run(command, cwd=REPOSITORY, env=environment).returncode == 0
+
+
+def _repeat_failed(part: str) -> bool:
+    """Repeat alone the tests of a part that failed; return whether they passed, and were few.
+
+    Beside others a test may fail on a busy machine.
+    """
+    failed = failed_in([part])
+    if not 0 < len(failed) <= MAX_FAILED:
+        return False
+    print("repeated alone:", *failed, sep="\n", flush=True)
+    return (
+        subprocess.run([sys.executable, "-m", "pytest", "-n", "0", *failed], cwd=REPOSITORY).returncode == 0
+    )
 
 
 def _changed(parts: Sequence[Part]) -> Iterator[Part]:

@@ -1,9 +1,12 @@
 """Every test belongs to one part of `make test`, and every part of `make nightly` is run by somebody."""
 
 import re
+from pathlib import Path
 
+import pytest
 import yaml
 
+from tests import nightly
 from tests.kit.paths import REPOSITORY, TEST_FOLDERS
 from tests.nightly import PARTS
 
@@ -39,3 +42,21 @@ def test_every_part_of_nightly_is_a_target_that_the_workflow_runs() -> None:
         assert part.target in targets or part.target.removeprefix("nightly-") in FOLDERS
         assert part.target in run | {"containers"}, f"{part.target} is in no job of nightly.yml"
         assert all((REPOSITORY / folder).exists() for folder in part.folders)
+
+
+def test_a_part_that_failed_without_a_failed_test_is_not_repeated_and_counts_as_failed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tests.kit.failed_tests.CACHES", tmp_path)
+    monkeypatch.setattr(nightly, "_make", lambda target: False)
+    assert nightly.run([PARTS[0]], minutes=None) == 1
+
+
+def test_the_arguments_of_make_are_not_those_of_the_parts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "Makefile").write_text('shown:\n\t@test -z "$(ARGS)"\n')
+    monkeypatch.setattr(nightly, "REPOSITORY", tmp_path)
+    monkeypatch.setenv("ARGS", "--changed")
+    monkeypatch.setenv("MAKEFLAGS", " -- ARGS=--changed")
+    assert nightly._make("shown")
