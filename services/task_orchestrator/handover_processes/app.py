@@ -6,7 +6,6 @@ from handover.security.audit_trail import AuditTrail, Way
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
-from handover_processes.components import Components
 from handover_processes.routes.definitions import add_definitions
 from handover_processes.routes.device_leases import add_device_leases
 from handover_processes.routes.event_log import add_event_log
@@ -19,6 +18,7 @@ from handover_processes.routes.offers import add_offers
 from handover_processes.routes.processes import add_processes
 from handover_processes.routes.statistics import add_statistics
 from handover_processes.routes.tasklist import add_tasklist
+from handover_processes.running.components import Components
 from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)

@@ -8,7 +8,7 @@ from prometheus_client import Counter, Gauge, Histogram
 
 from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records import Step, TaskRecord
+from handover_processes.records.records import Step, TaskRecord
 
 OPEN = tuple(status for status in TaskStatus if status not in FINISHED)
 

@@ -20,7 +20,7 @@ from handover_datamodels.states import Outcome
 from handover_processes.forms import form
 from handover_processes.forms.registry import FormRegistry
 from handover_processes.process.process import Process
-from handover_processes.records import Step, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
 
 BY_TASKLIST: Final = "tasklist"
 

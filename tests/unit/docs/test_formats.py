@@ -16,7 +16,7 @@ from glove_sdk_bridge.replay import read_table
 from handover.errors import UsageError
 from handover_devices.command_line.device import add
 from handover_devices.model.description import DeviceDescription
-from handover_processes.requests import (
+from handover_processes.documents.requests import (
     ClaimRequest,
     CommentRequest,
     CompleteRequest,

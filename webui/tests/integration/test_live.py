@@ -16,7 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
-from handover_processes import responses
+from handover_processes.documents import responses
 from handover_web.live.live_socket import LiveSocket
 from handover_web.live.live_state import LiveState
 from handover_web.live.viewers import Viewers

@@ -46,7 +46,7 @@ from handover_processes.languages.base import ExpressionError, Variables
 from handover_processes.model import Activity, Value
 from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.spans import Need
+from handover_processes.timing.spans import Need
 
 
 @dataclass(frozen=True, slots=True)

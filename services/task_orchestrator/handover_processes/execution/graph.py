@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from functools import cached_property
 
 from handover_processes.model import CompensateEvent, Definition, Flow, Kind, LinkEvent, Node, Scope
-from handover_processes.spans import SpanUnion, find_unions, predecessors
+from handover_processes.timing.spans import SpanUnion, find_unions, predecessors
 
 
 class Graph:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from handover_processes.execution.state import Frame, State, Token
 from handover_processes.model import SpanKind
-from handover_processes.spans import SpanUnion, spans_at
+from handover_processes.timing.spans import SpanUnion, spans_at
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from handover_processes.due_queue import DueQueue
 from handover_processes.execution.state import State, Token, TokenState, Wait, WaitType
+from handover_processes.timing.due_queue import DueQueue
 
 
 @dataclass(frozen=True, slots=True)

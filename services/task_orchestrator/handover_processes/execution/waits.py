@@ -16,7 +16,7 @@ from handover_processes.model import (
     TimerEvent,
     TimerType,
 )
-from handover_processes.timers import due_at, parse_cycle
+from handover_processes.timing.timers import due_at, parse_cycle
 
 Owner = Token | Frame
 

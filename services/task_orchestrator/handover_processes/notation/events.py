@@ -43,7 +43,7 @@ from handover_processes.notation.document import (
     text,
 )
 from handover_processes.notation.elements import message_of, referenced, refuse, warn_without_effect
-from handover_processes.timers import due_at, is_time, parse_cycle
+from handover_processes.timing.timers import due_at, is_time, parse_cycle
 
 _NAMES = (
     "message",

@@ -16,7 +16,7 @@ from handover_processes.notation.context import Context
 from handover_processes.notation.dialects.base import attempt
 from handover_processes.notation.dialects.handover import extension_of
 from handover_processes.notation.elements import warn_without_effect
-from handover_processes.timers import RepeatingInterval, parse_cycle
+from handover_processes.timing.timers import RepeatingInterval, parse_cycle
 
 MAX_ATTEMPTS = 1000
 MAX_FACTOR = 100.0

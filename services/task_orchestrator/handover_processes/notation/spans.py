@@ -28,7 +28,7 @@ from handover_processes.notation.dialects.handover import (
 from handover_processes.notation.document import BPMN, children, extensions, local, text
 from handover_processes.notation.elements import KINDS, referenced
 from handover_processes.notation.faults import Findings
-from handover_processes.spans import read_needs, spans_in_parallel_instances
+from handover_processes.timing.spans import read_needs, spans_in_parallel_instances
 
 _ATTRIBUTE = f"{{{NAMESPACE}}}reserve"
 _PROPERTY = "handover:reserve"

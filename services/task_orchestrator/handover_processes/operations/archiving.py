@@ -5,11 +5,11 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from handover_processes.entities import entity_of, final_attributes
-from handover_processes.records import MessageKind, Step
-from handover_processes.step_writer import StepWriter
+from handover_processes.records.entities import entity_of, final_attributes
+from handover_processes.records.records import MessageKind, Step
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import WorkingState
 from handover_processes.storage.store import EndedProcess, EndedTask
-from handover_processes.working_state import WorkingState
 
 MAX_DELETED_ENTITIES = 50
 """Entities deleted in one request, so that the broker serves other requests in between."""

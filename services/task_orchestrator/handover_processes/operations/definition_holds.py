@@ -3,7 +3,7 @@
 from handover.errors import Problem
 from handover.messages import message
 from handover_processes.languages.base import quote_names
-from handover_processes.records import (
+from handover_processes.records.records import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
@@ -12,8 +12,8 @@ from handover_processes.records import (
     MessageKind,
     Step,
 )
-from handover_processes.step_writer import StepWriter
-from handover_processes.working_state import WorkingState
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import WorkingState
 
 
 class DefinitionHolds:

@@ -5,12 +5,12 @@ from datetime import datetime, timedelta
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from handover_processes.correlation import EventStart
+from handover_processes.definitions.start_timers import next_timer
+from handover_processes.events.correlation import EventStart
 from handover_processes.process.process import Process
-from handover_processes.records import Step
-from handover_processes.start_timers import next_timer
-from handover_processes.step_writer import StepWriter
-from handover_processes.working_state import WorkingState
+from handover_processes.records.records import Step
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import WorkingState
 
 log = get_logger(__name__)
 

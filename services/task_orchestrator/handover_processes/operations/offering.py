@@ -7,16 +7,16 @@ from typing import cast
 from handover.errors import Problem
 from handover.messages import message
 from handover_processes.allocation.report import allocation_report
+from handover_processes.definitions.offer_rules import Candidate
+from handover_processes.documents.responses import ActivityAllocation, OfferView
+from handover_processes.documents.views import changed_attributes, element_change_view, offer_view
 from handover_processes.notation.comparison import changed_elements
 from handover_processes.notation.faults import BadBpmn
 from handover_processes.notation.file import BpmnFile, read_bpmn
-from handover_processes.offer_rules import Candidate
 from handover_processes.operations.deployments import deploy_into
-from handover_processes.records import Decision, OfferRecord, OfferStatus, Step
-from handover_processes.responses import ActivityAllocation, OfferView
-from handover_processes.step_writer import StepWriter
-from handover_processes.views import changed_attributes, element_change_view, offer_view
-from handover_processes.working_state import WorkingState
+from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import WorkingState
 
 MAX_PARSED = 32
 """Files of offers that are kept in parsed form."""

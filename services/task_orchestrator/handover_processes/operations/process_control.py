@@ -15,9 +15,9 @@ from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.process.process import Process
-from handover_processes.records import Act, ActKind, MessageOutcome, Step
-from handover_processes.step_writer import StepWriter
-from handover_processes.working_state import WorkingState
+from handover_processes.records.records import Act, ActKind, MessageOutcome, Step
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import WorkingState
 
 
 class ProcessControl:

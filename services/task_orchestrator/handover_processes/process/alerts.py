@@ -15,7 +15,7 @@ from handover.alerts.catalogue import (
 )
 from handover.messages import message, with_code
 from handover_processes.model import Escalation
-from handover_processes.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
+from handover_processes.records.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
 
 
 def raise_overdue(step: Step, task: TaskRecord) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 from handover_processes.execution.queries import OpenActivity
 from handover_processes.execution.run import Run
-from handover_processes.records import ProcessRecord, Retry, TaskRecord
-from handover_processes.retries import attempts_of, is_retried, retry_at
+from handover_processes.records.records import ProcessRecord, Retry, TaskRecord
+from handover_processes.timing.retries import attempts_of, is_retried, retry_at
 
 MAX_LOST_ATTEMPTS = 3
 """How often a Task is tried in all whose performer is lost, where the activity does not say it."""

@@ -10,14 +10,14 @@ from datetime import datetime
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover_datamodels.entities import RequestedStatus, TaskStatus
-from handover_processes.entities import execution_properties, status_request
 from handover_processes.execution.graph import Plan
 from handover_processes.execution.migration import Finding
 from handover_processes.execution.run import Run
 from handover_processes.execution.state import RunFailed
 from handover_processes.process import attempts
 from handover_processes.process.process import CANCELLED, Process
-from handover_processes.records import Act, ActKind, MessageKind, Step
+from handover_processes.records.entities import execution_properties, status_request
+from handover_processes.records.records import Act, ActKind, MessageKind, Step
 
 
 @dataclass(frozen=True, slots=True)

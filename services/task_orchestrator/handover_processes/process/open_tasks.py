@@ -5,10 +5,10 @@ from datetime import datetime, timedelta
 
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.due_queue import DueQueue
 from handover_processes.execution.run import Run
-from handover_processes.records import TaskRecord, Timer, TimerKind
+from handover_processes.records.records import TaskRecord, Timer, TimerKind
 from handover_processes.settings import OrchestratorSettings
+from handover_processes.timing.due_queue import DueQueue
 
 
 class OpenTasks:

@@ -20,16 +20,6 @@ from handover.tasks.task_life import FINISHED, STARTED, is_reachable
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator, NoPerformer
 from handover_processes.allocation.assignment import Assignment
-from handover_processes.entities import (
-    MAX_LISTED_TASKS,
-    definition_id,
-    entity_of,
-    execution_properties,
-    outputs_property,
-    status_property,
-    status_request,
-)
-from handover_processes.escalations import due_in, escalation_times, with_groups
 from handover_processes.execution.graph import Plan
 from handover_processes.execution.queries import OpenActivity, OpenIncident
 from handover_processes.execution.run import Run
@@ -42,7 +32,16 @@ from handover_processes.process.open_tasks import OpenTasks
 from handover_processes.process.span_reservations import SpanReservations
 from handover_processes.process.tally import count_change, count_end, count_start, count_task
 from handover_processes.process.task_creation import create_task, task_id_of, with_form_version
-from handover_processes.records import (
+from handover_processes.records.entities import (
+    MAX_LISTED_TASKS,
+    definition_id,
+    entity_of,
+    execution_properties,
+    outputs_property,
+    status_property,
+    status_request,
+)
+from handover_processes.records.records import (
     Act,
     IncidentRecord,
     MessageKind,
@@ -57,6 +56,7 @@ from handover_processes.records import (
     Unallocated,
 )
 from handover_processes.settings import OrchestratorSettings
+from handover_processes.timing.escalations import due_in, escalation_times, with_groups
 
 CANCELLED = "cancelled"
 MAX_TITLE = 200

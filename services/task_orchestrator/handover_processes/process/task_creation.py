@@ -8,16 +8,16 @@ from typing import Any
 from handover.tasks.specification import Specification
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.assignment import Assignment
-from handover_processes.entities import task_entity
-from handover_processes.escalations import escalation_times
 from handover_processes.execution.queries import OpenActivity
 from handover_processes.execution.state import Library
 from handover_processes.forms.registry import FormRegistry
 from handover_processes.languages.base import ExpressionError, Variables
 from handover_processes.model import Activity, FormBinding, FormReference, Value
 from handover_processes.notation.names import in_urn
-from handover_processes.records import SPECIFICATION, ProcessRecord, TaskRecord
+from handover_processes.records.entities import task_entity
+from handover_processes.records.records import SPECIFICATION, ProcessRecord, TaskRecord
 from handover_processes.settings import OrchestratorSettings
+from handover_processes.timing.escalations import escalation_times
 
 MAX_TEXT = 1000
 """Characters of a text of a Task that an expression yields."""

@@ -5,8 +5,7 @@ from datetime import datetime
 
 from handover_datamodels.times import iso
 from handover_processes.allocation.agents import Agent
-from handover_processes.reporting.calendar import available_ms
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     CauseView,
     DefinitionTimes,
     Durations,
@@ -17,6 +16,7 @@ from handover_processes.responses import (
     ThroughputPoint,
     ThroughputView,
 )
+from handover_processes.reporting.calendar import available_ms
 from handover_processes.storage.open_work import Cause, OpenTasks
 from handover_processes.storage.reports import DefinitionReport, ElementReport, RunningCount
 from handover_processes.storage.rollups import Distribution, Distributions

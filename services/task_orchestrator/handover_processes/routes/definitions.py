@@ -14,13 +14,8 @@ from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.serving.service import XML_TYPES, accepts
 from handover_processes.allocation.report import allocation_report
-from handover_processes.model import Fault
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import BadBpmn, as_json
-from handover_processes.operations.start_forms import FormOfStart
-from handover_processes.orchestrator import Orchestrator
-from handover_processes.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
-from handover_processes.responses import (
+from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
+from handover_processes.documents.responses import (
     DefinitionView,
     DefinitionWithActivities,
     Deployment,
@@ -28,14 +23,19 @@ from handover_processes.responses import (
     VersionStatistics,
     json_response,
 )
-from handover_processes.routes.resources import acting_name, of_definition
-from handover_processes.tasklist_responses import TaskForm
-from handover_processes.tasklist_views import form_view
-from handover_processes.views import (
+from handover_processes.documents.tasklist_responses import TaskForm
+from handover_processes.documents.tasklist_views import form_view
+from handover_processes.documents.views import (
     activity_views,
     definition_view,
     statistics_view,
 )
+from handover_processes.model import Fault
+from handover_processes.notation.document import MAX_BYTES
+from handover_processes.notation.faults import BadBpmn, as_json
+from handover_processes.operations.start_forms import FormOfStart
+from handover_processes.routes.resources import acting_name, of_definition
+from handover_processes.running.orchestrator import Orchestrator
 
 VersionNumber = Annotated[int, Path(ge=1, le=MAX_VERSION)]
 

@@ -11,19 +11,19 @@ from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
-from handover_processes.components import Components
-from handover_processes.operations.process_control import check_variables
-from handover_processes.requests import (
+from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     MessageRequest,
     SignalRequest,
 )
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     SentMessage,
     SentSignal,
     json_response,
 )
+from handover_processes.operations.process_control import check_variables
 from handover_processes.routes.resources import process_resource
+from handover_processes.running.components import Components
 
 
 def add_events(app: FastAPI, at: Components) -> None:

@@ -7,21 +7,21 @@ from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_processes.components import Components
-from handover_processes.operations.process_control import check_variables
-from handover_processes.records import Act, ActKind
-from handover_processes.requests import (
+from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     MigrationOfAllRequest,
     MigrationRequest,
 )
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     MigrationOfAllView,
     MigrationView,
     json_response,
 )
+from handover_processes.documents.views import migration_of_all_view, migration_view
+from handover_processes.operations.process_control import check_variables
+from handover_processes.records.records import Act, ActKind
 from handover_processes.routes.resources import acting_name, of_definition, of_process
-from handover_processes.views import migration_of_all_view, migration_view
+from handover_processes.running.components import Components
 
 
 def add_migration(app: FastAPI, at: Components) -> None:

@@ -10,12 +10,12 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
-from handover_processes.components import Components
+from handover_processes.documents.requests import OfferRequest
+from handover_processes.documents.responses import OfferView, json_response
 from handover_processes.operations.offering import OfferReader
-from handover_processes.records import OfferStatus
-from handover_processes.requests import OfferRequest
-from handover_processes.responses import OfferView, json_response
+from handover_processes.records.records import OfferStatus
 from handover_processes.routes.resources import acting_name
+from handover_processes.running.components import Components
 
 OFFER: dict[int | str, dict[str, Any]] = {200: {"model": OfferView}}
 

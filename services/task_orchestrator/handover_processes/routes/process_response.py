@@ -7,14 +7,14 @@ from fastapi import Response
 from handover.database.outage import shown_after_change
 from handover.errors import Problem
 from handover.messages import message
-from handover_processes.components import Components
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     ProcessView,
     json_response,
 )
-from handover_processes.views import (
+from handover_processes.documents.views import (
     process_view,
 )
+from handover_processes.running.components import Components
 
 PROCESS: dict[int | str, dict[str, Any]] = {200: {"model": ProcessView}}
 """The response, for the OpenAPI document."""

@@ -11,18 +11,21 @@ from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
-from handover_processes.components import Components
-from handover_processes.requests import (
+from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     CancelRequest,
     ProcessListQuery,
     ProcessStart,
     RetryRequest,
 )
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     PeriodStatistics,
     ProcessSummary,
     json_response,
+)
+from handover_processes.documents.views import (
+    period_view,
+    process_summary,
 )
 from handover_processes.routes.process_response import (
     PROCESS,
@@ -36,10 +39,7 @@ from handover_processes.routes.resources import (
     of_definition_query,
     of_process,
 )
-from handover_processes.views import (
-    period_view,
-    process_summary,
-)
+from handover_processes.running.components import Components
 
 
 def add_processes(app: FastAPI, at: Components) -> None:

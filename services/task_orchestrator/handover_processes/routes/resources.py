@@ -11,9 +11,9 @@ from handover.errors import Problem
 from handover.security.audit_trail import current_request
 from handover.security.guard import ResourceOf
 from handover.security.resource_patterns import ANY_RESOURCE
-from handover_processes.components import Components
-from handover_processes.definition_registry import DefinitionRegistry
-from handover_processes.records import ProcessRecord, TaskRecord
+from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.records.records import ProcessRecord, TaskRecord
+from handover_processes.running.components import Components
 
 
 def acting_name(given: str) -> str:

@@ -11,25 +11,15 @@ from handover.http.api_description import sends
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_processes.components import Components
-from handover_processes.definition_registry import DefinitionRegistry
-from handover_processes.records import DefinitionRecord
-from handover_processes.reporting.period import read_period
-from handover_processes.reporting.views import (
-    cause_views,
-    definition_views,
-    elements_view,
-    resources_view,
-    throughput_view,
-)
-from handover_processes.requests import (
+from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.documents.requests import (
     ElementsQuery,
     IncidentsQuery,
     PeriodQuery,
     ScopedQuery,
     ThroughputQuery,
 )
-from handover_processes.responses import (
+from handover_processes.documents.responses import (
     CauseView,
     DefinitionTimes,
     ElementsView,
@@ -40,8 +30,18 @@ from handover_processes.responses import (
     ThroughputView,
     json_response,
 )
+from handover_processes.records.records import DefinitionRecord
+from handover_processes.reporting.period import read_period
+from handover_processes.reporting.views import (
+    cause_views,
+    definition_views,
+    elements_view,
+    resources_view,
+    throughput_view,
+)
 from handover_processes.routes.resources import of_definition_query
 from handover_processes.routes.tables import csv_response
+from handover_processes.running.components import Components
 from handover_processes.storage.rollups import Scope
 from handover_processes.tally import DAY_H, Period
 

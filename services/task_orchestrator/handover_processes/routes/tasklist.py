@@ -15,10 +15,7 @@ from handover.security.permissions import Permission
 from handover.security.pin_check import require_pin
 from handover.tasks.task_life import is_for_people
 from handover_datamodels.entities import TaskStatus
-from handover_processes.components import Components
-from handover_processes.people_acts import requires_pin
-from handover_processes.records import TaskRecord
-from handover_processes.requests import (
+from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     ClaimRequest,
     CommentRequest,
@@ -28,16 +25,15 @@ from handover_processes.requests import (
     ReturnRequest,
     TaskListQuery,
 )
-from handover_processes.responses import json_response
-from handover_processes.routes.resources import of_process, of_task
-from handover_processes.tasklist_responses import (
+from handover_processes.documents.responses import json_response
+from handover_processes.documents.tasklist_responses import (
     TaskComment,
     TaskDetails,
     TaskForm,
     TaskHistoryEntry,
     TasklistEntry,
 )
-from handover_processes.tasklist_views import (
+from handover_processes.documents.tasklist_views import (
     comment_view,
     is_listed,
     list_order,
@@ -46,7 +42,11 @@ from handover_processes.tasklist_views import (
     task_history,
     tasklist_entry,
 )
-from handover_processes.views import process_name
+from handover_processes.documents.views import process_name
+from handover_processes.people_acts import requires_pin
+from handover_processes.records.records import TaskRecord
+from handover_processes.routes.resources import of_process, of_task
+from handover_processes.running.components import Components
 
 DETAILS: dict[int | str, dict[str, Any]] = {200: {"model": TaskDetails}}
 COMMENTED: dict[int | str, dict[str, Any]] = {201: {"model": TaskComment}}

@@ -13,7 +13,7 @@ from datetime import datetime
 from sqlalchemy import Connection, func, select
 
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records import TaskRecord
+from handover_processes.records.records import TaskRecord
 from handover_processes.storage.open_work import open_tasks, running_processes
 from handover_processes.storage.rollups import (
     Distribution,

@@ -12,7 +12,7 @@ from handover.messages import message_in, with_code
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
 from handover_processes.model import Fault
-from handover_processes.records import (
+from handover_processes.records.records import (
     Act,
     ActKind,
     Decision,

@@ -22,7 +22,7 @@ from handover.database import DatabaseLock
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.forms.registry import FormRecord
-from handover_processes.records import (
+from handover_processes.records.records import (
     DefinitionHold,
     DefinitionRecord,
     DeletedVersion,

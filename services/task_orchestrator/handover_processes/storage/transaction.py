@@ -19,7 +19,7 @@ from sqlalchemy.exc import IntegrityError
 
 from handover.errors import HandoverError
 from handover.security.audit_trail import record_request
-from handover_processes.records import (
+from handover_processes.records.records import (
     DefinitionRecord,
     ProcessRecord,
     Step,

@@ -17,7 +17,7 @@ from handover.broker import BrokerClient
 from handover.subscriptions.notifications import KEY_HEADER
 from handover_datamodels.times import iso
 from handover_processes.app import make_app
-from handover_processes.orchestrator import utc_now
+from handover_processes.running.orchestrator import utc_now
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import ONE_STEP, drawing
 from tests.kit.databases import default_url

@@ -15,10 +15,10 @@ from sqlalchemy.exc import OperationalError
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover_processes.cell_presence import CellNameInUse, CellPresence
-from handover_processes.components import Components
-from handover_processes.orchestrator import Orchestrator
+from handover_processes.running.components import Components
+from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.settings import OrchestratorSettings
+from handover_processes.steps.cell_presence import CellNameInUse, CellPresence
 from handover_processes.storage.device_leases import LeaseHolder
 from services.task_orchestrator.tests.integration.rest import settings_in
 from services.task_orchestrator.tests.unit.drawing import ONE_STEP, activity, drawing, end, path
@@ -153,7 +153,7 @@ async def test_a_second_cell_with_one_name_sends_nothing_until_the_first_has_end
 async def test_of_two_cells_with_one_name_that_start_together_one_runs(
     tmp_path: Path, broker: BrokerClient, monkeypatch: pytest.MonkeyPatch, was_stopped: bool
 ) -> None:
-    monkeypatch.setattr("handover_processes.cell_presence.SETTLE_S", 4.0)  # for a slow machine
+    monkeypatch.setattr("handover_processes.steps.cell_presence.SETTLE_S", 4.0)  # for a slow machine
     names = ["first", "second", *(["before"] if was_stopped else [])]
     made = [Components(settings_of(tmp_path / name, broker, "north")).orchestrator for name in names]
     for each in made:

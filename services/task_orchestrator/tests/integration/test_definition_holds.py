@@ -8,8 +8,8 @@ from pathlib import Path
 import httpx
 
 from handover.broker import BrokerClient
-from handover_processes.orchestrator import Orchestrator
-from handover_processes.records import ActKind, MessageOutcome
+from handover_processes.records.records import ActKind, MessageOutcome
+from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.process_filter import ProcessFilter
 from services.task_orchestrator.tests.integration.rest import XML, service, settings_in

@@ -13,8 +13,8 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
 from handover_datamodels.times import iso
-from handover_processes.orchestrator import Orchestrator, utc_now
 from handover_processes.process.process import Process
+from handover_processes.running.orchestrator import Orchestrator, utc_now
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.process_filter import ProcessFilter
 from services.task_orchestrator.tests.unit.drawing import (

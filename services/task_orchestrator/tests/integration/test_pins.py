@@ -15,7 +15,7 @@ from handover.broker import BrokerClient
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover_datamodels.times import iso
-from handover_processes.orchestrator import Orchestrator, utc_now
+from handover_processes.running.orchestrator import Orchestrator, utc_now
 from services.task_orchestrator.tests.integration.rest import settings_in
 from services.task_orchestrator.tests.unit.drawing import drawing, end, path, start
 from tests.kit.waiting import until

@@ -10,9 +10,9 @@ from structlog.testing import capture_logs
 
 from handover.broker import BrokerClient
 from handover_datamodels.times import iso
-from handover_processes import reconcile
-from handover_processes.orchestrator import Orchestrator, utc_now
-from handover_processes.reconcile import Reconciler
+from handover_processes.running import reconcile
+from handover_processes.running.orchestrator import Orchestrator, utc_now
+from handover_processes.running.reconcile import Reconciler
 from services.task_orchestrator.tests.integration.rest import settings_in
 from services.task_orchestrator.tests.unit.drawing import ONE_STEP, drawing
 from tests.kit.waiting import until

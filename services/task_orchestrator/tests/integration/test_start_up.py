@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from handover.broker import BrokerClient
-from handover_processes.orchestrator import Orchestrator
+from handover_processes.running.orchestrator import Orchestrator
 from services.task_orchestrator.tests.integration.rest import settings_in
 from services.task_orchestrator.tests.unit.drawing import ONE_STEP, activity, drawing, end, path
 

@@ -13,7 +13,7 @@ from handover_processes.execution.graph import Plan
 from handover_processes.execution.state import RunFailed
 from handover_processes.notation.file import read_bpmn
 from handover_processes.process.process import Process
-from handover_processes.records import ProcessRecord, ReservationState, Step, TaskRecord
+from handover_processes.records.records import ProcessRecord, ReservationState, Step, TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW
 from services.task_orchestrator.tests.unit.process_driver import DEFINED_BY

@@ -10,7 +10,7 @@ from handover_processes.execution.state import Library
 from handover_processes.model import Definition
 from handover_processes.notation.file import read_bpmn
 from handover_processes.process.process import Process
-from handover_processes.records import MessageKind, ProcessRecord, Step
+from handover_processes.records.records import MessageKind, ProcessRecord, Step
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW, drawing
 

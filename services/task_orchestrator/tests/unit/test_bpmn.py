@@ -7,10 +7,10 @@ import pytest
 
 import handover_processes
 from handover_gloves.recognition.gestures import DEFAULT_COMMANDS
-from handover_processes.entities import definition_entities
 from handover_processes.model import Definition
 from handover_processes.notation.faults import MAX_FAULTS_LISTED, BadBpmn
 from handover_processes.notation.file import read_bpmn
+from handover_processes.records.entities import definition_entities
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import (
     ONE_STEP,

@@ -13,7 +13,7 @@ from sqlalchemy import delete
 from handover.database import connect
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process.tally import count_end, count_start, count_task
-from handover_processes.records import ProcessRecord, Step, TaskRecord
+from handover_processes.records.records import ProcessRecord, Step, TaskRecord
 from handover_processes.storage import schema
 from handover_processes.storage.counts import (
     ElementCount,

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from handover.network.outbound_policy import OutboundPolicy
-from handover_processes.downloads import MAX_URL, Downloader, DownloadFailed
+from handover_processes.documents.downloads import MAX_URL, Downloader, DownloadFailed
 from handover_processes.notation.document import MAX_BYTES
 
 FILE = b"<definitions/>"

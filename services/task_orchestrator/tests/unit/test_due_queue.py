@@ -5,7 +5,7 @@ from datetime import timedelta
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_processes.due_queue import DueQueue
+from handover_processes.timing.due_queue import DueQueue
 from services.task_orchestrator.tests.unit.drawing import NOW
 
 CHANGES = st.lists(st.tuples(st.integers(0, 9), st.none() | st.integers(0, 20)), max_size=200)

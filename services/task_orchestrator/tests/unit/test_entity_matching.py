@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_processes.entity_matching import BASELINE, SeenEntities, digest_of, replay
+from handover_processes.events.entity_matching import BASELINE, SeenEntities, digest_of, replay
 
 STATES = st.dictionaries(st.sampled_from("abcd"), st.sampled_from("123"))
 """What a filter selects at a moment: entity to digest."""

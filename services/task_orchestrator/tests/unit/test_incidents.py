@@ -11,7 +11,7 @@ from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process import interventions
 from handover_processes.process.process import Process
-from handover_processes.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
+from handover_processes.records.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.tests.unit.drawing import (
     ONE_STEP,
     activity,

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from handover_processes.offer_rules import MAX_UNDECIDED, Candidate, Offers, read_candidate
-from handover_processes.records import Decision, OfferStatus, Step
+from handover_processes.definitions.offer_rules import MAX_UNDECIDED, Candidate, Offers, read_candidate
+from handover_processes.records.records import Decision, OfferStatus, Step
 from services.task_orchestrator.tests.unit.drawing import NOW
 
 DEFINITION = "urn:ngsi-ld:TaskDefinition:mes:pick"

@@ -13,7 +13,7 @@ from sqlalchemy import delete
 
 from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records import IncidentRecord, Step
+from handover_processes.records.records import IncidentRecord, Step
 from handover_processes.storage import schema
 from handover_processes.storage.process_filter import ProcessFilter, read_condition
 from handover_processes.storage.store import Store

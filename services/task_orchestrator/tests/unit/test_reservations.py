@@ -13,7 +13,7 @@ from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.agents import UNLIMITED, Agent, Agents
 from handover_processes.process import interventions
-from handover_processes.records import Act, ActKind, Step
+from handover_processes.records.records import Act, ActKind, Step
 from services.task_orchestrator.tests.unit.cell_driver import SharedCell, performer, urn
 from services.task_orchestrator.tests.unit.drawing import boundary, drawing, end, flow, gateway, path, start
 

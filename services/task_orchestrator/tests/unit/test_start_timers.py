@@ -2,7 +2,7 @@
 
 from datetime import timedelta
 
-from handover_processes.start_timers import next_timer, start_timers
+from handover_processes.definitions.start_timers import next_timer, start_timers
 from services.task_orchestrator.tests.unit.drawing import NOW, activity, drawing, end, path
 from services.task_orchestrator.tests.unit.process_driver import only_process
 

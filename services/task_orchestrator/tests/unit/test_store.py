@@ -13,7 +13,7 @@ from handover.database import connect
 from handover.errors import Problem
 from handover.messages import message
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records import (
+from handover_processes.records.records import (
     Act,
     ActKind,
     DefinitionRecord,

@@ -15,7 +15,7 @@ from handover.errors import Problem
 from handover.messages import message
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process.tally import count_change, count_end, count_start, count_task
-from handover_processes.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
+from handover_processes.records.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
 from handover_processes.reporting.period import read_period
 from handover_processes.storage import schema
 from handover_processes.storage.rollups import Scope

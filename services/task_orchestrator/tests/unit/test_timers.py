@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_processes.timers import MAX_CHARACTERS, Cycle, due_at, is_time, parse_cycle, read_moment
+from handover_processes.timing.timers import MAX_CHARACTERS, Cycle, due_at, is_time, parse_cycle, read_moment
 
 SINCE = datetime(2024, 1, 31, 12, 0, tzinfo=UTC)
 

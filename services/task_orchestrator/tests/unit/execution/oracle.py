@@ -24,7 +24,7 @@ from SpiffWorkflow.util.task import TaskState
 
 from handover_processes.languages.native import read
 from handover_processes.model import ErrorEvent, Flow, Kind, Node, Scope, StandardLoop
-from handover_processes.timers import due_at
+from handover_processes.timing.timers import due_at
 from services.task_orchestrator.tests.unit.execution.build import (
     after,
     boundary,

@@ -14,7 +14,7 @@ from handover_processes.languages.feel_functions import FUNCTIONS
 from handover_processes.languages.juel import read_juel
 from handover_processes.languages.juel_methods import EXECUTION_PROPERTIES, METHODS
 from handover_processes.languages.native import read
-from handover_processes.timers import due_at, parse_cycle
+from handover_processes.timing.timers import due_at, parse_cycle
 from tests.kit.paths import REPOSITORY
 
 PAGE = (REPOSITORY / "docs/reference/expressions.md").read_text(encoding="utf-8")

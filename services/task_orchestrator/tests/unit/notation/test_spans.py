@@ -5,7 +5,7 @@ import pytest
 from handover_processes.model import Definition, Span
 from handover_processes.notation.faults import BadBpmn
 from handover_processes.notation.file import read_bpmn
-from handover_processes.spans import Need, evaluated_needs, find_unions, read_needs
+from handover_processes.timing.spans import Need, evaluated_needs, find_unions, read_needs
 from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, gateway, path, start
 
 DI = 'xmlns:di="http://www.omg.org/spec/BPMN/20100524/DI" xmlns:dc="http://www.omg.org/spec/DD/20100524/DC"'

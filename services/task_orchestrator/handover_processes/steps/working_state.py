@@ -14,18 +14,18 @@ from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover_datamodels.entities import TaskStatus
 from handover_processes import metrics
-from handover_processes.active_processes import ActiveProcesses
 from handover_processes.allocation.allocator import Allocator
 from handover_processes.allocation.mapping import MappingTable
-from handover_processes.correlation import EventStart
-from handover_processes.definition_registry import DefinitionRegistry
-from handover_processes.entity_delivery import EntityDelivery
-from handover_processes.entity_matching import SeenEntities
-from handover_processes.event_delivery import EventDelivery
+from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.definitions.offer_rules import Offers
+from handover_processes.events.correlation import EventStart
+from handover_processes.events.entity_delivery import EntityDelivery
+from handover_processes.events.entity_matching import SeenEntities
+from handover_processes.events.event_delivery import EventDelivery
+from handover_processes.events.stored_messages import StoredMessages
 from handover_processes.model import Definition
-from handover_processes.offer_rules import Offers
 from handover_processes.process.process import Process
-from handover_processes.records import (
+from handover_processes.records.records import (
     DefinitionHold,
     DefinitionRecord,
     HoldKind,
@@ -34,8 +34,8 @@ from handover_processes.records import (
     Step,
 )
 from handover_processes.settings import OrchestratorSettings
+from handover_processes.steps.active_processes import ActiveProcesses
 from handover_processes.storage.store import Store
-from handover_processes.stored_messages import StoredMessages
 
 MAX_ALLOCATION_ROUNDS = 20
 """Rounds of the search for performers in one step; the next round is in the next step."""

@@ -7,6 +7,16 @@ from handover.messages import message_in, with_code
 from handover.tasks.task_life import PASSIVE_TYPES, type_of
 from handover_datamodels.times import iso
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
+from handover_processes.documents.requests import TaskListQuery
+from handover_processes.documents.tasklist_responses import (
+    FormField,
+    FormView,
+    TaskComment,
+    TaskDetails,
+    TaskForm,
+    TaskHistoryEntry,
+    TasklistEntry,
+)
 from handover_processes.forms import form
 from handover_processes.forms.fields import Field
 from handover_processes.forms.form_js import Resolved
@@ -20,17 +30,7 @@ from handover_processes.people_acts import (
     performer_of,
     requires_pin,
 )
-from handover_processes.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
-from handover_processes.requests import TaskListQuery
-from handover_processes.tasklist_responses import (
-    FormField,
-    FormView,
-    TaskComment,
-    TaskDetails,
-    TaskForm,
-    TaskHistoryEntry,
-    TasklistEntry,
-)
+from handover_processes.records.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
 
 _NO_INPUTS = frozenset(
     {"description", "form", "candidates", "handlesOutcomes", "requirePin", "specification"}

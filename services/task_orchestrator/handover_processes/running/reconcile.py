@@ -23,9 +23,9 @@ from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.tasks.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from handover_processes.allocation.agents import TYPES, WATCHED, read_agents
-from handover_processes.orchestrator import Orchestrator
-from handover_processes.own_definitions import write_definitions
-from handover_processes.unfinished_count import UnfinishedCount
+from handover_processes.definitions.own_definitions import write_definitions
+from handover_processes.running.orchestrator import Orchestrator
+from handover_processes.steps.unfinished_count import UnfinishedCount
 
 log = get_logger(__name__)
 

@@ -26,7 +26,7 @@ from handover_processes.model import Fault
 from handover_processes.notation.document import MAX_BYTES
 from handover_processes.notation.faults import BadBpmn
 from handover_processes.notation.file import read_bpmn
-from handover_processes.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
 
 DEFINITIONS = ("ProcessDefinition", "TaskDefinition")
 """Types that have an effect only after an engineer has accepted them."""

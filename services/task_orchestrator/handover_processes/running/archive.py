@@ -29,9 +29,9 @@ from handover.errors import Problem
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.tasks.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
-from handover_processes.orchestrator import Orchestrator
+from handover_processes.running.orchestrator import Orchestrator
+from handover_processes.steps.unfinished_count import UnfinishedCount
 from handover_processes.storage.store import EndedProcess, EndedTask
-from handover_processes.unfinished_count import UnfinishedCount
 
 log = get_logger(__name__)
 

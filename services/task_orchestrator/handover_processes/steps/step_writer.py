@@ -28,10 +28,10 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.runtime.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request
 from handover.telemetry import get_logger
-from handover_processes.outbox import Outbox
 from handover_processes.process.process import Process
-from handover_processes.records import Step
-from handover_processes.working_state import WorkingState
+from handover_processes.records.records import Step
+from handover_processes.steps.outbox import Outbox
+from handover_processes.steps.working_state import WorkingState
 
 log = get_logger(__name__)
 

@@ -23,8 +23,7 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
-from handover_processes.downloads import Downloader, DownloadFailed
-from handover_processes.offer_rules import (
+from handover_processes.definitions.offer_rules import (
     OFFERED_TYPES,
     RESOURCES,
     Candidate,
@@ -35,9 +34,10 @@ from handover_processes.offer_rules import (
     type_of_entity,
     with_fault,
 )
-from handover_processes.orchestrator import Orchestrator
-from handover_processes.reconcile import Reconciler
-from handover_processes.records import OfferRecord, OfferStatus
+from handover_processes.documents.downloads import Downloader, DownloadFailed
+from handover_processes.records.records import OfferRecord, OfferStatus
+from handover_processes.running.orchestrator import Orchestrator
+from handover_processes.running.reconcile import Reconciler
 
 log = get_logger(__name__)
 

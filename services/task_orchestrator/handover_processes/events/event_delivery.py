@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
-from handover_processes.correlation import (
+from handover_processes.events.correlation import (
     EventStart,
     Name,
     Receiver,
@@ -20,13 +20,13 @@ from handover_processes.correlation import (
     matches_key,
     receivers,
 )
-from handover_processes.entity_matching import EntityIndex
+from handover_processes.events.entity_matching import EntityIndex
+from handover_processes.events.stored_messages import StoredMessages
 from handover_processes.execution.machine import ThrownMessage, ThrownSignal
 from handover_processes.execution.state import WaitType
 from handover_processes.model import Definition
 from handover_processes.process.process import Process
-from handover_processes.records import MessageOutcome, MessageRecord, Step
-from handover_processes.stored_messages import StoredMessages
+from handover_processes.records.records import MessageOutcome, MessageRecord, Step
 
 log = get_logger(__name__)
 

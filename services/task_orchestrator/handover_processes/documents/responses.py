@@ -15,7 +15,7 @@ from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import NameKind
 from handover_processes.execution.queries import ScopeKind
 from handover_processes.execution.state import TokenState
-from handover_processes.records import (
+from handover_processes.records.records import (
     ActKind,
     HoldKind,
     MessageOutcome,

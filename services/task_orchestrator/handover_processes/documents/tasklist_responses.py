@@ -5,9 +5,9 @@ from typing import Any, Literal, NotRequired
 from typing_extensions import TypedDict
 
 from handover_datamodels.entities import TaskStatus
+from handover_processes.documents.responses import BpmnWarning
 from handover_processes.forms.fields import FieldKind
-from handover_processes.records import TaskActKind
-from handover_processes.responses import BpmnWarning
+from handover_processes.records.records import TaskActKind
 
 
 class FormOption(TypedDict):

@@ -9,7 +9,6 @@ from typing import Any, Self, TypeVar
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.telemetry import get_logger
-from handover_processes.cell_presence import CellPresence
 from handover_processes.operations.archiving import Archiving
 from handover_processes.operations.broker_changes import BrokerChanges
 from handover_processes.operations.definition_holds import DefinitionHolds
@@ -20,12 +19,13 @@ from handover_processes.operations.lost_performers import LostPerformers
 from handover_processes.operations.offering import Offering
 from handover_processes.operations.process_control import ProcessControl
 from handover_processes.operations.tasklist import Tasklist
-from handover_processes.outbox import Outbox
-from handover_processes.records import Message
+from handover_processes.records.records import Message
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.step_writer import StepWriter
+from handover_processes.steps.cell_presence import CellPresence
+from handover_processes.steps.outbox import Outbox
+from handover_processes.steps.step_writer import StepWriter
+from handover_processes.steps.working_state import Clock, WorkingState, utc_now
 from handover_processes.storage.store import Store
-from handover_processes.working_state import Clock, WorkingState, utc_now
 
 log = get_logger(__name__)
 

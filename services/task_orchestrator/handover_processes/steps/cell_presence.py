@@ -24,9 +24,9 @@ from handover.runtime.retry import Backoff, with_jitter
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Cell
 from handover_datamodels.states import CellState
+from handover_processes.steps.working_state import WorkingState
 from handover_processes.storage.cell_identity import identity_of
 from handover_processes.storage.counts import PeriodCount
-from handover_processes.working_state import WorkingState
 
 log = get_logger(__name__)
 

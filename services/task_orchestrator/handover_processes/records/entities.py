@@ -13,7 +13,7 @@ from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.hints import due_of, follow_up_of, given_priority
 from handover_processes.model import Activity, Definition
-from handover_processes.records import ProcessRecord, TaskRecord
+from handover_processes.records.records import ProcessRecord, TaskRecord
 from handover_processes.references import is_reference, resource_id
 
 Entity = dict[str, Any]

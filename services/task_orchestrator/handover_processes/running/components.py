@@ -12,13 +12,13 @@ from handover.errors import UsageError
 from handover.security.guard import Guard
 from handover.telemetry import get_logger
 from handover_processes.allocation.mapping import read_mapping_file
-from handover_processes.archive import Archiver
-from handover_processes.definition_offers import DefinitionOffers
-from handover_processes.entity_events import EntityEvents
 from handover_processes.forms.form_js import BadForm
 from handover_processes.notation.faults import BadBpmn
-from handover_processes.orchestrator import Orchestrator
-from handover_processes.reconcile import Reconciler
+from handover_processes.running.archive import Archiver
+from handover_processes.running.definition_offers import DefinitionOffers
+from handover_processes.running.entity_events import EntityEvents
+from handover_processes.running.orchestrator import Orchestrator
+from handover_processes.running.reconcile import Reconciler
 from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)

@@ -43,9 +43,9 @@ from handover.runtime.retry import MAX_DELAY_S, Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_datamodels.states import Severity
-from handover_processes.own_definitions import write_definitions
-from handover_processes.records import Message, MessageKind
-from handover_processes.specification_writer import (
+from handover_processes.definitions.own_definitions import write_definitions
+from handover_processes.records.records import Message, MessageKind
+from handover_processes.records.specification_writer import (
     SpecificationRefused,
     SpecificationsUnavailable,
     SpecificationWriter,

@@ -15,29 +15,8 @@ from handover_processes.allocation.allocator import Allocator
 from handover_processes.allocation.assignment import performer_of
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.allocation.report import mapped_names, nobody_has
-from handover_processes.definition_registry import DefinitionRegistry
-from handover_processes.execution.queries import InnerScope
-from handover_processes.execution.run import Run
-from handover_processes.languages.native import ExpressionError
-from handover_processes.lookahead import upcoming_activities
-from handover_processes.model import Activity, Definition
-from handover_processes.notation.comparison import ElementChange
-from handover_processes.notation.faults import as_json
-from handover_processes.process.interventions import MigrationReport
-from handover_processes.records import (
-    Act,
-    DefinitionRecord,
-    IncidentRecord,
-    Move,
-    OfferRecord,
-    ProcessRecord,
-    ReservationRecord,
-    ReservationState,
-    Retry,
-    TaskRecord,
-)
-from handover_processes.references import is_reference, resource_id
-from handover_processes.responses import (
+from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.documents.responses import (
     ActView,
     AgentTask,
     AgentView,
@@ -69,6 +48,27 @@ from handover_processes.responses import (
     TokenView,
     VersionStatistics,
 )
+from handover_processes.execution.queries import InnerScope
+from handover_processes.execution.run import Run
+from handover_processes.languages.native import ExpressionError
+from handover_processes.lookahead import upcoming_activities
+from handover_processes.model import Activity, Definition
+from handover_processes.notation.comparison import ElementChange
+from handover_processes.notation.faults import as_json
+from handover_processes.process.interventions import MigrationReport
+from handover_processes.records.records import (
+    Act,
+    DefinitionRecord,
+    IncidentRecord,
+    Move,
+    OfferRecord,
+    ProcessRecord,
+    ReservationRecord,
+    ReservationState,
+    Retry,
+    TaskRecord,
+)
+from handover_processes.references import is_reference, resource_id
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.counts import ElementCount, PeriodCount, VersionCount, count_elements
 

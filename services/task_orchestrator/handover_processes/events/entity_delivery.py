@@ -14,16 +14,15 @@ from typing import Any
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from handover_datamodels.forms import to_key_values
-from handover_processes.correlation import EventStart
-from handover_processes.entities import definition_id
-from handover_processes.entity_matching import (
+from handover_processes.events.correlation import EventStart
+from handover_processes.events.entity_matching import (
     BASELINE,
     CONTACT,
     SeenEntities,
     digest_of,
     is_correlated,
 )
-from handover_processes.event_delivery import EventDelivery, ProcessStarter
+from handover_processes.events.event_delivery import EventDelivery, ProcessStarter
 from handover_processes.execution.queries import EntityWait
 from handover_processes.execution.state import RunFailed, WaitType
 from handover_processes.languages.base import ExpressionError
@@ -36,7 +35,8 @@ from handover_processes.model import (
     entity_filter,
 )
 from handover_processes.process.process import Process
-from handover_processes.records import Step
+from handover_processes.records.entities import definition_id
+from handover_processes.records.records import Step
 from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)

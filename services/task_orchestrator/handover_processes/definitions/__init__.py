@@ -1,0 +1,1 @@
+"""Definitions of processes: registered, offered by others, our own entities, started by timers."""

@@ -1,0 +1,1 @@
+"""The documents of the REST interface: requests, responses, views of processes and Tasks."""

@@ -1,0 +1,1 @@
+"""What is stored of a process, and the entities that are written of it."""

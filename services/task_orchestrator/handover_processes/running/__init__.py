@@ -1,0 +1,1 @@
+"""The running orchestrator: its parts, reconciliation with the broker, offers, events, archive."""
