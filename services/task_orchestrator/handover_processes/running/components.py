@@ -23,7 +23,7 @@ from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)
 
-SHIPPED = Path(__file__).parent / "processes"
+SHIPPED = Path(__file__).parents[1] / "processes"
 
 
 class Components:
