@@ -30,6 +30,7 @@ from services.task_orchestrator.tests.unit.drawing import (
     path,
     start,
 )
+from tests.kit.waiting import until
 
 
 async def test_the_same_file_twice_changes_nothing_and_a_changed_one_is_a_new_version(
@@ -224,7 +225,12 @@ async def test_the_counts_of_a_day_have_ended_processes_and_their_duration(
 async def failed(api: httpx.AsyncClient, broker: BrokerClient) -> dict[str, Any]:
     process = (await api.post("/processes", json={"definition": "p"})).json()
     await moved(api, broker, process["tasks"][0]["id"], "failed", reason="the part slipped")
-    seen: dict[str, Any] = (await api.get(f"/processes/{process['id']}")).json()
+
+    async def with_failure() -> dict[str, Any] | None:
+        seen: dict[str, Any] = (await api.get(f"/processes/{process['id']}")).json()
+        return seen if seen["incidents"] or seen["retries"] else None
+
+    seen: dict[str, Any] = await until(with_failure, why="the orchestrator did not notice the failed Task")
     return seen
 
 
