@@ -43,6 +43,8 @@ PARTS := page cell broker processes robots devices ros body kit humanoid gloves 
 	cases alerts
 
 SELECTED ?= not nightly
+# Of each property; `make test-broker` and `make nightly` try 25, `make thorough` 300.
+EXAMPLES ?= 10
 
 # Each part is one process, so that each file is compiled and collected once. The results are those of its last run.
 pytest = $(BIN)/pytest -q -o cache_dir=.pytest_cache/$(1)
@@ -100,7 +102,7 @@ test: setup  ## every check and the tests of every part, in ten minutes; `make t
 		page-check $(firstword $(PARTS:%=part-%)) python-check $(wordlist 2,99,$(PARTS:%=part-%))
 
 part-%: setup
-	@echo "== tests of $*" && rm -rf .pytest_cache/$* && $(call pytest,$*) -n 0 -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
+	@echo "== tests of $*" && export HANDOVER_TEST_EXAMPLES=$(EXAMPLES) && rm -rf .pytest_cache/$* && $(call pytest,$*) -n 0 -m "$(SELECTED)" $(TESTS_$*) $(ARGS) || [ $$? -eq 5 ]
 
 test-%: setup
 	@test -n "$(TESTS_$*)" || { echo "there is no part $*; the parts are: $(sort $(PARTS))" >&2; exit 2; }

@@ -56,6 +56,7 @@ async def test_a_failed_call_for_a_changed_attribute_raises_an_alert_until_one_s
     await shop.until(lambda: alerts(shop, words, active=False), 60.0)
 
 
+@pytest.mark.nightly
 async def test_incompatible_qos_raises_an_alert_while_it_lasts(shop: Any) -> None:
     publisher = await shop.robot.publisher("/level", "std_msgs/msg/Float64", SENSOR_DATA)
     words = "/level: /robot publishes it with best_effort"
@@ -64,6 +65,7 @@ async def test_incompatible_qos_raises_an_alert_while_it_lasts(shop: Any) -> Non
     await shop.until(lambda: alerts(shop, words, active=False), 60.0)
 
 
+@pytest.mark.nightly
 async def test_another_type_on_the_topic_raises_an_alert(shop: Any) -> None:
     await shop.robot.publisher("/count", "std_msgs/msg/String")
     await shop.until(lambda: alerts(shop, "/count: /robot publishes std_msgs/msg/String, we use"), 60.0)

@@ -120,6 +120,7 @@ async def test_a_task_moves_the_arm_along_a_trajectory_to_its_target(shop: Shop,
     await shop.until(lambda: no_orders(shop), why="the order is still in the broker")
 
 
+@pytest.mark.nightly
 async def test_a_pause_stops_the_arm_and_it_continues_from_there(shop: Shop, arm: RosArm) -> None:
     task = await ask(shop, "moveTo", joints=AWAY, speed=0.3)
     await shop.until(lambda: arm.position[0] > 0.1, why="the arm never moved")

@@ -115,6 +115,7 @@ def require_limits(arm: RosArm) -> None:
         assert not velocities[-1].any()
 
 
+@pytest.mark.nightly
 async def test_each_change_of_the_pace_sends_the_rest_of_the_motion_within_the_limits(
     robot: RosRobot, arm: RosArm
 ) -> None:

@@ -131,6 +131,7 @@ actions:
 """
 
 
+@pytest.mark.nightly
 async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover: Handover) -> None:
     async def answer(_: dict[str, Any]) -> dict[str, Any]:
         return {}

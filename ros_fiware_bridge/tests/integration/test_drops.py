@@ -106,6 +106,7 @@ async def rule_becomes(shop: Shop, rule: str, **wanted: Any) -> dict[str, Any]:
     return view
 
 
+@pytest.mark.nightly
 async def test_a_reader_has_the_depth_of_the_buffer(shop: Shop, slow: Slow) -> None:
     every = await shop.publisher("/every", "std_msgs/msg/Int32", ALL)
     for number in range(900):
@@ -114,6 +115,7 @@ async def test_a_reader_has_the_depth_of_the_buffer(shop: Shop, slow: Slow) -> N
     assert (seen["received"], seen["dropped"], seen["droppedByCause"]) == (900, 0, {})
 
 
+@pytest.mark.nightly
 async def test_a_reader_overflow_is_counted_and_raises_an_alert(shop: Shop, slow: Slow) -> None:
     few = await shop.publisher("/few", "std_msgs/msg/Int32", ALL)
     for number in range(200):

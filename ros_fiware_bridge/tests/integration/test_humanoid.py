@@ -78,6 +78,7 @@ def standing() -> JointCommand:
     return command
 
 
+@pytest.mark.nightly
 async def test_the_robot_is_measured_in_the_order_of_the_model_and_by_its_own_clock(
     shop: Shop, node: RosHumanoid
 ) -> None:

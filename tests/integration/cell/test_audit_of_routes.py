@@ -116,6 +116,7 @@ async def test_a_route_whose_intent_cannot_be_recorded_is_not_carried_out(
         assert called == [], name
 
 
+@pytest.mark.nightly
 async def test_what_only_lowers_is_carried_out_without_a_record(
     app: FastAPI, service: Service, called: list[str]
 ) -> None:

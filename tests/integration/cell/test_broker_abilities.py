@@ -37,6 +37,7 @@ def settings_for(url: str, data_dir: Path, shared_cell: Cell) -> Settings:
     return Settings.load(broker_url=url, data_dir=data_dir, context_url=context)
 
 
+@pytest.mark.nightly
 async def test_probes_find_what_is_missing_and_leave_nothing_behind(
     shared_cell: Cell, proxy: RefusingProxy, tmp_path: Path
 ) -> None:

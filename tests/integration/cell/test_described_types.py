@@ -83,6 +83,7 @@ async def test_a_number_is_refused_for_a_described_time(app: FastAPI, http: http
                         assert "ISO 8601" in answer.json()["detail"]
 
 
+@pytest.mark.nightly
 def test_a_value_of_another_json_type_is_refused_in_every_body(app: FastAPI) -> None:
     described = DescribedRequests(app.openapi())
     bodies = {(one.method, one.template): one.body for one in described.valid() if one.body is not ...}

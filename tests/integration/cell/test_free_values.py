@@ -34,6 +34,7 @@ def orion(shared_cell: Cell, tmp_path: Path) -> Iterator[Settings]:
         yield Settings.load(broker_url=url, context_url=context)
 
 
+@pytest.mark.nightly
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.text("abc", min_size=1), VALUES, max_size=3), VALUES)
 @example({"at": 1764408000000, "steps": [1], "nested": {"list": [[2147483648]]}}, [7])

@@ -87,6 +87,7 @@ def test_every_status_that_a_route_sets_is_described(app: FastAPI) -> None:
     assert undescribed == []
 
 
+@pytest.mark.nightly
 def test_every_route_asks_a_permission(app: FastAPI) -> None:
     assert app.state.guard is not None, "give a guard to create_app"
     assert routes_without_requirement(app, PUBLIC.get(app.title, ())) == []
@@ -110,6 +111,7 @@ async def test_with_accounts_no_route_answers_without_credentials(app: FastAPI, 
             assert answer.status_code in expected, f"{method} {path}: {answer.status_code} {answer.text}"
 
 
+@pytest.mark.nightly
 async def test_with_accounts_no_stream_opens_without_credentials(app: FastAPI, environment: Path) -> None:
     set_up_accounts(environment)
     for route in app.routes:
@@ -118,6 +120,7 @@ async def test_with_accounts_no_stream_opens_without_credentials(app: FastAPI, e
             assert (answer["type"], answer["code"]) == ("websocket.close", 4401)
 
 
+@pytest.mark.nightly
 def test_the_documentation_names_what_each_route_asks(app: FastAPI) -> None:
     page = (REPOSITORY / "docs/reference/rest.md").read_text(encoding="utf-8")
     for name, asked in requirements(app).items():

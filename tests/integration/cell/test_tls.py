@@ -174,6 +174,7 @@ async def test_an_alert_is_raised_a_week_before_a_certificate_expires(
         )
 
 
+@pytest.mark.nightly
 def test_a_server_with_an_expired_certificate_does_not_start(
     cell: TlsCell, certificates: Certificates, tmp_path: Path
 ) -> None:

@@ -47,6 +47,7 @@ def worn(cell: Cell) -> Iterator[Callable[..., FrameSender]]:
         link.__exit__(None, None, None)
 
 
+@pytest.mark.nightly
 def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
     cell: Cell, desk: Any, worn: Any, eventually: Any, tmp_path: Path
 ) -> None:

@@ -93,6 +93,7 @@ def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_resta
     assert "Traceback" not in complaints
 
 
+@pytest.mark.nightly
 def test_the_calibration_fits_the_hand(
     cell: Cell, workplace: Workplace, bridge: Callable[..., Any], eventually: Any
 ) -> None:

@@ -53,6 +53,7 @@ def other_cell(name: str, **values: Any) -> dict[str, Any]:
     return {"id": f"urn:ngsi-ld:Cell:{name}:{name}", "type": "Cell", **attributes}
 
 
+@pytest.mark.nightly
 async def test_alerts_of_another_cell_are_counted_and_not_shown(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
@@ -88,6 +89,7 @@ async def test_a_tenant_of_no_cell_yet_hides_no_other_cell(cell: Any) -> None:
         await broker.delete("urn:ngsi-ld:Cell:north:north")
 
 
+@pytest.mark.nightly
 async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:

@@ -102,6 +102,7 @@ def test_it_gets_the_token_that_it_wants_and_says_what_to_set(
     cell.wait_ready("task_orchestrator", 120)
 
 
+@pytest.mark.nightly
 def test_the_page_says_what_it_cannot_do_that_its_clock_is_wrong_and_that_it_is_away(
     cell: Cell, proxy: RefusingProxy, look: Callable[[], Viewer]
 ) -> None:

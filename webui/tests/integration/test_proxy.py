@@ -17,6 +17,7 @@ def cell(shared_cell: Cell) -> Cell:
     return shared_cell
 
 
+@pytest.mark.nightly
 def test_responses_of_services_are_forwarded_unchanged(cell: Cell, browser: httpx.Client) -> None:
     cell.run("context_broker", "task_orchestrator", "webui")
     deployed = browser.get("/api/task-orchestrator/definitions/bin-picking/bpmn")
@@ -109,6 +110,7 @@ def test_notifications_are_not_forwarded(cell: Cell, browser: httpx.Client) -> N
     assert browser.post("/notifications", json={"data": []}).status_code == 403
 
 
+@pytest.mark.nightly
 def test_requests_of_other_origins_are_rejected(cell: Cell, browser: httpx.Client) -> None:
     cell.run("context_broker", "task_orchestrator", "webui")
     before = browser.get("/api/task-orchestrator/processes").json()

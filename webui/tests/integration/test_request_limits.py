@@ -107,6 +107,7 @@ def trickled(link: socket.socket) -> bytes | None:
     return None
 
 
+@pytest.mark.nightly
 def test_aborted_uploads_log_no_error(
     cell: Cell, upload: Callable[..., socket.socket], eventually: Callable[..., None]
 ) -> None:

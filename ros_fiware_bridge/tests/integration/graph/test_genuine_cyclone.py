@@ -35,6 +35,7 @@ async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
     await opened.close()
 
 
+@pytest.mark.nightly
 async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGraph, domain_id: int) -> None:
     with genuine(domain_id):
         assert await graph.call("/trigger", TRIGGER, {}, scaled(20)) == {"success": True, "message": "done"}

@@ -18,6 +18,7 @@ from ros_fiware_bridge.tests.integration.graph.conftest import running_script
 from tests.kit.waiting import scaled
 
 
+@pytest.mark.nightly
 async def test_a_heart_rate_and_an_ecg_are_echoed_by_a_genuine_peer() -> None:
     info = SignalInfo(SignalKind.ECG, "D82", 130.0, ("chest",), method="chest strap, one lead")
     wave = Samples(

@@ -102,6 +102,7 @@ async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph, r
     assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": "welcome"}
 
 
+@pytest.mark.nightly
 async def test_services_answer_or_return_the_reason(graph: RosGraph, robot: RosGraph) -> None:
     async def set_to(request: dict[str, Any]) -> dict[str, Any]:
         if request["data"]:
@@ -190,6 +191,7 @@ async def test_a_goal_whose_result_cannot_be_sent_is_aborted(graph: RosGraph, ro
     assert (await uncancelled.result(120)).status is GoalStatus.ABORTED
 
 
+@pytest.mark.nightly
 async def test_the_graph_is_read_through_rosapi(graph: RosGraph, robot: RosGraph) -> None:
     await robot.publisher("/joints", JOINTS)
     await robot.serve_action("/fibonacci", FIBONACCI, fibonacci)

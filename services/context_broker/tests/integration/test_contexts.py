@@ -304,6 +304,7 @@ def test_contexts_are_not_fetched_from_link_local_addresses(http: httpx.Client) 
     assert "metadata service" in answer.json()["detail"]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_contexts_survive_a_power_cut(own_broker: Any, publisher: Any, subscriber: Any) -> None:
     url = f"http://127.0.0.1:{publisher.port}/kept.jsonld"

@@ -123,6 +123,7 @@ def test_pending_notifications_of_an_expired_subscription_are_dropped(
     assert http.get(path).json()["status"] == "active"
 
 
+@pytest.mark.nightly
 def test_counts_are_true_after_a_power_cut(
     own_broker: Any, subscriber: Any, closing: Closing, eventually: Eventually
 ) -> None:

@@ -349,6 +349,7 @@ def test_notifications_have_what_their_owner_may_read(
     assert not [one for one in broker.audit() if one["action"] == "notification" and one not in delivered]
 
 
+@pytest.mark.nightly
 def test_a_grant_that_is_removed_ends_deliveries_also_of_what_waits(
     broker: SecuredBroker, sinks: Iterator[Subscriber]
 ) -> None:

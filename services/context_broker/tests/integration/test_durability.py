@@ -406,6 +406,7 @@ def test_a_database_that_was_stopped_in_order_can_be_restored_alone(
         assert http.get(f"/entities/{entity['id']}", params={"options": "keyValues"}).json()["n"] == 1
 
 
+@pytest.mark.nightly
 @in_a_file
 def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any) -> None:
     own_broker.start()

@@ -126,6 +126,7 @@ def test_invalid_responses_cause_warnings_beside_the_other_results(
     assert returned["timesSent"] >= returned["timesFailed"]
 
 
+@pytest.mark.nightly
 def test_dead_slow_and_endless_sources_cost_their_timeout_only(
     http: httpx.Client, broker: BrokerProcess, rubbish: RubbishSource, kind: str
 ) -> None:

@@ -130,6 +130,7 @@ def test_over_tls_the_server_is_checked_and_we_say_who_we_are(
         assert "wrong@" not in own_broker.log()
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_over_tls_too_the_connection_goes_to_the_address_that_was_judged(
     mosquitto: Mosquitto, certificate: tuple[Path, Path]

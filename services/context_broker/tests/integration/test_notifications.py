@@ -16,6 +16,7 @@ def change_data(http: httpx.Client, subscription: str) -> dict[str, Any]:
     return received
 
 
+@pytest.mark.nightly
 def test_a_notification_has_the_present_entity(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import httpx
+import pytest
 
 from services.context_broker.tests.integration.acts import Eventually, create, patch, subscribe
 
@@ -11,6 +12,7 @@ HERE = {"type": "Point", "coordinates": [8.0, 40.0]}
 FAR = {"type": "Point", "coordinates": [9.0, 41.0]}
 
 
+@pytest.mark.nightly
 def test_the_deletion_of_an_entity_is_notified_on_request(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:

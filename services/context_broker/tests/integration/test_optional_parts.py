@@ -83,6 +83,7 @@ def test_operations_of_switched_off_parts_are_not_supported(limited: BrokerProce
         require_unsupported(client.get("/entities", params={"type": "Room"}, headers=inside), snapshots)
 
 
+@pytest.mark.nightly
 def test_a_broker_without_optional_parts_serves_its_own_entities(limited: BrokerProcess) -> None:
     with limited.client() as client:
         assert client.post("/entities", json=ENTITY).status_code == 201

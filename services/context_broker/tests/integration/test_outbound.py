@@ -142,6 +142,7 @@ def subscription(uri: str) -> dict[str, Any]:
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "host", ["127.0.0.1", "localhost", "10.0.0.1", "[64:ff9b::7f00:1]", "169.254.169.254"]
 )
@@ -172,6 +173,7 @@ def test_no_context_is_fetched_from_a_refused_address(strict: httpx.Client, page
     assert pages.asked == []
 
 
+@pytest.mark.nightly
 def test_the_setting_allows_hosts_until_it_changes(
     tmp_path: Path, pages: Pages, subscriber: Any, eventually: Eventually, accounts: dict[str, str]
 ) -> None:

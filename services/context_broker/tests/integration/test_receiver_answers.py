@@ -60,6 +60,7 @@ def receiver() -> Iterator[RubbishSource]:
     made.stop()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("times", [0, 1, 100_000], ids=["no body", "a body", "a long body"])
 def test_the_server_of_pythons_library_gets_each_notification_once(
     http: httpx.Client, kind: str, times: int
@@ -82,6 +83,7 @@ def test_the_server_of_pythons_library_gets_each_notification_once(
             server.kill()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("ending", DELIVERED)
 def test_a_2xx_head_is_a_delivery_however_the_answer_ends(
     http: httpx.Client, shared_broker: BrokerProcess, receiver: RubbishSource, kind: str, ending: str

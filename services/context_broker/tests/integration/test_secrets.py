@@ -53,6 +53,7 @@ def documents(to: str) -> dict[str, dict[str, Any]]:
     }
 
 
+@pytest.mark.nightly
 def test_no_answer_notification_or_log_has_a_secret(
     own_broker: BrokerProcess, subscriber: Subscriber, source: ScriptedSource
 ) -> None:
@@ -137,6 +138,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredBroker]
         yield made
 
 
+@pytest.mark.nightly
 def test_a_subscription_of_a_service_is_changed_by_that_service_alone(secured: SecuredBroker) -> None:
     to, service = "http://127.0.0.1:9/n", secured.service("trajectory-tool")
     other, engineer = secured.service("human-state"), secured.caller(Role.ENGINEER)

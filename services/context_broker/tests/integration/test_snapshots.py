@@ -287,6 +287,7 @@ def test_leftovers_of_a_snapshot_are_deleted_after_a_crash(
     assert own_broker.metric("handover_broker_entities") == 1
 
 
+@pytest.mark.nightly
 def test_a_snapshot_interrupted_by_a_crash_has_failed_with_a_reason(
     own_broker: BrokerProcess,
     subscriber: Subscriber,

@@ -208,6 +208,7 @@ class Writer(threading.Thread):
             yield number
 
 
+@pytest.mark.nightly
 def test_acknowledged_history_survives_a_crash(own_broker: Any, eventually: Any) -> None:
     own_broker.start()
     ids = [f"urn:x:{number}" for number in range(4)]

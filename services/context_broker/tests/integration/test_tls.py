@@ -55,6 +55,7 @@ def safe_subscriber(certificate: tuple[Path, Path]) -> Iterator[SafeSubscriber]:
     made.stop()
 
 
+@pytest.mark.nightly
 def test_only_who_is_vouched_for_is_notified(
     own_broker: Any,
     certificate: tuple[Path, Path],

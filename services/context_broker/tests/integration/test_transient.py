@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
+import pytest
 
 from .temporal_requests import PAST, at, read_evolution, readings, values
 
@@ -59,6 +60,7 @@ def test_an_end_that_is_past_is_refused(http: httpx.Client) -> None:
         assert "expiresAt" in answer.json()["detail"]
 
 
+@pytest.mark.nightly
 def test_entities_that_expired_while_the_broker_was_down_are_deleted_at_its_start(
     own_broker: Any, eventually: Callable[..., Any]
 ) -> None:

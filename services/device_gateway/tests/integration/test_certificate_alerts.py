@@ -89,6 +89,7 @@ async def test_a_new_certificate_revocation_and_deletion_clear_it(tmp_path: Path
         assert (await active(broker)).keys() == {"a", "a-", "new"}
 
 
+@pytest.mark.nightly
 async def test_the_gateway_raises_it_when_such_a_certificate_is_made(
     shared_cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -396,6 +396,7 @@ def test_an_input_device_and_a_camera_work_through_the_edge(new_site: Callable[.
     assert "human_input" not in site.rest.get("/devices/pad-1/messages").text
 
 
+@pytest.mark.nightly
 def test_inputs_and_images_that_arrive_late_are_dropped(new_site: Callable[..., Site]) -> None:
     site = new_site()
     site.add("camera-1", kind="camera", edge=EDGE)
@@ -574,6 +575,7 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
         await robot.close()
 
 
+@pytest.mark.nightly
 def test_an_edge_of_an_edge_is_refused_with_the_way_out(new_site: Callable[..., Site]) -> None:
     site = new_site()
     site.edge.start("device_gateway")

@@ -446,6 +446,7 @@ def test_a_robot_is_registered_by_template_and_urdf(bench: Bench) -> None:
     assert csv.text.startswith("time,name,value")
 
 
+@pytest.mark.nightly
 def test_simulated_devices_of_every_kind_send_and_move(bench: Bench) -> None:
     played: dict[str, SimulatedDevice] = {}
     for name, description in examples().items():

@@ -22,6 +22,7 @@ from tests.kit.certificates import Certificates
 from tests.kit.waiting import scaled, wait_for
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_device_connects_with_tls_and_never_in_clear(tenant_cell: Cell, tmp_path: Path) -> None:
     cell, certificates = tenant_cell, Certificates(tmp_path / "certificates")

@@ -14,6 +14,7 @@ pytest.importorskip("mcap", reason="the extra [human-state] is not installed")
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.nightly
 def test_a_person_is_listed_and_deleted_and_what_is_refused_is_named(shared_cell: Cell) -> None:
     shared_cell.run("context_broker")
     shared_cell.run("human_state")

@@ -66,6 +66,7 @@ async def test_a_person_is_published_and_deleted_there_and_what_may_remain_is_an
         assert entity["id"] in await until(alert)
 
 
+@pytest.mark.nightly
 async def test_without_a_yes_no_body_signal_is_written_there(
     running: Running, shared_cell: Cell, orion: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,6 +88,7 @@ async def test_only_what_was_allowed_is_stored_and_published(running: Running, s
         assert refused.json()["detailCode"] == "health.no_limit_consent"
 
 
+@pytest.mark.nightly
 async def test_a_consent_ends_by_itself_and_has_an_end(running: Running) -> None:
     async with running() as rest:
         await add_person(rest, "aino", "live")
@@ -118,6 +119,7 @@ async def test_a_restart_keeps_persons_and_continues(running: Running) -> None:
         assert (await rest.get("/people/aino")).status_code == 404
 
 
+@pytest.mark.nightly
 async def test_who_looked_and_changed_is_recorded(running: Running) -> None:
     async with running() as rest:
         await add_person(rest)
@@ -166,6 +168,7 @@ async def test_bad_input_is_named(running: Running, tmp_path: Path) -> None:
         }
 
 
+@pytest.mark.nightly
 async def test_a_sensor_of_another_person_moves_with_nothing_of_its_values(running: Running) -> None:
     async with running() as rest:
         await add_person(rest, "aino")

@@ -190,6 +190,7 @@ async def test_without_key_or_consent_nothing_is_recorded(running: Running, tmp_
         assert not (tmp_path / "recordings").exists() or not list((tmp_path / "recordings").iterdir())
 
 
+@pytest.mark.nightly
 async def test_a_withdrawn_consent_ends_a_recording_and_deletes_what_was_asked(
     running: Running, tmp_path: Path
 ) -> None:

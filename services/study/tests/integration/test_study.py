@@ -157,6 +157,7 @@ async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(bench:
     assert prompted == {"personal": "Horns", "predefined": "Thumbs up"}
 
 
+@pytest.mark.nightly
 async def test_a_shipped_task_that_names_its_gesture_is_asked_in_the_gestures_of_the_condition(
     bench: Any, put_on: Any
 ) -> None:
@@ -176,6 +177,7 @@ async def test_a_shipped_task_that_names_its_gesture_is_asked_in_the_gestures_of
     assert prompted == {"personal": ["Horns"] * 2, "predefined": ["Thumbs up"] * 2}
 
 
+@pytest.mark.nightly
 async def test_a_condition_holds_for_the_person_whatever_glove_they_wear(bench: Any, put_on: Any) -> None:
     put_on()
     screen = bench.screen
@@ -228,6 +230,7 @@ async def test_a_session_that_was_left_does_not_decide_for_the_next_participant(
         bench.cell.restart("gesture_controller")
 
 
+@pytest.mark.nightly
 async def test_a_session_that_was_left_does_not_put_the_glove_on_again_after_a_restart(bench: Any) -> None:
     screen = bench.screen
     for name in ("P01", "Anna"):

@@ -119,6 +119,7 @@ def test_a_process_with_an_incident_stays_in_the_broker(archiving: Cell) -> None
     gone(archiving, stuck)
 
 
+@pytest.mark.nightly
 def test_what_was_to_be_deleted_when_the_orchestrator_was_killed_is_deleted_after_it(archiving: Cell) -> None:
     deploy(archiving, ONE_STEP)
     process = archiving.ended(archiving.start("p"))["id"]

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import httpx
+import pytest
 
 from handover.broker import BrokerClient
 from handover_processes.records.records import ActKind, MessageOutcome
@@ -91,6 +92,7 @@ async def test_no_process_of_a_suspended_definition_starts(tmp_path: Path) -> No
         assert not orchestrator.state.events.stored.named(["go"])
 
 
+@pytest.mark.nightly
 async def test_a_definition_is_suspended_and_deleted_over_rest(tmp_path: Path) -> None:
     async with service(settings_in(tmp_path)) as api:
         await _deploy(api, drawing(ONE_STEP))
@@ -138,6 +140,7 @@ def called_by_number(version: int) -> bytes:
     return drawing(frame, name="caller").replace(b'xmlns:handover="urn:handover:bpmn" ', b"")
 
 
+@pytest.mark.nightly
 async def test_an_earlier_version_is_deleted_unless_something_needs_it(tmp_path: Path) -> None:
     settings = settings_in(tmp_path)
     first, second = drawing(ONE_STEP), drawing(ONE_STEP.replace('id="work"', 'id="work" name="Work"'))

@@ -343,6 +343,7 @@ def test_an_accepted_task_definition_completes_tasks_and_a_later_change_waits(wo
     assert posted(world, world.start("weigh"))["gesture"] == "Horns"
 
 
+@pytest.mark.nightly
 def test_an_accepted_schema_checks_work_parameters(world: Cell) -> None:
     schema = {"properties": {"grams": {"type": "number", "maximum": 500}}, "required": ["grams"]}
     urn = post(world, kind("dose", workParametersSchema=schema, description="Dose it"))

@@ -102,6 +102,7 @@ async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
     assert await orchestrator.broker_changes.receive([completed(task_of(processes[2]))]) == 1
 
 
+@pytest.mark.nightly
 async def test_one_poisoned_process_stops_neither_the_reconciliation_nor_the_timers_of_the_others(
     orchestrator: Orchestrator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -93,6 +93,7 @@ async def test_with_the_proof_of_the_pin_the_task_is_completed(release: Release)
     assert (await release.record()).status.value == "completed"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("prove", "person", "why"),
     [

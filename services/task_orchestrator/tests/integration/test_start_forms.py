@@ -87,6 +87,7 @@ async def test_start_variables_are_checked_against_the_form_of_the_start_event(
     assert started.json()["variables"] == {"amount": 3, "source": "MES"}
 
 
+@pytest.mark.nightly
 async def test_a_definition_without_a_form_has_none(api: httpx.AsyncClient) -> None:
     xml = drawing('<bpmn:startEvent id="start"/>' + end() + path("start", "end"), name="order")
     await api.post("/definitions", content=xml, headers={"Content-Type": "application/xml"})

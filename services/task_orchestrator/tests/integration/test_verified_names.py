@@ -57,6 +57,7 @@ async def act(api: httpx.AsyncClient, path: str, **body: Any) -> Any:
     return answer.json()
 
 
+@pytest.mark.nightly
 async def test_each_act_of_a_person_who_is_signed_in_is_verified(api: httpx.AsyncClient) -> None:
     process = await started(api)
     await act(api, f"/processes/{process}/pause")

@@ -294,6 +294,7 @@ async def test_a_fixed_camera_is_calibrated_by_balls_while_the_robot_rests(tmp_p
     assert math.dist((known @ point).position, (true @ point).position) < 0.001
 
 
+@pytest.mark.nightly
 async def test_the_scene_shows_the_true_parts_of_the_simulation_and_those_that_are_known(
     physics: PhysicsCell,
 ) -> None:
@@ -307,6 +308,7 @@ async def test_the_scene_shows_the_true_parts_of_the_simulation_and_those_that_a
     await physics.cell.change_scene(scene_view(physics.cell))
 
 
+@pytest.mark.nightly
 async def test_after_a_crash_in_a_motion_the_arm_and_its_part_are_where_they_were(tmp_path: Path) -> None:
     first = PhysicsCell(tmp_path)
     seen = await first.do("scan", bin="bin-1")
@@ -454,6 +456,7 @@ robots:
     assert again.robot.simulation.gripped_part("right") == part
 
 
+@pytest.mark.nightly
 async def test_a_scene_without_bins_gets_one_while_the_robot_works(tmp_path: Path) -> None:
     empty = tmp_path / "empty.yaml"
     empty.write_text("name: empty\n")

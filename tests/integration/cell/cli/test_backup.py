@@ -149,6 +149,7 @@ def test_a_restored_cell_is_sound_and_its_process_continues(
         assert api.get(f"/processes/{waiting}").json()["status"] == "inProgress", "the original is untouched"
 
 
+@pytest.mark.nightly
 def test_a_cell_that_runs_and_a_folder_with_content_are_refused(
     cell: Cell, archive: Path, tmp_path: Path
 ) -> None:

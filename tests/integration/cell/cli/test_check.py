@@ -50,6 +50,7 @@ def flip(file: Path, text: bytes) -> None:
     file.write_bytes(content)
 
 
+@pytest.mark.nightly
 def test_sound_data_are_found_sound_also_while_a_broker_uses_them(data_dir: Path) -> None:
     journal = Journal(SqliteDatabase(data_dir / "broker.db"))
     for is_used in (False, True):
@@ -113,6 +114,7 @@ def test_an_empty_folder_has_nothing_to_check(tmp_path: Path) -> None:
     assert "there is no database in" in reported.stdout
 
 
+@pytest.mark.nightly
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
     reported = checked(tmp_path, "--data-dir", str(tmp_path / "elsewhere"))
     assert reported.returncode == 2

@@ -124,6 +124,7 @@ async def test_a_gesture_is_recorded_by_making_it_or_refused_with_the_reason(
     assert gone.json()["givenAsBefore"] == []
 
 
+@pytest.mark.nightly
 async def test_a_profile_goes_out_and_comes_in_under_another_name(bench: Any) -> None:
     put, get = bench.screen.put, bench.screen.get
     put("/people/anna", json={"title": "Anna"}).raise_for_status()

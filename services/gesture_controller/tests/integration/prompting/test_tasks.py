@@ -171,6 +171,7 @@ async def test_without_a_glove_the_screen_says_so_and_completes_the_task(bench: 
     assert bench.press("complete", by="Anna").status_code == 409
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("silence_s", [2.0])
 async def test_a_silent_glove_pauses_its_task_raises_an_alert_and_goes_on_when_it_is_back(
     bench: Any, put_on: PutOn
@@ -203,6 +204,7 @@ async def test_a_silent_glove_pauses_its_task_raises_an_alert_and_goes_on_when_i
     await ends(bench, task, "completed")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("silence_s", [2.0])
 async def test_a_task_whose_glove_went_silent_is_completed_on_the_screen(bench: Any, put_on: PutOn) -> None:
     glove = put_on()

@@ -67,6 +67,7 @@ async def test_task_broker_and_database_are_asked_in_that_order(
     await ends(bench, third, "completed")
 
 
+@pytest.mark.nightly
 async def test_an_unavailable_database_raises_an_alert_and_recovers(
     bench: Any, fill: Callable[[str], None], tmp_path: Path
 ) -> None:

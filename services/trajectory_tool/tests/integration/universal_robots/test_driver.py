@@ -171,6 +171,7 @@ async def test_local_control_is_named(robot: UniversalRobot, controller: Running
         await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
+@pytest.mark.nightly
 async def test_the_speed_slider_slows_the_motion(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
@@ -296,6 +297,7 @@ async def test_late_packages_of_the_controller_do_not_disturb_a_motion(
     assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
 
 
+@pytest.mark.nightly
 async def test_the_arm_stops_when_the_exchange_process_dies(
     new_robot: NewRobot, controller: RunningController
 ) -> None:
@@ -337,6 +339,7 @@ async def test_the_arm_stops_when_no_setpoints_arrive_and_the_motion_can_be_cont
         assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
 
 
+@pytest.mark.nightly
 async def test_two_motions_at_once_are_refused_without_disturbing_the_first(
     robot: UniversalRobot,
 ) -> None:
