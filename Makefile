@@ -97,7 +97,7 @@ demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking proces
 up: setup  ## every service, with the simulated robot only
 	@$(BIN)/handover up $(ARGS)
 
-test: setup  ## every check and the tests of every part, in ten minutes; `make test-broker` and so on runs one part
+test: setup  ## every check and the tests of every part; `make test-broker` and so on runs one part
 	@$(MAKE) --no-print-directory --jobs=$(JOBS) --keep-going --output-sync=target \
 		page-check $(firstword $(PARTS:%=part-%)) python-check $(wordlist 2,99,$(PARTS:%=part-%))
 
