@@ -35,25 +35,30 @@ _locks = os.open(
 def next_free_port() -> int:
     """Reserve a port on which nobody listens, below the ephemeral range; each call gives another."""
     for port in itertools.islice(_order, len(PORTS)):
-        if port in _reserved or not _reserve(port):
+        if port in _reserved or not reserve(port):
             continue
         if not _is_free(port):
-            fcntl.lockf(_locks, fcntl.LOCK_UN, 1, port)
+            release(port)
             continue
         _reserved.append(port)
         if len(_reserved) > MAX_RESERVED:
-            fcntl.lockf(_locks, fcntl.LOCK_UN, 1, _reserved.popleft())
+            release(_reserved.popleft())
         return port
     raise AssertionError("no free port")
 
 
-def _reserve(port: int) -> bool:
-    """Return whether no other process has reserved `port`."""
+def reserve(number: int) -> bool:
+    """Reserve a number until this process ends; return whether no other process of tests has it."""
     try:
-        fcntl.lockf(_locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, port)
+        fcntl.lockf(_locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number)
     except OSError:
         return False
     return True
+
+
+def release(number: int) -> None:
+    """Leave a reserved number to other processes."""
+    fcntl.lockf(_locks, fcntl.LOCK_UN, 1, number)
 
 
 def _is_free(port: int) -> bool:
