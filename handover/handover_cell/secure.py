@@ -15,10 +15,9 @@ import typer
 from handover.command_line import secrets
 from handover.errors import UsageError
 from handover.network.outbound_policy import address_of
-from handover.service_addresses import PageAddress
 from handover.settings import Settings
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
-from handover_accounts.command_line.accounts import service_names, set_up_accounts
+from handover_accounts.command_line.accounts import PageSettings, service_names, set_up_accounts
 from handover_accounts.settings import AccountsSettings
 from handover_cell.compose_override import write_override
 
@@ -159,7 +158,7 @@ def make(
         secrets.make_in(settings.secrets_dir)
         secrets.give(settings.secrets_dir, plan.secrets)
     # Last, since it ends local mode: a service that sees the keys needs its token.
-    page = PageAddress.load(
+    page = PageSettings.load(
         tls_certificate=settings.tls_certificate or made[0].certificate,
         allowed_hosts=settings.allowed_hosts or tuple(hosts),
     )

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from handover.extensions import Service
 from handover.service_addresses import ROS_BRIDGE, BridgeAddress
+from handover.settings import Settings
 
 
 def _ros_domain_id() -> Any:
@@ -14,7 +15,7 @@ def _ros_domain_id() -> Any:
     return os.environ.get("ROS_DOMAIN_ID") or 0
 
 
-class BridgeSettings(BridgeAddress):
+class BridgeSettings(BridgeAddress, Settings):
     """The graph to join, the adapter, and the mapping."""
 
     bridge_name: str = Field(

@@ -7,10 +7,10 @@ from pydantic import Field
 
 from handover.extensions import Service
 from handover.service_addresses import CONTROLLER, WEBUI, CellAddresses
-from handover.settings import Names
+from handover.settings import Names, Settings
 
 
-class WebuiSettings(CellAddresses):
+class WebuiSettings(CellAddresses, Settings):
     """The settings of the web UI server."""
 
     cell_tenants: Names = Field(

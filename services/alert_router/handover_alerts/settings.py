@@ -4,10 +4,10 @@ from pydantic import Field, SecretStr
 
 from handover.extensions import Service
 from handover.service_addresses import ALERT_ROUTER, AlertRouterAddress
-from handover.settings import MaybePath
+from handover.settings import MaybePath, Settings
 
 
-class RouterSettings(AlertRouterAddress):
+class RouterSettings(AlertRouterAddress, Settings):
     """The address of the service, the mail server and the file of channels and routes."""
 
     alert_routes: MaybePath = Field(

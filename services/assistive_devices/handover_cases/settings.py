@@ -10,10 +10,10 @@ from handover.service_addresses import (
     HumanStateAddress,
     TrajectoryAddress,
 )
-from handover.settings import Names
+from handover.settings import Names, Settings
 
 
-class AssistiveSettings(AssistiveAddress, HumanStateAddress, TrajectoryAddress):
+class AssistiveSettings(AssistiveAddress, HumanStateAddress, TrajectoryAddress, Settings):
     """The machines that run, and where the state of persons comes from."""
 
     assistive_machines: Names = Field(

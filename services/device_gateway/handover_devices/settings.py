@@ -7,11 +7,11 @@ from pydantic import Field, SecretStr
 
 from handover.extensions import Service
 from handover.service_addresses import GATEWAY, GatewayAddress, TrajectoryAddress
-from handover.settings import MaybePath
+from handover.settings import MaybePath, Settings
 from handover.transport_security.local_authority import AUTHORITY
 
 
-class GatewaySettings(GatewayAddress, TrajectoryAddress):
+class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
     """Addresses, limits and retention of the device gateway."""
 
     gateway_replica_host: str | None = Field(

@@ -9,10 +9,11 @@ from handover.extensions import Service
 from handover.network.outbound_policy import is_loopback
 from handover.security.glove_token import site_glove_token
 from handover.service_addresses import CONTROLLER, ControllerAddress, GloveServerAddress
+from handover.settings import Settings
 from handover_gloves.recognition.hold import HoldTiming
 
 
-class ControllerSettings(ControllerAddress, GloveServerAddress):
+class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
     """Addresses, limits and timing of the gesture controller."""
 
     hello_timeout_s: float = Field(5.0, gt=0, description="how long a connection may take to send its hello")

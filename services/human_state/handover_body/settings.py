@@ -8,10 +8,10 @@ from pydantic import Field, SecretStr, field_validator
 
 from handover.extensions import Service
 from handover.service_addresses import HUMAN_STATE, HumanStateAddress, TrajectoryAddress
-from handover.settings import Names
+from handover.settings import Names, Settings
 
 
-class HumanStateSettings(HumanStateAddress, TrajectoryAddress):
+class HumanStateSettings(HumanStateAddress, TrajectoryAddress, Settings):
     """Addresses, rates and retention of human state."""
 
     health_history_days: float = Field(

@@ -2,9 +2,10 @@
 
 from handover.extensions import Service
 from handover.service_addresses import STUDY, ControllerAddress, StudyAddress
+from handover.settings import Settings
 
 
-class StudySettings(StudyAddress, ControllerAddress):
+class StudySettings(StudyAddress, ControllerAddress, Settings):
     """The address of the service, and that of the gesture controller."""
 
 

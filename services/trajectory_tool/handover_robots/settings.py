@@ -6,10 +6,10 @@ from pydantic import Field
 
 from handover.extensions import Service
 from handover.service_addresses import TRAJECTORY, BridgeAddress, TrajectoryAddress
-from handover.settings import Names
+from handover.settings import Names, Settings
 
 
-class TrajectorySettings(TrajectoryAddress, BridgeAddress):
+class TrajectorySettings(TrajectoryAddress, BridgeAddress, Settings):
     """The robot, its limits and its cell."""
 
     cell_file: Path | None = Field(

@@ -9,13 +9,13 @@ from pydantic import Field
 
 from handover.extensions import Service
 from handover.service_addresses import WHOLE_BODY_CONTROL, BridgeAddress, HumanStateAddress, WholeBodyAddress
-from handover.settings import MaybePath, Names
+from handover.settings import MaybePath, Names, Settings
 
 DEFAULT_MODEL: Final = "coman"
 SHARED_MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in it never reach a disk
 
 
-class WholeBodySettings(WholeBodyAddress, BridgeAddress, HumanStateAddress):
+class WholeBodySettings(WholeBodyAddress, BridgeAddress, HumanStateAddress, Settings):
     """The humanoid that runs, where its ports are, and where the state of persons comes from."""
 
     humanoid_model: str = Field(

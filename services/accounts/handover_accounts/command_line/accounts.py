@@ -9,6 +9,7 @@ import typer
 from handover.errors import UsageError
 from handover.extensions import SERVICES
 from handover.service_addresses import OWN_SERVICES, PageAddress
+from handover.settings import Settings
 from handover_accounts.settings import AccountsSettings
 
 app = typer.Typer(help="Accounts: people, keys, tokens of services.", no_args_is_help=True)
@@ -19,10 +20,14 @@ COMMAND_LINE = "cli"
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
 
+class PageSettings(PageAddress, Settings):
+    """The address of the page, for the links that are printed."""
+
+
 @app.command("set-up")
 def set_up_command(data_dir: DataDir = None) -> None:
     """Make the keys and tokens that are missing, and print the link of the first owner. Ends local mode."""
-    set_up_accounts(_settings(data_dir), PageAddress.load())
+    set_up_accounts(_settings(data_dir), PageSettings.load())
 
 
 @app.command("owner-link")
@@ -30,7 +35,7 @@ def owner_link_command(data_dir: DataDir = None) -> None:
     """Print a one-time link for an owner; an earlier one becomes invalid."""
     from handover_accounts.set_up import owner_link  # noqa: PLC0415 - the database is slow to import
 
-    _say_link(owner_link(_settings(data_dir)), PageAddress.load())
+    _say_link(owner_link(_settings(data_dir)), PageSettings.load())
 
 
 @app.command("rotate-key")
@@ -58,7 +63,7 @@ def service_names() -> tuple[str, ...]:
 
 
 def set_up_accounts(
-    settings: AccountsSettings, page: PageAddress, *, token_files: Mapping[str, Path] | None = None
+    settings: AccountsSettings, page: PageSettings, *, token_files: Mapping[str, Path] | None = None
 ) -> None:
     """Make what is missing, and say what was made. Raises `UsageError`.
 
@@ -79,7 +84,7 @@ def set_up_accounts(
         _say_link(made.owner_link, page)
 
 
-def _say_link(secret: str, page: PageAddress) -> None:
+def _say_link(secret: str, page: PageSettings) -> None:
     print("The owner signs in with this link, once, within a day:")
     print(f"  {page.public_url}/join#{secret}")
 
