@@ -3,7 +3,6 @@
 import functools
 import os
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -507,11 +506,8 @@ def test_postgresql_starts_with_its_certificate_and_loads_a_renewed_one(tmp_path
         loaded = tmp_path / "loaded"
         return loaded.exists() and "second" in loaded.read_text()
 
-    process = subprocess.Popen(
-        ["bash", str(tmp_path / "start"), "postgres"],
-        env=environment,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # ignored where nohup runs the tests
-    )
+    command = ["env", "--default-signal=HUP", "bash", str(tmp_path / "start"), "postgres"]  # also under nohup
+    process = subprocess.Popen(command, env=environment)
     try:
         wait_for((tmp_path / "started").exists, 30)
         said = (tmp_path / "started").read_text()
