@@ -9,7 +9,7 @@ A package registers what it adds with an entry point, and nothing else in the tr
 """
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -40,8 +40,16 @@ class ExtensionPoint:
 
     def load(self, name: str) -> Any:
         """Return what is registered as `name`, imported now; raise `UnknownExtension`."""
+        return self._load(name, self._registered())
+
+    def load_registered(self, names: Iterable[str]) -> list[Any]:
+        """Return those of `names` that are registered, as `load` does; installed packages are read once."""
+        registered = self._registered()
+        return [self._load(name, registered) for name in names if name in registered]
+
+    def _load(self, name: str, registered: Mapping[str, EntryPoint]) -> Any:
         own = self.own.get(name)
-        point = EntryPoint(name, own, self.group) if own else self._registered().get(name)
+        point = EntryPoint(name, own, self.group) if own else registered.get(name)
         if point is None:
             raise UnknownExtension(
                 f'there is no {self.kind} "{name}"; there are: {", ".join(self.names()) or "none"}. '

@@ -17,8 +17,7 @@ log = get_logger(__name__)
 
 def own_services() -> tuple[Service, ...]:
     """Return those of our services that are installed."""
-    registered = SERVICES.names()
-    return tuple(load_service(name) for name in OWN_SERVICES if name in registered)
+    return tuple(SERVICES.load_registered(OWN_SERVICES))
 
 
 def all_services() -> tuple[Service, ...]:
