@@ -7,7 +7,8 @@
 A package is imported when its command is used or listed, so that `handover up` does not load them all.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any, Final
 
 import typer
@@ -25,16 +26,21 @@ COMPLETION: Final = frozenset({"install_completion", "show_completion"})
 class InstalledCommands(TyperGroup):
     """The group of the commands that are defined here, and of those that packages register."""
 
+    @cached_property
+    def registered(self) -> list[str]:
+        """The names of the entry points, read once."""
+        return COMMANDS.names()
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands: ours first."""
         own = super().list_commands(ctx)
-        return [*own, *sorted(name for name in COMMANDS.names() if "." not in name and name not in own)]
+        return [*own, *sorted(name for name in self.registered if "." not in name and name not in own)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; None if there is none of this name."""
         command = super().get_command(ctx, cmd_name)
-        if command is None and "." not in cmd_name and cmd_name in COMMANDS.names():
-            command = _load(cmd_name, cmd_name)
+        if command is None and "." not in cmd_name and cmd_name in self.registered:
+            command = _load(cmd_name, cmd_name, self.registered)
             self.add_command(command, cmd_name)
         return command
 
@@ -52,7 +58,7 @@ def commands_of(app: typer.Typer) -> Iterator[tuple[tuple[str, ...], Any]]:
     return below(get_command(app), ())
 
 
-def _load(registered: str, name: str) -> Any:
+def _load(registered: str, name: str, all_names: Sequence[str]) -> Any:
     """Return a registered command with those registered below it; one that fails if it cannot be loaded."""
     try:
         app = COMMANDS.load(registered)
@@ -64,10 +70,10 @@ def _load(registered: str, name: str) -> Any:
     command.name = name
     command.params = [option for option in command.params if option.name not in COMPLETION]
     if isinstance(command, TyperGroup):
-        for below in COMMANDS.names():
+        for below in all_names:
             parent, _, last = below.rpartition(".")
             if parent == registered:
-                command.add_command(_load(below, last), last)
+                command.add_command(_load(below, last, all_names), last)
     return command
 
 
