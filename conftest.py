@@ -4,7 +4,6 @@ import functools
 import itertools
 import os
 import signal
-import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -38,9 +37,6 @@ hypothesis.settings.load_profile("handover")
 
 # Each client would load all certificate authorities (15 ms), and the tests make thousands of clients.
 transports.create_ssl_context = functools.cache(httpx.create_ssl_context)
-
-# Tests beside a package are below old names of packages, such as `services`, which must not be ours here.
-sys.meta_path[:] = [finder for finder in sys.meta_path if not hasattr(finder, "finds_renamed_modules")]
 
 os.environ.update(running.settings())  # for services in the process of a test
 

@@ -2,6 +2,8 @@
 
 import asyncio
 import re
+import threading
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -14,6 +16,7 @@ from websockets.asyncio.client import connect
 from handover.broker import BrokerClient
 from handover_datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, ArmVelocity, VelocityOutput
 from handover_datamodels.robot_messages import StreamRefusal
+from handover_robots.driver_base.context import Clock
 from handover_robots.driver_contract import RobotContract, context_of
 from handover_robots.drivers.ros_robot import RosRobot, twist
 from handover_robots.model.faults import RobotFault
@@ -97,6 +100,36 @@ class TestRosRobot(RobotContract):
             arm.position += displacements
 
         return move
+
+
+class StandingStill:
+    """Waits in a process that stands still once: the first cycle is far ahead of the last report."""
+
+    def __init__(self, arm: RosArm) -> None:
+        self._arm = arm
+        self._loop = asyncio.get_running_loop()
+        self._waits = 0
+        self._stands, self._goes_on = threading.Event(), threading.Event()
+
+    def _stand_still(self) -> None:
+        self._stands.set()
+        self._goes_on.wait(10.0)
+
+    def __call__(self, seconds: float) -> None:
+        self._waits += bool(self._arm.goals)
+        if self._waits == 1:
+            self._loop.call_soon_threadsafe(self._stand_still)
+            self._stands.wait()
+            seconds = 0.6
+        elif self._waits > 1:
+            self._goes_on.set()
+        time.sleep(seconds)
+
+
+async def test_an_arm_that_is_behind_a_late_first_cycle_is_not_a_fault(robot: RosRobot, arm: RosArm) -> None:
+    robot.clock = Clock(wait_s=StandingStill(arm))
+    assert await robot.move((0.5, *HOME[1:]), 1.0, lambda: 1.0)
+    assert arm.position.tolist() == pytest.approx([0.5, *HOME[1:]], abs=1e-4)
 
 
 def require_limits(arm: RosArm) -> None:

@@ -319,6 +319,7 @@ class RosRobot(CyclicRobot):
     def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Send a motion as goals; after a fault, bring the arm to rest, then raise it."""
         self._way = Way(self.options.max_delay_s)
+        self._way.advance(now_s, self.setpoint.positions)  # a late first cycle is on the way too
         try:
             if isinstance(motion, Jog):
                 yield from super()._follow(motion, pace, now_s)

@@ -52,7 +52,7 @@ class Options:
     """How to plan.
 
     `margins_m` are tried from the largest; all certify that nothing touches. `timeout_s` bounds the search
-    with all of them, `optimise_s` the search for a shorter path after the first one.
+    with all of them (time of the processor), `optimise_s` the search for a shorter path after the first one.
     """
 
     margins_m: tuple[float, ...] = (0.01, 0.005, 0.002)
