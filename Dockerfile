@@ -1,11 +1,11 @@
-# One image for the services of Handover; the command selects the service. With LOCK=physics it has the extras motion
-# and physics instead of research: the image `handover-motion` of the trajectory tool.
+# The image of one distribution and what it needs, such as `--build-arg DISTRIBUTION=handover-broker`. Without it, the
+# command line of a cell: `handover secure`, `backup`, `doctor`.
 #
 # Behind a mirror or a proxy, the configuration of pip and npm and the certificates are build secrets, so that the
 # image does not contain them: deploy/README.md shows how.
 
 ARG BASE=python:3.12-slim
-ARG LOCK=container
+ARG DISTRIBUTION=handover-cell
 
 # The build stages install into a virtual environment.
 FROM ${BASE} AS build
@@ -27,18 +27,28 @@ RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
     PYTHONPATH=webui python -m handover_web.build
 
 
-# The wheel with the page, and the packages of the lock.
+# What the distribution needs of others, with hashes. The next stage is built again only if this file changes.
+FROM build AS requirements
+ARG DISTRIBUTION
+COPY . .
+RUN python -m requirements.subset "$DISTRIBUTION" >/requirements.txt
+
+
+# The packages of others, then the wheels of ours.
 FROM build AS install
-ARG LOCK
+ARG DISTRIBUTION
 RUN python -m venv /opt/handover
-COPY requirements/${LOCK}.lock requirements/build.lock requirements/
+COPY requirements/tools.lock requirements/
+COPY --from=requirements /requirements.txt requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
-    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/${LOCK}.lock \
-    && pip install --quiet --require-hashes --only-binary :all: -r requirements/build.lock
+    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/requirements.txt \
+    && pip install --quiet --require-hashes --only-binary :all: -r requirements/tools.lock
 COPY . .
 COPY --from=page /source/webui/handover_web/page webui/handover_web/page
-RUN hatchling build -t wheel -d /wheel \
-    && /opt/handover/bin/pip install --quiet --no-deps --no-index /wheel/*.whl \
+RUN for folder in $(python -m requirements.subset --folders "$DISTRIBUTION"); do \
+        (cd "$folder" && hatchling build -t wheel -d /wheels) || exit 1; \
+    done \
+    && /opt/handover/bin/pip install --quiet --no-deps --no-index /wheels/*.whl \
     && /opt/handover/bin/python -m compileall -q /opt/handover/lib \
     && /opt/handover/bin/pip uninstall --quiet --yes pip
 
@@ -46,11 +56,11 @@ RUN hatchling build -t wheel -d /wheel \
 FROM ${BASE}
 LABEL org.opencontainers.image.title="Handover" \
       org.opencontainers.image.description="People and robots hand work to each other"
-# Motion planning needs OpenMP, which slim images lack.
-ARG LOCK
-RUN if [ "$LOCK" = physics ] || [ "$LOCK" = whole-body ]; then \
-        apt-get update && apt-get install --yes --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*; \
-    fi
+# Motion planning and solvers need OpenMP, which slim images lack.
+ARG DISTRIBUTION
+RUN case "$DISTRIBUTION" in handover-robots* | handover-humanoid* | *motion* | *physics* | *humanoid* | *all*) \
+        apt-get update && apt-get install --yes --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*;; \
+    esac
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
     && install -d -o handover -g handover -m 0700 /data /secrets /authority /security /secrets-of \
         /secrets-of/gloves /secrets-of/databases /secrets-of/recordings \

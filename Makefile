@@ -3,7 +3,6 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-LOCK := requirements/dev.lock
 READY := $(VENV)/.ready
 export UV_PYTHON_DOWNLOADS := never
 export UV_NO_PROGRESS := 1
@@ -32,7 +31,7 @@ TESTS_humanoid := services/whole_body_control/tests
 TESTS_kit := handover/tests tests/unit/kit tests/integration/kit
 TESTS_page := tests/e2e
 TESTS_processes := services/task_orchestrator/tests
-TESTS_project := tests/unit/deploy tests/unit/docs tests/unit/requirements tests/integration/docs
+TESTS_project := tests/unit/deploy tests/unit/docs tests/unit/requirements tests/integration/docs tests/integration/distributions
 TESTS_robots := services/trajectory_tool/tests
 TESTS_ros := ros_fiware_bridge/tests
 TESTS_study := services/study/tests
@@ -66,29 +65,41 @@ if grep -qiE '$(UNREACHABLE)' $(INSTALL_LOG); then \
 else cat $(INSTALL_LOG) >&2; fi; exit 1
 endef
 
+# Everything of our distributions, and what develops them; the lock holds for all.
+LOCKS := requirements/handover.lock requirements/tools.lock
+PROJECTS := pyproject.toml $(wildcard */pyproject.toml services/*/pyproject.toml services/*/*/pyproject.toml)
+EVERYTHING := "handover-cell[all,figures,talos]" "handover-glove-sdk-bridge[serial]"
+
+# Installs distributions of ours, with dependency groups, for an editable installation of this folder.
 # Compiled here: where PYTHONDONTWRITEBYTECODE is set, every service would compile its libraries at each start.
 define install
-	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
-	@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
-	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
-	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements/uv.lock >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
-	@$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(1) >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
-	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
-	@touch $@
+@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
+@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
+@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
+@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements/tools.lock >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
+@$(call install_in,$(VENV),$(1),$(2)) >$(INSTALL_LOG) 2>&1 || { $(no_packages); }
+@touch $@
 endef
 
-$(READY): $(LOCK) requirements/uv.lock pyproject.toml
-	$(call install,$(LOCK))
+# The same in the virtual environment $(1), with the uv of ours: distributions $(2), dependency groups $(3).
+define install_in
+	$(BIN)/python -m requirements.subset $(2) $(addprefix --group ,$(3)) >$(1)/requirements.txt \
+	&& $(BIN)/uv pip sync --quiet --compile-bytecode --python $(1)/bin/python --require-hashes requirements/tools.lock $(1)/requirements.txt \
+	&& $(BIN)/uv pip install --quiet --python $(1)/bin/python --no-deps --no-build-isolation \
+		$$($(BIN)/python -m requirements.subset --folders $(2) | sed 's,^,--editable ./,')
+endef
+
+$(READY): $(LOCKS) $(PROJECTS)
+	$(call install,$(EVERYTHING),dev)
 
 # The demo needs fewer packages. If everything is installed already, it uses that.
 # With SIM=physics the robot moves in simulated physics, which needs more packages.
 PHYSICS := $(filter physics,$(SIM))
-DEMO_LOCKS := requirements/$(or $(PHYSICS),run).lock requirements/build.lock
 DEMO_STAMP := $(VENV)/.ready-demo$(addprefix -,$(PHYSICS))
 DEMO_READY := $(if $(wildcard $(READY)),$(READY),$(DEMO_STAMP))
 
-$(DEMO_STAMP): $(DEMO_LOCKS) requirements/uv.lock pyproject.toml
-	$(call install,$(DEMO_LOCKS))
+$(DEMO_STAMP): $(LOCKS) $(PROJECTS)
+	$(call install,"handover-cell$(if $(PHYSICS),[physics])")
 
 demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking process (ONCE=1: end after it; SIM=physics)
 	@$(PAGE)
@@ -136,11 +147,10 @@ ros-test: setup  ## the ROS bridge against ROS 2 nodes (rclpy, Fast DDS; Python 
 	fi
 
 # Rebuilt for a new lock: the wheels contain a second record of each package, and `uv pip sync` would remove those.
-$(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
+$(ROS_VENV)/.ready: $(LOCKS) $(PROJECTS)
 	@rm -rf $(ROS_VENV)
 	@$(BIN)/python -m venv $(ROS_VENV)
-	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(ROS_VENV)/bin/python --require-hashes -r requirements/rclpy.lock
-	@$(BIN)/uv pip install --quiet --python $(ROS_VENV)/bin/python --no-deps --no-build-isolation --editable .
+	@$(call install_in,$(ROS_VENV),$(EVERYTHING) "handover-cell[ros-rclpy]",dev ros-test)
 	@touch $@
 
 crashes: setup  ## kill the broker a hundred times while it writes, and check its data
@@ -167,7 +177,7 @@ LOWEST_TESTS ?= -m "not slow and not nightly" $(wildcard $(foreach part,$(PARTS)
 
 lowest: setup  ## the unit tests and the demo with the lowest versions that pyproject.toml allows (ARGS="-k cli")
 	@mkdir -p build && rm -rf $(LOWEST_VENV)
-	@$(BIN)/uv pip compile --quiet --resolution lowest-direct --python $(BIN)/python --extra dev pyproject.toml -o $(LOWEST_VERSIONS)
+	@$(BIN)/uv pip compile --quiet --resolution lowest-direct --python $(BIN)/python --all-extras --group dev $(NO_EMIT) $(filter-out ./ros%,$(PROJECTS)) -o $(LOWEST_VERSIONS)
 	@$(BIN)/python -m venv $(LOWEST_VENV)
 	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(LOWEST_VENV)/bin/python -r $(LOWEST_VERSIONS)
 	@$(BIN)/uv pip install --quiet --python $(LOWEST_VENV)/bin/python --no-deps --no-build-isolation --editable .
@@ -223,9 +233,11 @@ page-check: setup
 	@$(PAGE) size
 	@$(PAGE) lint & lint=$$!; $(PAGE) test; tests=$$?; wait $$lint && exit $$tests
 
-dist: setup  ## the wheel with the page in it, and the source archive
+dist: setup  ## the wheels of all distributions, and their source archives
 	@rm -rf dist
-	@$(BIN)/python -m hatchling build -t sdist -t wheel -d dist
+	@for folder in $(patsubst %/,%,$(dir $(PROJECTS))); do \
+		(cd $$folder && $(CURDIR)/$(BIN)/python -m hatchling build -t sdist -t wheel -d $(CURDIR)/dist) || exit 1; \
+	done
 
 docs: setup  ## build the documentation site into build/site
 	@$(BIN)/python -m docs.site.diagrams
@@ -237,22 +249,17 @@ reference: setup  ## write the reference pages of the documentation from the cod
 third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed packages
 	@$(BIN)/python -m requirements.third_party
 
+# Our own distributions are in no lock.
+NO_EMIT = $(addprefix --no-emit-package ,$(sort $(shell sed -n 's/^name = "\(handover-.*\)"/\1/p' $(PROJECTS))))
+COMPILE = $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header $(NO_EMIT) $(ARGS) --python-version
+
 lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with hashes)
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra research pyproject.toml -o requirements/container.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra motion pyproject.toml -o requirements/motion.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra physics pyproject.toml -o requirements/physics.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra human-state pyproject.toml -o requirements/human-state.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra whole-body pyproject.toml -o requirements/whole-body.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra ros pyproject.toml -o requirements/ros.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.12 $(ARGS) --extra ros --override requirements/jazzy.in pyproject.toml -o requirements/jazzy.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev --extra ros-rclpy pyproject.toml requirements/rclpy.in -o requirements/rclpy.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/bench.in -o requirements/bench.lock
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/schemathesis.in -o requirements/schemathesis.lock
+	@$(COMPILE) 3.11 --all-extras --group dev --group ros-test pyproject.toml -o requirements/handover.lock
+	@$(COMPILE) 3.11 -c requirements/handover.lock requirements/tools.in -o requirements/tools.lock
+	@$(COMPILE) 3.12 --override requirements/jazzy.in ros_fiware_bridge/pyproject.toml -o requirements/jazzy.lock
+	@$(COMPILE) 3.11 requirements/node.in -o requirements/node.lock
+	@$(COMPILE) 3.11 requirements/bench.in -o requirements/bench.lock
+	@$(COMPILE) 3.11 requirements/schemathesis.in -o requirements/schemathesis.lock
 
 bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-human-state  ## measure everything
 

@@ -13,8 +13,21 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = "handover-try"
-IMAGES = {"handover:latest": "container", "handover-motion:latest": "physics"}
-"""The lock of each image."""
+DISTRIBUTIONS = (
+    "handover-cell",
+    "handover-broker",
+    "handover-processes",
+    "handover-gloves[gif]",
+    "handover-robots[physics]",
+    "handover-study",
+    "handover-alerts[messengers]",
+    "handover-devices",
+    "handover-accounts",
+    "handover-web",
+)
+"""Those of the containers that run without a profile, and the command line."""
+COMMAND_LINE = "handover-cell"
+"""Its image is called `handover`."""
 BASE = "docker.io/library/python:3.12-slim"
 PACKAGES = "podman buildah runc netavark aardvark-dns catatonit iptables debootstrap python3-venv"
 COMPOSE_PLACE = Path("/var/cache/handover-try")
@@ -161,8 +174,10 @@ def build(engine: Engine, place: Path) -> None:
     npm = {"cafile": trusted, **of_npm()}
     secrets["npmrc"] = written(place / "npmrc", [f"{k}={v}" for k, v in npm.items() if v])
     words = [word for name, path in secrets.items() for word in ("--secret", f"id={name},src={path}")]
-    for image, lock in IMAGES.items():
-        engine("build", "--network=host", "-t", image, "--build-arg", f"LOCK={lock}", *words, ".")
+    for distribution in DISTRIBUTIONS:
+        name = "handover" if distribution == COMMAND_LINE else distribution.partition("[")[0]
+        chosen = ("--build-arg", f"DISTRIBUTION={distribution}")
+        engine("build", "--network=host", "-t", f"{name}:latest", *chosen, *words, ".")
 
 
 def of_pip() -> dict[str, str]:

@@ -3,9 +3,8 @@
     python -m requirements.third_party            # write the file
     python -m requirements.third_party --check    # fail if the file is not up to date
 
-The names come from the locks (`container.lock`, `human-state.lock`, `motion.lock`, `physics.lock`,
-`ros.lock`, `whole-body.lock`, `package-lock.json`), the licences from the metadata of the installed packages.
-Versions are left out, because the locks have them.
+The names come from the locks (`handover.lock`, `package-lock.json`), the licences from the metadata of the
+installed packages. Versions are left out, because the locks have them.
 Both commands fail on a package with a licence that Apache-2.0 software cannot be distributed with (GPL),
 and on a package without a licence.
 """
@@ -18,12 +17,12 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
+from requirements.subset import subset
+
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
-LOCKS = tuple(
-    ROOT / "requirements" / f"{name}.lock"
-    for name in ("container", "human-state", "motion", "physics", "ros", "whole-body")
-)
+DISTRIBUTIONS = ("handover-cell[all]", "handover-glove-sdk-bridge[serial]")
+"""What an installation may have, without what is for figures and models of research alone."""
 APP = ROOT / "webui" / "app"
 
 SPDX = {
@@ -76,8 +75,8 @@ Written by `make third-party`; do not edit. Versions are in `requirements/` and 
 
 ## Python packages
 
-They are installed from their own packages, with or without the extras `human-state`, `motion`, `ros` and
-`whole-body`. The extra `ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0,
+They are installed from their own packages; those that only an extra such as `body`, `motion` or `ros` needs,
+with that extra. The extra `ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0,
 BSD-3-Clause) in their own metadata. Packages under the LGPL are used unmodified and can be replaced.
 
 """
@@ -129,9 +128,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def python_packages() -> Iterator[Package]:
     """Yield the Python packages of the locks; raise `LicenceError`."""
     names = {
-        line.split("==")[0]
-        for lock in LOCKS
-        for line in lock.read_text(encoding="utf-8").splitlines()
+        re.split(r"\[|==", line)[0]
+        for line in subset(DISTRIBUTIONS).splitlines()
         if re.match(r"[a-z0-9][\w.\[\]-]*==", line)
     }
     for name in sorted(names):

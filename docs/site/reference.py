@@ -21,12 +21,12 @@ from typer.core import TyperGroup
 
 from docs.site.setting_subjects import by_subject
 from glove_sdk_bridge.command_line import parser as glove_parser
+from handover.command_line.commands import commands_of
+from handover.command_line.main import app as command_line
 from handover.extensions import Service, application_of
 from handover.security.guard import PUBLIC_PATHS, requirements
+from handover.services import own_services
 from handover.settings import PREFIX, Settings
-from handover_cell.commands import commands_of
-from handover_cell.main import app as command_line
-from handover_cell.services import own_services
 from handover_web.messages import found_messages, python_sources
 
 ROOT = Path(__file__).parents[2]

@@ -9,12 +9,13 @@ A package registers what it adds with an entry point, and nothing else in the tr
 """
 
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from handover.distribution import DISTRIBUTION, install_command
 from handover.errors import UsageError
 from handover.settings import Settings
 
@@ -39,7 +40,10 @@ class ExtensionPoint:
         return [*self.own, *sorted(self._registered().keys() - self.own.keys())]
 
     def load(self, name: str) -> Any:
-        """Return what is registered as `name`, imported now; raise `UnknownExtension`."""
+        """Return what is registered as `name`, imported now.
+
+        Raises `UnknownExtension`, and `UsageError` if two packages use the name.
+        """
         return self._load(name, self._registered())
 
     def load_registered(self, names: Iterable[str]) -> list[Any]:
@@ -47,33 +51,40 @@ class ExtensionPoint:
         registered = self._registered()
         return [self._load(name, registered) for name in names if name in registered]
 
-    def _load(self, name: str, registered: Mapping[str, EntryPoint]) -> Any:
+    def _load(self, name: str, registered: Mapping[str, Sequence[EntryPoint]]) -> Any:
         own = self.own.get(name)
-        point = EntryPoint(name, own, self.group) if own else registered.get(name)
-        if point is None:
+        points = (EntryPoint(name, own, self.group),) if own else registered.get(name, ())
+        if not points:
             raise UnknownExtension(
                 f'there is no {self.kind} "{name}"; there are: {", ".join(self.names()) or "none"}. '
                 f'A package adds one with an entry point in "{self.group}"'
             )
+        if len(points) > 1:
+            raise UsageError(
+                f'two packages register the {self.kind} "{name}": {_owner(points[0])} and '
+                f"{_owner(points[1])}; remove one of them"
+            )
         try:
-            return point.load()
+            return points[0].load()
         except Exception as error:  # a package of somebody else may fail in any way when it is imported
             raise UnknownExtension(
-                f'the {self.kind} "{name}" ({point.value}) cannot be loaded: {type(error).__name__}: '
-                f"{error}; repair or remove the package that registers it"
+                f'the {self.kind} "{name}" ({points[0].value}) cannot be loaded: {type(error).__name__}: '
+                f"{error}; {_remedy(points[0])}"
             ) from error
 
-    def _registered(self) -> Mapping[str, EntryPoint]:
-        """Return what packages register. Raises `UsageError` if two of them use one name."""
-        points: dict[str, EntryPoint] = {}
+    def _registered(self) -> Mapping[str, Sequence[EntryPoint]]:
+        """Return what packages register: several entry points where packages use one name."""
+        points: dict[str, dict[str, EntryPoint]] = {}
         for point in entry_points(group=self.group):
-            other = points.setdefault(point.name, point)
-            if other.value != point.value:
-                raise UsageError(
-                    f'two packages register the {self.kind} "{point.name}": {_owner(other)} and '
-                    f"{_owner(point)}; remove one of them"
-                )
-        return points
+            points.setdefault(point.name, {}).setdefault(point.value, point)
+        return {name: list(by_value.values()) for name, by_value in points.items()}
+
+
+def _remedy(point: EntryPoint) -> str:
+    """Return what to do about an entry point that cannot be loaded: it may need an extra (`… [extra]`)."""
+    if point.extras and point.dist is not None and point.dist.name == DISTRIBUTION:
+        return f"install what it needs: {install_command(*point.extras)}"
+    return "repair or remove the package that registers it"
 
 
 def _owner(point: EntryPoint) -> str:

@@ -2,8 +2,8 @@
 
 `handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
 a checkout, these would find the folders `datamodels` and `services` as namespace packages. For modules of the
-kit, it is asked after other finders (`handover/__init__.py`). Whatever else has such a name is preferred: a
-package or module of the user, and what a namespace package of the user contains.
+packages of today it is asked after other finders, as for the kit (`handover/__init__.py`). Whatever else has
+such a name is preferred: a package or module of the user, and what a namespace package of the user contains.
 
 An old name is the module of the new name, the same object, so that its classes are the same too:
 
@@ -104,6 +104,9 @@ MOVED: Final = {
     "handover.validation": "handover.formats.validation",
     "handover.watchdog": "handover.serving.watchdog",
     "handover.websocket_closing": "handover.http.websocket_closing",
+    "handover_cell.commands": "handover.command_line.commands",
+    "handover_cell.main": "handover.command_line.main",
+    "handover_cell.services": "handover.services",
     "handover_robots.contents": "handover_robots.scene.contents",
     "handover_robots.cycles": "handover_robots.driver_base.control_thread",
     "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",

@@ -1,5 +1,5 @@
 """`python -m handover_cell` is `handover`."""
 
-from handover_cell.main import main
+from handover.command_line.main import main
 
 main()

@@ -23,10 +23,10 @@ from handover.backup.archive import (
 from handover.backup.sqlite_snapshot import SqliteSnapshot, is_database
 from handover.errors import UsageError
 from handover.files.private_files import UMASK
+from handover.services import all_services, has_own_broker
 from handover.settings import Settings
 from handover_broker.settings import DATABASE
 from handover_cell.check import check_database, databases
-from handover_cell.services import all_services, has_own_broker
 
 DATABASE_LOGS: Final = "broker.log-*"
 FIRST: Final = ("orchestrator.db", DATABASE)

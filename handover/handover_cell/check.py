@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from handover.command_line.foreground import DataDir, say, settings_in
 from handover.database.sqlite_files import REMEDY, faults_of, is_damage, renew_marks, require_sound
 from handover.database.sqlite_integrity.marks import compare
 from handover.database.sqlite_integrity.stamp import stamp_of
@@ -15,7 +16,6 @@ from handover.errors import UsageError
 from handover.files.private_files import faults_of as faults_of_files
 from handover.files.private_files import owner_of
 from handover_broker.settings import DATABASE
-from handover_cell.launching.foreground import DataDir, say, settings_in
 
 app = typer.Typer()
 

@@ -15,11 +15,11 @@ from handover.command_line.access import AccessAuth, cli_access
 from handover.errors import UsageError
 from handover.network.tls_trust import client_context
 from handover.runtime.python_processes import module_command
+from handover.services import service_named, wanted_services
 from handover.settings import Settings
 from handover_cell.launching.launcher import Launcher
 from handover_cell.obstacles import obstacle
 from handover_cell.progress import ProgressPrinter, Say
-from handover_cell.services import service_named, wanted_services
 from handover_datamodels.entities import Task
 from handover_gloves.command_line.glove import bridge_arguments
 

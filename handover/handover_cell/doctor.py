@@ -16,15 +16,15 @@ import typer
 from handover.broker import BrokerClient
 from handover.broker.abilities import ABILITIES, FoundAbilities, find_abilities
 from handover.command_line.access import cli_access
+from handover.command_line.foreground import DataDir, say, settings_in
 from handover.command_line.output import AsJson, print_json
 from handover.errors import HandoverError, UsageError
 from handover.extensions import Service
 from handover.network.tls_trust import client_context
 from handover.runtime.ports import PortLeaving, hold, reserved_ports, unreserved
+from handover.services import has_own_broker, wanted_services
 from handover.settings import Settings
-from handover_cell.launching.foreground import DataDir, say, settings_in
 from handover_cell.launching.launcher import require_space
-from handover_cell.services import has_own_broker, wanted_services
 
 app = typer.Typer()
 

@@ -1,74 +1,64 @@
-"""The wheel alone is enough for the demo: no repository, no Node, no `.env`."""
+"""The wheels alone are enough for the demo: no repository, no Node, no `.env`."""
 
 import re
 import signal
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import httpx
 import pytest
 
+from requirements.subset import members
 from tests.kit.cell import Cell
-from tests.kit.paths import REPOSITORY
+from tests.kit.wheels import install, run, wheel_of
 
 pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(900)]
 
-MAX_INSTALLED_MB = 250
-
-
-def run(*words: str | Path, cwd: Path = REPOSITORY, env: dict[str, str] | None = None) -> str:
-    """Run a command to its end and return its output; fail with the output if it fails."""
-    done = subprocess.run(
-        list(map(str, words)),
-        cwd=cwd,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        stdin=subprocess.DEVNULL,
-    )
-    assert done.returncode == 0, f"{done.args}: {done.stdout}{done.stderr}"
-    return done.stdout
+MAX_INSTALLED_MB = 200
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of this work tree."""
-    folder = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder)
-    return next(folder.glob("*.whl"))
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the wheels are built."""
+    return tmp_path_factory.mktemp("wheels")
 
 
 @pytest.fixture(scope="module")
-def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A virtual environment with the locked dependencies of the demo and the wheel."""
+def environment(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment with the wheels of the demo and their locked dependencies."""
     folder = tmp_path_factory.mktemp("environment") / "venv"
-    run(sys.executable, "-m", "uv", "venv", "--quiet", "--python", sys.executable, folder)
-    install = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", folder / "bin" / "python")
-    run(*install, "--require-hashes", "-r", REPOSITORY / "requirements" / "run.lock")
-    run(*install, "--no-deps", wheel)
+    install(["handover-cell"], folder, place)
     return folder
 
 
-def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
-    names = zipfile.ZipFile(wheel).namelist()
-    for needed in (
-        "handover_web/page/index.html",
-        "handover_processes/processes/bin_picking.bpmn",
-        "handover_robots/robots/ur10/bin_picking.yaml",
-        "handover_robots/robots/ur10/ur10.urdf",
-        "handover_datamodels/contexts/handover.jsonld",
-        "handover_ros/mappings/arm.yaml",
-        "handover_ros/messages/handover_human_msgs/msg/HeartRate.msg",
-    ):
-        assert needed in names
-    licences = {Path(name).name for name in names if ".dist-info/licenses/" in name}
-    assert licences == {"LICENSE", "NOTICE", "THIRD_PARTY.md"}
-    packages = {name.partition("/")[0] for name in names if name.endswith(".py")}
-    assert all(name.startswith("handover") or name == "glove_sdk_bridge" for name in packages), packages
-    assert not any("/node_modules/" in name or "/app/src/" in name for name in names)
+@pytest.mark.parametrize(
+    ("name", "needed"),
+    [
+        ("handover-web", "handover_web/page/index.html"),
+        ("handover-processes", "handover_processes/processes/bin_picking.bpmn"),
+        ("handover-robots", "handover_robots/robots/ur10/bin_picking.yaml"),
+        ("handover-robots", "handover_robots/robots/ur10/ur10.urdf"),
+        ("handover-datamodels", "handover_datamodels/contexts/handover.jsonld"),
+        ("handover-ros", "handover_ros/mappings/arm.yaml"),
+        ("handover-ros", "handover_ros/messages/handover_human_msgs/msg/HeartRate.msg"),
+        ("handover-kit", "handover_renamed_modules.pth"),
+        ("handover-glove-sdk-bridge", "glove_sdk_bridge/__main__.py"),
+    ],
+)
+def test_a_wheel_contains_what_it_needs_at_run_time(name: str, needed: str, place: Path) -> None:
+    assert needed in zipfile.ZipFile(wheel_of(name, place)).namelist()
+
+
+@pytest.mark.parametrize("name", members())
+def test_a_wheel_contains_one_package_and_its_licence(name: str, place: Path) -> None:
+    names = zipfile.ZipFile(wheel_of(name, place)).namelist()
+    licences = {Path(path).name for path in names if ".dist-info/licenses/" in path}
+    assert licences == ({"LICENSE", "NOTICE", "THIRD_PARTY.md"} if name == "handover-cell" else {"LICENSE"})
+    packages = {path.partition("/")[0] for path in names if path.endswith(".py")}
+    assert len(packages) == 1
+    assert packages.pop().startswith(("handover", "glove_sdk_bridge"))
+    assert not any("/node_modules/" in path or "/app/src/" in path or "/tests/" in path for path in names)
 
 
 def test_old_names_of_packages_work(environment: Path, tmp_path: Path) -> None:

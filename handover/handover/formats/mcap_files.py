@@ -29,7 +29,7 @@ def library(module: str) -> ModuleType:
         return importlib.import_module(f"mcap.{module}")
     except ImportError as error:
         raise UsageError(
-            f"mcap is not installed ({error}); {install_command('human-state')}, or with the extra whole-body"
+            f"mcap is not installed ({error}); {install_command('body')}, or with the extra whole-body"
         ) from error
 
 

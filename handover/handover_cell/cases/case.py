@@ -14,12 +14,12 @@ from handover.errors import UsageError
 from handover.extensions import ExtensionPoint, Service
 from handover.network.tls_trust import client_context
 from handover.service_addresses import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE
+from handover.services import has_own_broker, service_named
 from handover.settings import Settings
 from handover_cases.machine import CASES, Case
 from handover_cases.trial import Trial
 from handover_cell.launching.launcher import Launcher
 from handover_cell.progress import Say
-from handover_cell.services import has_own_broker, service_named
 
 PURPOSES = ["live", "speedLimits", "history", "broker"]
 CONSENT = timedelta(days=1)

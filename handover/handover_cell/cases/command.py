@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
+from handover.command_line.foreground import DataDir, say, settings_in, until_stopped
 from handover.command_line.output import AsJson, print_json
-from handover_cell.launching.foreground import DataDir, say, settings_in, until_stopped
-from handover_cell.services import let_broker_fetch_context
+from handover.services import let_broker_fetch_context
 
 app = typer.Typer()
 

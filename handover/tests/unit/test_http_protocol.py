@@ -14,7 +14,7 @@ TESTED = (0, 54)
 
 
 def test_uvicorn_is_bounded_by_the_version_that_was_tested() -> None:
-    wanted = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["dependencies"]
+    wanted = tomllib.loads((REPOSITORY / "handover/pyproject.toml").read_text())["project"]["dependencies"]
     (wanted,) = [one for one in wanted if one.startswith("uvicorn>")]
     assert f"<0.{TESTED[1] + 1}" in wanted
     assert tuple(map(int, version("uvicorn").split(".")[:2])) <= TESTED

@@ -41,14 +41,14 @@ def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: P
         "import ros_fiware_bridge.errors, webui.metrics\n"
         "from handover.cli import services as of_cell\n"
         "import handover_robots.poses\n"
-        "import handover_cell.services, handover_datamodels\n"
+        "import handover.services, handover_datamodels\n"
         "import handover_robots.model.poses, handover_ros.errors\n"
         "assert Task is handover_datamodels.Task\n"
         "assert pointing_down is handover_robots.model.poses.pointing_down\n"
         "assert services.trajectory_tool.poses is handover_robots.model.poses\n"
         "assert handover_robots.poses is handover_robots.model.poses\n"
         "assert ros_fiware_bridge.errors is handover_ros.errors\n"
-        "assert of_cell is handover_cell.services\n"
+        "assert of_cell is handover.services\n"
         "assert handover_robots.poses.__spec__.name == 'handover_robots.model.poses'\n",
         REPOSITORY if inside else tmp_path,
         "-W",
@@ -64,6 +64,7 @@ def test_an_old_name_is_the_same_module_and_warns_once(inside: bool, tmp_path: P
         "ros_fiware_bridge",
         "webui",
         "handover.cli",
+        "handover_cell.services",
         "handover_robots.poses",
     ]
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from handover_cell.main import main
+from handover.command_line.main import main
 from handover_ros.graph.qos import LATCHED, SENSOR_DATA
 from ros_fiware_bridge.tests.integration.graph.test_genuine_cyclone import genuine
 from tests.kit.waiting import scaled
@@ -76,7 +76,7 @@ def test_a_failed_command_prints_one_line(tmp_path: Path) -> None:
 def test_logs_of_a_command_go_to_standard_error(tmp_path: Path) -> None:
     # Every logger of the bridge is a structlog logger; this one logs what the others may.
     script = (
-        "import sys, structlog\nfrom handover_cell.main import main\n"
+        "import sys, structlog\nfrom handover.command_line.main import main\n"
         "from handover_ros.graph.cyclone.domain import log\n"
         "from handover_ros.types import type_store\n"
         "read = type_store.TypeStore.resolve\n"

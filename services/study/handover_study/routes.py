@@ -227,7 +227,7 @@ def _require_installed(library: str) -> None:
                 "study.not_installed",
                 "the analysis needs {library}; install the extra: {command}",
                 library=library,
-                command=install_command("research"),
+                command=install_command("study"),
             ),
         )
 

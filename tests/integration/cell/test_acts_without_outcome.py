@@ -8,7 +8,7 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
-from handover_cell.main import app as command_line
+from handover.command_line.main import app as command_line
 from tests.kit import processes
 from tests.kit.ports import next_free_port
 

@@ -20,7 +20,7 @@ from handover.security.act_recording import audited, recorded_with_change, way_o
 from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.caller import LOCAL_OWNER
 from handover.security.permissions import Permission
-from handover_cell.services import all_services
+from handover.services import all_services
 from tests.integration.cell.test_rights_of_routes import environment  # noqa: F401 - a fixture
 
 OWN_LOG = {"context-broker", "accounts"}

@@ -15,10 +15,10 @@ from playwright.sync_api import Page, expect, sync_playwright
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from handover import services
 from handover.extensions import Service
 from handover_broker.app import operations_of
 from handover_broker.settings import BrokerSettings
-from handover_cell import services
 from tests.kit.cell import Cell, new_cell
 from tests.kit.chromium import FLAGS, chromium
 from tests.kit.other_broker import running

@@ -18,7 +18,7 @@ from handover.extensions import Service, application_of
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.guard import PUBLIC_PATHS, requirements, routes_without_requirement
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from handover_cell.services import all_services
+from handover.services import all_services
 from tests.kit.paths import REPOSITORY
 from tests.kit.ports import next_free_port
 

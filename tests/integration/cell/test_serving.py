@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from handover.extensions import Service
-from handover_cell.services import own_services
+from handover.services import own_services
 from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import wait_for

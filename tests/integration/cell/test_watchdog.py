@@ -116,7 +116,7 @@ async def test_a_service_without_processor_time_is_not_restarted(watched: Watche
 
 SUPERVISED = f"""
 import runpy
-from handover_cell.launching.supervisor import run_watched
+from handover.serving.supervisor import run_watched
 from {MODULE} import BusySettings
 settings = BusySettings.load()
 run_watched("busy", settings.url_of(settings.busy_port), settings, lambda line: print(line, flush=True))

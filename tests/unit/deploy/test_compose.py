@@ -18,12 +18,13 @@ from handover.broker.credentials import credentials_of
 from handover.command_line.secrets import SECRETS
 from handover.command_line.waiting import wait_for_secrets
 from handover.security.glove_token import GLOVE_TOKEN_FILE
+from handover.services import own_services
 from handover.settings import Settings, origins
 from handover_broker.settings import BrokerSettings
 from handover_cell.secure import Plan
-from handover_cell.services import own_services
 from handover_gloves.command_line.glove import bridge_arguments
 from handover_web.settings import WebuiSettings
+from requirements.subset import members, subset
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import scaled, wait_for
 
@@ -34,6 +35,7 @@ SERVICES = own_services()
 OURS = {
     name: each for name, each in CONTAINERS.items() if each["image"].partition(":")[0].startswith("handover")
 }
+MEMBERS = members()
 INIT = "init"
 """Ends once certificates, tokens, secrets and accounts are made."""
 THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
@@ -376,17 +378,25 @@ def test_a_container_of_ours_has_nothing_it_does_not_need(name: str) -> None:
     assert "privileged" not in each
 
 
-def test_only_the_trajectory_tool_has_the_image_with_motion_and_physics() -> None:
-    made = {name for name, each in OURS.items() if each["image"].startswith("handover-motion:")}
-    assert made == {"trajectory-tool"}
-    lock = OURS["trajectory-tool"]["build"]["args"]["LOCK"]
+@pytest.mark.parametrize("name", sorted(OURS.keys() - {INIT, "ros-bridge"}))
+def test_a_container_has_the_image_of_its_distribution(name: str) -> None:
+    container = OURS[name]
+    distribution = container["build"]["args"]["DISTRIBUTION"]
+    project, _, extras = distribution.removesuffix("]").partition("[")
+    assert container["image"].split(":")[0] == project
+    known = MEMBERS[project]["project"].get("optional-dependencies", {})
+    assert set(filter(None, extras.split(","))) <= known.keys()
+    *_, last = container["command"]
+    if container["command"][:2] == ["handover", "run"]:
+        assert last in MEMBERS[project]["project"]["entry-points"]["handover.services"]
+
+
+def test_the_image_with_motion_and_physics_can_plan_and_simulate() -> None:
+    packages = subset([OURS["trajectory-tool"]["build"]["args"]["DISTRIBUTION"]])
+    assert all(re.search(rf"^{name}==", packages, re.MULTILINE) for name in ("coal", "ompl", "mujoco-core"))
     dockerfile = (REPOSITORY / "Dockerfile").read_text()
-    assert dockerfile.count("requirements/${LOCK}.lock") == 2
-    assert re.search(r"AS install\nARG LOCK\n", dockerfile), "an argument ends with its stage"
-    packages = (REPOSITORY / "requirements" / f"{lock}.lock").read_text()
-    assert all(re.search(rf"^{each}==", packages, re.MULTILINE) for each in ("coal", "ompl", "mujoco-core"))
-    (usual,) = re.findall(r"^ARG LOCK=(.+)$", dockerfile, re.MULTILINE)
-    assert (REPOSITORY / "requirements" / f"{usual}.lock").is_file()
+    for stage in ("requirements", "install"):
+        assert f"AS {stage}\nARG DISTRIBUTION\n" in dockerfile, "an argument ends with its stage"
 
 
 def test_the_image_runs_as_nobody_of_importance() -> None:

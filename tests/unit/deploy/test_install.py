@@ -10,7 +10,7 @@ import pytest
 from tests.kit.paths import REPOSITORY
 from tests.kit.ports import next_free_port
 
-INSTALLED_FROM = ("Makefile", "pyproject.toml", "requirements/uv.lock", "requirements/dev.lock")
+INSTALLED_FROM = ("Makefile", "pyproject.toml", "requirements/tools.lock", "requirements/handover.lock")
 
 
 @pytest.fixture
@@ -50,5 +50,5 @@ def test_without_a_network_there_is_one_message_with_the_way_out(checkout: Path)
 
 @pytest.mark.nightly
 def test_another_fault_is_reported_as_it_is(checkout: Path) -> None:
-    (checkout / "requirements" / "uv.lock").write_text("uv=\n")
+    (checkout / "requirements" / "tools.lock").write_text("uv=\n")
     assert any("Invalid requirement" in line for line in reported(checkout))

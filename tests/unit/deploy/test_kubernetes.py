@@ -11,8 +11,8 @@ import kubernetes_validate
 import pytest
 import yaml
 
+from handover.services import own_services
 from handover.settings import origins
-from handover_cell.services import own_services
 from tests.kit import processes
 from tests.kit.paths import REPOSITORY
 

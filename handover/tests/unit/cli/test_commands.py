@@ -1,13 +1,14 @@
 """Commands of other packages: found by their entry points, and harmless where they cannot be loaded."""
 
+import re
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from handover.command_line.commands import commands_of
+from handover.command_line.main import app
 from handover.errors import UsageError
-from handover_cell.commands import commands_of
-from handover_cell.main import app
 
 MODULE = """
 import typer
@@ -46,6 +47,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "broken = no_such_module:app\n"
         "number = lamp_commands:NUMBER\n"
         "up = lamp_commands:weigh\n"
+        "run = lamp_commands:weigh\n"
     )
 
 
@@ -70,7 +72,15 @@ def test_a_command_that_cannot_be_loaded_says_so_and_leaves_the_others_alone(nam
 
 
 @pytest.mark.usefixtures("package")
-def test_a_package_cannot_replace_a_command_of_the_cell() -> None:
-    commands = dict(commands_of(app))
-    assert "Run all services" in commands[("up",)].help
-    assert ("robot.weigh",) not in commands
+def test_a_command_that_two_packages_register_names_both_and_leaves_the_others_alone() -> None:
+    runner = CliRunner()
+    fault = runner.invoke(app, ["up"]).exception
+    assert isinstance(fault, UsageError)
+    assert "two packages register the command" in str(fault)
+    assert {"lamp-commands", "handover-cell"} <= set(re.findall(r"[a-z-]+", str(fault)))
+    assert runner.invoke(app, ["lamp", "off"]).exit_code == 0
+
+
+@pytest.mark.usefixtures("package")
+def test_a_package_cannot_replace_a_command_of_the_kit() -> None:
+    assert "Run one service" in dict(commands_of(app))[("run",)].help

@@ -8,12 +8,12 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from handover.command_line.main import app
 from handover.errors import UsageError
 from handover.network.tls_trust import client_context
 from handover.security.service_access import has_component_token
 from handover.settings import Settings
 from handover.transport_security.server_certificate import ServerCertificate
-from handover_cell.main import app
 
 Add = Callable[..., Result]
 

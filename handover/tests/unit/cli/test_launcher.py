@@ -11,10 +11,10 @@ import pytest
 
 from handover.errors import UsageError
 from handover.extensions import Service
+from handover.services import own_services
 from handover.settings import Settings
 from handover_broker.settings import BrokerSettings
 from handover_cell.launching.launcher import Launcher, require_space
-from handover_cell.services import own_services
 
 
 class Usage(NamedTuple):

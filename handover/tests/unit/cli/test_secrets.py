@@ -9,12 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from glove_sdk_bridge.command_line import parse
+from handover.command_line.main import app
 from handover.command_line.secrets import RECORDING_KEY, SECRETS, write_once
 from handover.command_line.waiting import wait_for_secrets
 from handover.errors import UsageError
 from handover.settings import Settings, origins
 from handover_body.settings import HumanStateSettings
-from handover_cell.main import app
 from handover_gloves.command_line.glove import bridge_arguments
 from handover_gloves.settings import ControllerSettings
 

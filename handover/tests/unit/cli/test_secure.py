@@ -9,12 +9,12 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from handover.command_line.main import app
 from handover.command_line.waiting import wait_for_security
 from handover.errors import UsageError
 from handover.security.protection import require_protection
+from handover.services import own_services
 from handover.settings import Settings
-from handover_cell.main import app
-from handover_cell.services import own_services
 from tests.kit.paths import REPOSITORY
 
 Run = Callable[..., str]

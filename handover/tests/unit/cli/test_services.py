@@ -10,7 +10,7 @@ import pytest
 from handover.errors import UsageError
 from handover.extensions import load_service
 from handover.service_addresses import BROKER
-from handover_cell.services import let_broker_fetch_context, service_named, wanted_services
+from handover.services import let_broker_fetch_context, service_named, wanted_services
 
 ALWAYS = (
     "context-broker",

@@ -10,6 +10,7 @@ from fastapi import FastAPI
 from sqlalchemy import Column, Engine, MetaData, String, Table, insert, select
 from typer.testing import CliRunner
 
+from handover.command_line.main import app as command_line
 from handover.database import connect
 from handover.database.migrations import migrate
 from handover.errors import Problem
@@ -23,7 +24,6 @@ from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
 from handover.serving.service import create_app
 from handover.settings import Settings
-from handover_cell.main import app as command_line
 from tests.kit.bearer_tokens import KEY, UR10, bearer, set_up_accounts
 from tests.kit.waiting import until
 

@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from fastapi import FastAPI, Header, Response
 
+from handover.distribution import install_command
 from handover.errors import Problem
 from handover.http.api_description import sends
 from handover.messages import message
@@ -71,8 +72,19 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
 
 @lru_cache(maxsize=256)
 def _gif(poses: tuple[Pose, ...], motion: Motion) -> bytes:
-    from handover_gloves.pictures.gif import gif_of  # noqa: PLC0415 - loads Pillow
-
+    try:
+        from handover_gloves.pictures.gif import gif_of  # noqa: PLC0415 - loads Pillow
+    except ModuleNotFoundError as error:
+        raise Problem(
+            501,
+            "Not installed",
+            message(
+                "gesture.gif_not_installed",
+                "a GIF needs {library}; take the SVG, or install the extra: {command}",
+                library=error.name,
+                command=install_command("gif"),
+            ),
+        ) from None
     return gif_of(poses, motion)
 
 

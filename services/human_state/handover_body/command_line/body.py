@@ -138,7 +138,7 @@ def analyse(
         from handover_body.monitoring.offline import analyse as analysed  # noqa: PLC0415 - of an extra
     except ImportError as error:
         raise UsageError(
-            f"{error.name} is not installed; install the extra: {install_command('human-state')}"
+            f"{error.name} is not installed; install the extra: {install_command('body')}"
         ) from error
     meanings = {}
     for text in channel or []:

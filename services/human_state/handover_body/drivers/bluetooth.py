@@ -185,5 +185,5 @@ def _bleak() -> Any:
     try:
         import bleak  # noqa: PLC0415 - of the extra
     except ImportError:
-        raise UsageError(f"sensors over Bluetooth need the extra: {install_command('human-state')}") from None
+        raise UsageError(f"sensors over Bluetooth need the extra: {install_command('body')}") from None
     return bleak

@@ -13,5 +13,5 @@ def required(module: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise ExchangeError(
-            f"{module} is not installed ({error}); install the extra: {install_command('human-state')}"
+            f"{module} is not installed ({error}); install the extra: {install_command('body')}"
         ) from error

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from handover_cell.main import app
+from handover.command_line.main import app
 from services.gesture_controller.tests.integration.people.test_people import asked, ends
 from tests.kit.waiting import until
 

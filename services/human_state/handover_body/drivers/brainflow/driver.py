@@ -141,5 +141,5 @@ def _brainflow() -> Any:
 
             board_shim.BoardShim.get_version()  # loads its library, with pkg_resources
     except ImportError:
-        raise UsageError(f"BrainFlow boards need the extra: {install_command('human-state')}") from None
+        raise UsageError(f"BrainFlow boards need the extra: {install_command('body')}") from None
     return board_shim

@@ -151,5 +151,5 @@ def _pylsl() -> Any:
     try:
         import pylsl  # type: ignore[import-untyped]  # noqa: PLC0415 - of the extra
     except (ImportError, RuntimeError) as error:
-        raise UsageError(f"LSL streams need the extra: {install_command('human-state')} ({error})") from error
+        raise UsageError(f"LSL streams need the extra: {install_command('body')} ({error})") from error
     return pylsl

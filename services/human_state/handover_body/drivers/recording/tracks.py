@@ -105,7 +105,7 @@ def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
         raise
     except ImportError as error:
         raise RecordingError(
-            f"{path.name} needs {error.name}; install the extra: {install_command('human-state')}"
+            f"{path.name} needs {error.name}; install the extra: {install_command('body')}"
         ) from error
     except Exception as error:  # the libraries raise anything for a damaged file
         raise RecordingError(

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
+from handover.command_line.main import app
 from handover.errors import UsageError
-from handover_cell.main import app
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.universal_robots.driver import UniversalRobot
 from tests.kit.ports import next_free_port

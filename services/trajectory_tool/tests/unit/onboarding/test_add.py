@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull
 from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
+from handover.command_line.main import app
 from handover.errors import UsageError
-from handover_cell.main import app
 from handover_robots.cell.cell import Cell
 from handover_robots.model.obstacles import Mesh, World
 from handover_robots.planning import is_available

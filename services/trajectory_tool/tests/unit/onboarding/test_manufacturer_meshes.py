@@ -11,8 +11,8 @@ import pytest
 from lxml import etree
 from typer.testing import CliRunner
 
+from handover.command_line.main import app
 from handover.errors import UsageError
-from handover_cell.main import app
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.planning import is_available
 from handover_robots.robots import ROBOTS

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from handover_cell.main import app
+from handover.command_line.main import app
 from handover_robots.planning import is_available
 from handover_robots.robots import ur10
 from tests.kit.paths import REPOSITORY

@@ -1,27 +1,28 @@
-"""The `handover` command."""
+"""The `handover` command: runs a service, prints the settings, finds the commands of installed packages.
 
-import asyncio
+Each distribution of a service has it. Those of a whole cell, such as `handover up`, are in `handover-cell`.
+"""
+
 import os
 import runpy
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from handover.command_line.commands import COMMANDS, InstalledCommands
+from handover.command_line.foreground import DataDir, say, settings_in
 from handover.command_line.output import AsJson, print_json
 from handover.command_line.waiting import wait_for_secrets, wait_for_security
 from handover.distribution import version
 from handover.errors import HandoverError, Problem, UsageError
+from handover.extensions import SERVICES
 from handover.service_addresses import OWN_SERVICES
-from handover.settings import Settings, origins
+from handover.services import all_services, service_named
+from handover.serving.supervisor import run_watched
+from handover.settings import origins
 from handover.telemetry import log_to_stderr
-from handover_cell.commands import InstalledCommands
-from handover_cell.launching.foreground import DataDir, say, settings_in, until_stopped
-from handover_cell.launching.launcher import Launcher
-from handover_cell.launching.supervisor import run_watched
-from handover_cell.services import all_services, let_broker_fetch_context, service_named, wanted_services
 
 app = typer.Typer(
     cls=InstalledCommands,
@@ -29,14 +30,12 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-NEXT_STEPS = """\
-People and robots hand work to each other. What to do next:
-
-  handover demo    watch a person and a robot work, on the page that it names
-  handover up      run all services with a simulated robot, for processes of your own
-  handover doctor  see whether this machine has what a cell needs
-
-All commands: handover --help"""
+NEXT_STEPS = {
+    "demo": "watch a person and a robot work, on the page that it names",
+    "up": "run all services with a simulated robot, for processes of your own",
+    "doctor": "see whether this machine has what a cell needs",
+}
+"""What to do next with a cell, by the command."""
 
 
 def _print_version(is_asked: bool) -> None:
@@ -55,51 +54,12 @@ def handover(
 ) -> None:
     """People and robots hand work to each other."""
     if context.invoked_subcommand is None:
-        say(NEXT_STEPS)
-
-
-@app.command()
-def demo(
-    once: Annotated[
-        bool, typer.Option("--once", help="End after the process, with exit code 0 if it completed.")
-    ] = False,
-    timeout_s: Annotated[
-        float, typer.Option("--timeout", help="Maximum duration of the process in seconds.")
-    ] = 300.0,
-    data_dir: DataDir = None,
-) -> None:
-    """Run a complete simulated cell with the bin-picking process."""
-    from handover_cell.demo import demo as run_demo  # noqa: PLC0415 - only this command needs it
-
-    say("A person and a robot empty a bin together: simulated operator with glove-1, simulated robot.")
-    let_broker_fetch_context()
-    until_stopped(run_demo(settings_in(data_dir), once=once, timeout_s=timeout_s, say=say))
-
-
-@app.command()
-def up(
-    data_dir: DataDir = None,
-    ros: Annotated[
-        Path | None,
-        typer.Option(
-            "--ros", help="Also start the ROS bridge with this mapping: a file, or the name of a shipped one."
-        ),
-    ] = None,
-) -> None:
-    """Run all services with the simulated robot, without a glove and without a process."""
-    if ros is not None:
-        os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
-    let_broker_fetch_context()
-    until_stopped(_up(settings_in(data_dir)))
-
-
-async def _up(settings: Settings) -> None:
-    services = wanted_services()
-    async with Launcher(services, settings, say):
-        for service in services:
-            say(f"{service.name:<20} {service.url()}")
-        say(f"ready; the page is at {service_named('webui').url()}; Ctrl-C stops it")
-        await asyncio.Event().wait()
+        say("People and robots hand work to each other. What to do next:\n")
+        commands = COMMANDS.names()
+        steps = {name: text for name, text in NEXT_STEPS.items() if name in commands}
+        for name, text in (steps or {f"run {name}": "run this service" for name in SERVICES.names()}).items():
+            say(f"  handover {name:<7} {text}")
+        say("\nAll commands: handover --help")
 
 
 @app.command()
