@@ -85,7 +85,11 @@ endef
 define install_in
 	$(BIN)/python -m requirements.subset $(2) $(addprefix --group ,$(3)) >$(1)/requirements.txt \
 	&& $(BIN)/uv pip sync --quiet --compile-bytecode --python $(1)/bin/python --require-hashes requirements/tools.lock $(1)/requirements.txt \
-	&& $(BIN)/uv pip install --quiet --python $(1)/bin/python --no-deps --no-build-isolation \
+	&& $(call install_ours,$(1),$(2))
+endef
+
+define install_ours
+	$(BIN)/uv pip install --quiet --python $(1)/bin/python --no-deps --no-build-isolation \
 		$$($(BIN)/python -m requirements.subset --folders $(2) | sed 's,^,--editable ./,')
 endef
 
@@ -173,14 +177,15 @@ orion-test: setup  ## the tests of cells with another broker, and what it can do
 # bounds count, and of what they depend on in turn the newest versions, as `pip install` chooses them.
 LOWEST_VENV := $(VENV)-lowest
 LOWEST_VERSIONS := build/lowest-versions.txt
+LOWEST_EXTRAS := figures gif messengers motion parquet physics serial talos
 LOWEST_TESTS ?= -m "not slow and not nightly" $(wildcard $(foreach part,$(PARTS),$(TESTS_$(part):%=%/unit)))
 
 lowest: setup  ## the unit tests and the demo with the lowest versions that pyproject.toml allows (ARGS="-k cli")
 	@mkdir -p build && rm -rf $(LOWEST_VENV)
-	@$(BIN)/uv pip compile --quiet --resolution lowest-direct --python $(BIN)/python --all-extras --group dev $(NO_EMIT) $(filter-out ./ros%,$(PROJECTS)) -o $(LOWEST_VERSIONS)
+	@$(BIN)/uv pip compile --quiet --resolution lowest-direct --python $(BIN)/python $(LOWEST_EXTRAS:%=--extra %) --group dev $(NO_EMIT) $(PROJECTS) -o $(LOWEST_VERSIONS)
 	@$(BIN)/python -m venv $(LOWEST_VENV)
-	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(LOWEST_VENV)/bin/python -r $(LOWEST_VERSIONS)
-	@$(BIN)/uv pip install --quiet --python $(LOWEST_VENV)/bin/python --no-deps --no-build-isolation --editable .
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(LOWEST_VENV)/bin/python -r $(LOWEST_VERSIONS) hatchling editables
+	@$(call install_ours,$(LOWEST_VENV),$(EVERYTHING))
 	@$(LOWEST_VENV)/bin/pytest -n $(JOBS) -p no:cacheprovider $(LOWEST_TESTS) $(ARGS)
 	@data=$$(mktemp -d) && $(LOWEST_VENV)/bin/handover demo --once --data-dir "$$data"; ended=$$?; rm -rf "$$data"; exit $$ended
 
