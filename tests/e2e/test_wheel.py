@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import httpx
+import psutil
 import pytest
 
 from requirements.subset import members
@@ -85,6 +86,10 @@ def test_page_is_served_from_the_wheel(environment: Path, cell: Cell) -> None:
         try:
             assert up.stdout is not None
             assert any(line.startswith("ready") for line in up.stdout)
+            children = [
+                " ".join(child.cmdline()) for child in psutil.Process(up.pid).children(recursive=True)
+            ]
+            assert any("fork_server" in words for words in children), "services are not forked"
             page = httpx.get(f"{cell.url('webui')}/work", timeout=120)
             assert page.status_code == 200
             script = re.search(r'src="(/assets/[^"]+\.js)"', page.text)

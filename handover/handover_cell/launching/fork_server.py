@@ -41,7 +41,6 @@ PRELOADED: Final = (
     "prometheus_client",
     "pydantic_settings",
     "sqlalchemy.dialects.sqlite",
-    "sqlalchemy.ext.asyncio",
     "structlog",
     "uvicorn.lifespan.on",
     "uvicorn.loops.uvloop",
@@ -162,7 +161,7 @@ def _prepare_names() -> None:
 def main() -> None:
     """Import the libraries, serve, and in a forked process run its module."""
     for module in PRELOADED:
-        with suppress(ModuleNotFoundError):  # a service that needs it says so itself
+        with suppress(ImportError):  # a service that needs it says so itself
             importlib.import_module(module)
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         raise SystemExit(THREADED)

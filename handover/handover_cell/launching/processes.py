@@ -12,9 +12,12 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from handover.runtime.python_processes import module_command
+from handover.telemetry import get_logger
 
 if sys.platform == "linux":
     from handover_cell.launching import fork_server
+
+log = get_logger(__name__)
 
 _MODULE_COMMAND = module_command("")[:-1]
 
@@ -155,6 +158,7 @@ class ProcessStarter:
                 return await self._fork(self._requests, command[len(_MODULE_COMMAND) :], environment, output)
             self._requests.close()
             self._requests = None
+            log.warning("the fork server has ended; services start as programs, with more memory")
         return await asyncio.create_subprocess_exec(
             *command,
             stdin=asyncio.subprocess.PIPE,

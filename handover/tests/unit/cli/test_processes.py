@@ -9,6 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from structlog.testing import capture_logs
 
 from handover.runtime.python_processes import module_command
 from handover_cell.launching import fork_server
@@ -132,3 +133,15 @@ async def test_another_program_is_started_as_it_is(starter: ProcessStarter, fold
         process = await starter.start(["/bin/sh", "-c", "exit 3"], clean_environment(), log)
     assert not isinstance(process, ForkedProcess)
     assert await wait(process) == 3
+
+
+async def test_a_server_that_has_ended_is_reported_and_programs_are_started(folder: Path) -> None:
+    starter = ProcessStarter()
+    starter.open()
+    assert starter._server is not None
+    os.kill(starter._server.pid, signal.SIGKILL)
+    starter._server.wait()
+    with capture_logs() as logs:
+        assert await wait(await start(starter, folder=folder)) == 7
+    assert any("fork server has ended" in line["event"] for line in logs)
+    await starter.close()
