@@ -15,10 +15,10 @@ from handover.errors import Problem
 from handover.messages import message, with_code
 from handover.tasks.outcomes import reason_of
 from handover.tasks.task_life import is_for_people, performers_of
+from handover_bpmn.forms import form
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
-from handover_processes.forms import form
-from handover_processes.forms.registry import FormRegistry
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.process.process import Process
 from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
 

@@ -7,10 +7,10 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from handover_processes.model import Activity
-from handover_processes.notation.dialects import handover
-from handover_processes.notation.file import read_bpmn
-from handover_processes.timing.spans import evaluated_needs, read_needs
+from handover_bpmn.model import Activity
+from handover_bpmn.notation.dialects import handover
+from handover_bpmn.notation.file import read_bpmn
+from handover_bpmn.spans import evaluated_needs, read_needs
 
 MODELER = Path("deploy/modeler")
 RESERVE = "handover.reserve"

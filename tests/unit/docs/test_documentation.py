@@ -14,9 +14,9 @@ import pytest
 
 from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
+from handover_bpmn.notation.file import read_bpmn
 from handover_cell.commands import commands_of as installed_commands
 from handover_cell.main import app
-from handover_processes.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
 
 DOCUMENTS = sorted(

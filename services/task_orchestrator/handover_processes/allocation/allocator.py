@@ -15,6 +15,9 @@ from operator import itemgetter
 from typing import TypeAlias
 
 from handover.messages import Message, message
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, Value
+from handover_bpmn.spans import Need
 from handover_processes.allocation.agents import UNLIMITED, Agent
 from handover_processes.allocation.assignment import Assignment, AssignmentRules, named_request
 from handover_processes.allocation.choice import (
@@ -41,12 +44,9 @@ from handover_processes.allocation.reservations import (
     held_by,
     wanted_by,
 )
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, Value
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.timing.spans import Need
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,9 @@ from typing import Any
 
 from handover.messages import Message, message
 from handover.tasks.task_life import performers_of
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, Value
+from handover_bpmn.references import is_reference
 from handover_processes.allocation.agents import Agents, Position
 from handover_processes.allocation.choice import DEFAULT_PRIORITY, Request
 from handover_processes.allocation.hints import (
@@ -23,9 +26,7 @@ from handover_processes.allocation.hints import (
 )
 from handover_processes.allocation.mapping import MappingEntry, MappingTable, NameKind
 from handover_processes.allocation.task_kinds import TaskKind
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, Value
-from handover_processes.references import is_reference, resource_id
+from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
 
 

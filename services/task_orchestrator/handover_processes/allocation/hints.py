@@ -8,14 +8,14 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.languages.feel import read_feel
+from handover_bpmn.languages.juel import read_template
+from handover_bpmn.languages.times import read_datetime, read_duration, read_now, shift
+from handover_bpmn.model import Activity
 from handover_datamodels.numbers import MAX_INTEGER, MIN_INTEGER
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
 from handover_processes.allocation.mapping import NameKind
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.languages.feel import read_feel
-from handover_processes.languages.juel import read_template
-from handover_processes.languages.times import read_datetime, read_duration, read_now, shift
-from handover_processes.model import Activity
 
 HINT_KINDS: Mapping[NameKind, tuple[str, ...]] = {
     NameKind.CLASS: ("class", "delegateExpression", "expression", "connector"),

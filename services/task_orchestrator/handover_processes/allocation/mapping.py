@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from handover.errors import UsageError
 from handover.formats.strict_json import StrictModel
 from handover.formats.validation import fault_lines
-from handover_processes.references import is_reference
+from handover_bpmn.references import is_reference
 
 MAX_ENTRIES = 10_000
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from handover.messages import Message, message, with_code
+from handover_bpmn.model import Activity, Definition, Kind
 from handover_processes.allocation.assignment import Assignment, AssignmentRules, names_of
 from handover_processes.allocation.choice import Request
 from handover_processes.allocation.mapping import MappingEntry, NameKind
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.model import Activity, Definition, Kind
+from handover_processes.deployed_forms import FormRegistry
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from jsonschema.exceptions import SchemaError
 from referencing.exceptions import Unresolvable
 
 from handover.messages import message
+from handover_bpmn.forms.json_schema import violations
+from handover_bpmn.model import Activity, Value
 from handover_datamodels.entities import TaskDefinition
-from handover_processes.forms.json_schema import violations
-from handover_processes.model import Activity, Value
 
 OF_THE_PERSON = frozenset(
     {"description", "gesture", "commandId", "handlesOutcomes", "requirePin", "candidates", "form"}

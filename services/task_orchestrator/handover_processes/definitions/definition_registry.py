@@ -11,11 +11,11 @@ from typing import Any
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message, text_of
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.state import Library, RunFailed
-from handover_processes.languages.base import quote_names
-from handover_processes.model import Call, Definition, Fault
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.state import Library, RunFailed
+from handover_bpmn.languages.base import quote_names
+from handover_bpmn.model import Call, Definition, Fault
+from handover_bpmn.notation.file import read_bpmn
 from handover_processes.records.entities import definition_entities
 from handover_processes.records.records import (
     EVERY_DEFINITION,

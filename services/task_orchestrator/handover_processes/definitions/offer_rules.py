@@ -18,14 +18,14 @@ from handover.errors import HandoverError
 from handover.files.content_digest import ATTRIBUTE, digest_of
 from handover.messages import message
 from handover.tasks.specification import FIELDS, Specification
+from handover_bpmn.forms.json_schema import schema_fault
+from handover_bpmn.model import Fault
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import TYPES, DataModelError, TaskDefinition
 from handover_processes.allocation.agents import position_of, read_shift, skill_name
 from handover_processes.allocation.task_kinds import TaskKind
-from handover_processes.forms.json_schema import schema_fault
-from handover_processes.model import Fault
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import read_bpmn
 from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
 
 DEFINITIONS = ("ProcessDefinition", "TaskDefinition")

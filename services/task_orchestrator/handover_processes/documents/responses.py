@@ -11,10 +11,10 @@ from pydantic_core import to_json
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
+from handover_bpmn.execution.queries import ScopeKind
+from handover_bpmn.execution.state import TokenState
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import NameKind
-from handover_processes.execution.queries import ScopeKind
-from handover_processes.execution.state import TokenState
 from handover_processes.records.records import (
     ActKind,
     HoldKind,

@@ -4,9 +4,9 @@ from typing import Any, Literal, NotRequired
 
 from typing_extensions import TypedDict
 
+from handover_bpmn.forms.fields import FieldKind
 from handover_datamodels.entities import TaskStatus
 from handover_processes.documents.responses import BpmnWarning
-from handover_processes.forms.fields import FieldKind
 from handover_processes.records.records import TaskActKind
 
 

@@ -5,8 +5,13 @@ from typing import Any
 
 from handover.messages import message_in, with_code
 from handover.tasks.task_life import PASSIVE_TYPES, type_of
+from handover_bpmn.forms import form
+from handover_bpmn.forms.fields import Field
+from handover_bpmn.forms.form_js import Resolved
+from handover_bpmn.model import Activity
 from handover_datamodels.times import iso
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
+from handover_processes.deployed_forms import FormRecord, FormRegistry
 from handover_processes.documents.requests import TaskListQuery
 from handover_processes.documents.tasklist_responses import (
     FormField,
@@ -17,11 +22,6 @@ from handover_processes.documents.tasklist_responses import (
     TaskHistoryEntry,
     TasklistEntry,
 )
-from handover_processes.forms import form
-from handover_processes.forms.fields import Field
-from handover_processes.forms.form_js import Resolved
-from handover_processes.forms.registry import FormRecord, FormRegistry
-from handover_processes.model import Activity
 from handover_processes.people_acts import (
     form_of,
     is_claimable,

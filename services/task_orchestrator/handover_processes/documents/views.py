@@ -7,6 +7,14 @@ from typing import Any, cast
 
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
+from handover_bpmn.execution.queries import InnerScope
+from handover_bpmn.execution.run import Run
+from handover_bpmn.languages.native import ExpressionError
+from handover_bpmn.lookahead import upcoming_activities
+from handover_bpmn.model import Activity, Definition
+from handover_bpmn.notation.comparison import ElementChange
+from handover_bpmn.notation.faults import as_json
+from handover_bpmn.references import is_reference
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.forms import to_key_values
 from handover_datamodels.times import iso
@@ -48,13 +56,6 @@ from handover_processes.documents.responses import (
     TokenView,
     VersionStatistics,
 )
-from handover_processes.execution.queries import InnerScope
-from handover_processes.execution.run import Run
-from handover_processes.languages.native import ExpressionError
-from handover_processes.lookahead import upcoming_activities
-from handover_processes.model import Activity, Definition
-from handover_processes.notation.comparison import ElementChange
-from handover_processes.notation.faults import as_json
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.records.records import (
     Act,
@@ -68,7 +69,7 @@ from handover_processes.records.records import (
     Retry,
     TaskRecord,
 )
-from handover_processes.references import is_reference, resource_id
+from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.counts import ElementCount, PeriodCount, VersionCount, count_elements
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handover.telemetry import get_logger
-from handover_processes.execution.queries import Subscription
-from handover_processes.execution.state import WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Definition, Kind, MessageEvent, SignalEvent
+from handover_bpmn.execution.queries import Subscription
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Definition, Kind, MessageEvent, SignalEvent
 from handover_processes.process.process import Process
 
 log = get_logger(__name__)

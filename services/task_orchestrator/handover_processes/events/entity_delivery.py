@@ -13,6 +13,17 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from handover_bpmn.execution.queries import EntityWait
+from handover_bpmn.execution.state import RunFailed, WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import (
+    ConditionalEvent,
+    Definition,
+    EntityFilter,
+    Kind,
+    MessageEvent,
+    entity_filter,
+)
 from handover_datamodels.forms import to_key_values
 from handover_processes.events.correlation import EventStart
 from handover_processes.events.entity_matching import (
@@ -23,17 +34,6 @@ from handover_processes.events.entity_matching import (
     is_correlated,
 )
 from handover_processes.events.event_delivery import EventDelivery, ProcessStarter
-from handover_processes.execution.queries import EntityWait
-from handover_processes.execution.state import RunFailed, WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import (
-    ConditionalEvent,
-    Definition,
-    EntityFilter,
-    Kind,
-    MessageEvent,
-    entity_filter,
-)
 from handover_processes.process.process import Process
 from handover_processes.records.entities import definition_id
 from handover_processes.records.records import Step

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import orjson
 
-from handover_processes.execution.queries import EntityWait
-from handover_processes.execution.state import WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import KEY_LENGTH, EntityFilter
+from handover_bpmn.execution.queries import EntityWait
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import KEY_LENGTH, EntityFilter
 from handover_processes.process.process import Process
 
 SeenChanges = Mapping[tuple[str, str], str | None]

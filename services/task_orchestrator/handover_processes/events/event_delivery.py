@@ -11,6 +11,9 @@ from typing import Any, Protocol
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
+from handover_bpmn.execution.machine import ThrownMessage, ThrownSignal
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.model import Definition
 from handover_processes.events.correlation import (
     EventStart,
     Name,
@@ -22,9 +25,6 @@ from handover_processes.events.correlation import (
 )
 from handover_processes.events.entity_matching import EntityIndex
 from handover_processes.events.stored_messages import StoredMessages
-from handover_processes.execution.machine import ThrownMessage, ThrownSignal
-from handover_processes.execution.state import WaitType
-from handover_processes.model import Definition
 from handover_processes.process.process import Process
 from handover_processes.records.records import MessageOutcome, MessageRecord, Step
 

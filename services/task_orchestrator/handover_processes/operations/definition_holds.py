@@ -2,7 +2,7 @@
 
 from handover.errors import Problem
 from handover.messages import message
-from handover_processes.languages.base import quote_names
+from handover_bpmn.languages.base import quote_names
 from handover_processes.records.records import (
     EVERY_DEFINITION,
     DefinitionHold,

@@ -9,15 +9,15 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.messages import Message, message
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.forms.form_js import FormFile, read_form
+from handover_bpmn.notation.faults import as_json
+from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.allocation.report import allocation_report
 from handover_processes.definitions.definition_registry import Deployed, Deployment
 from handover_processes.definitions.start_timers import start_timers
-from handover_processes.execution.graph import Plan
-from handover_processes.forms.form_js import FormFile, read_form
-from handover_processes.forms.registry import FormRecord
-from handover_processes.notation.faults import as_json
-from handover_processes.notation.file import BpmnFile, read_bpmn
+from handover_processes.deployed_forms import FormRecord
 from handover_processes.records.records import HoldKind, MessageKind, Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState

@@ -6,13 +6,13 @@ from typing import cast
 
 from handover.errors import Problem
 from handover.messages import message
+from handover_bpmn.notation.comparison import changed_elements
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.report import allocation_report
 from handover_processes.definitions.offer_rules import Candidate
 from handover_processes.documents.responses import ActivityAllocation, OfferView
 from handover_processes.documents.views import changed_attributes, element_change_view, offer_view
-from handover_processes.notation.comparison import changed_elements
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import BpmnFile, read_bpmn
 from handover_processes.operations.deployments import deploy_into
 from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
 from handover_processes.steps.step_writer import StepWriter

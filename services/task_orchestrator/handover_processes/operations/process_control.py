@@ -9,8 +9,8 @@ import orjson
 
 from handover.errors import Problem
 from handover.messages import message, text_of
-from handover_processes.execution.graph import Plan
-from handover_processes.languages.native import is_name
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.languages.native import is_name
 from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport

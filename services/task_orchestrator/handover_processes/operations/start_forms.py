@@ -6,11 +6,11 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.messages import message, with_code
-from handover_processes.forms import form
-from handover_processes.forms.form_js import Resolved
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Definition
+from handover_bpmn.forms import form
+from handover_bpmn.forms.form_js import Resolved
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Definition
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.process.task_creation import form_version
 
 

@@ -14,7 +14,7 @@ from handover.alerts.catalogue import (
     AlertType,
 )
 from handover.messages import message, with_code
-from handover_processes.model import Escalation
+from handover_bpmn.model import Escalation
 from handover_processes.records.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
-from handover_processes.execution.queries import OpenActivity
-from handover_processes.execution.run import Run
+from handover_bpmn.execution.queries import OpenActivity
+from handover_bpmn.execution.run import Run
 from handover_processes.records.records import ProcessRecord, Retry, TaskRecord
 from handover_processes.timing.retries import attempts_of, is_retried, retry_at
 

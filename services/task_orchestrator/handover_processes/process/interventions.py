@@ -9,11 +9,11 @@ from datetime import datetime
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.migration import Finding
+from handover_bpmn.execution.run import Run
+from handover_bpmn.execution.state import RunFailed
 from handover_datamodels.entities import RequestedStatus, TaskStatus
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.migration import Finding
-from handover_processes.execution.run import Run
-from handover_processes.execution.state import RunFailed
 from handover_processes.process import attempts
 from handover_processes.process.process import CANCELLED, Process
 from handover_processes.records.entities import execution_properties, status_request

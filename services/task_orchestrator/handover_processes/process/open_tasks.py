@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
+from handover_bpmn.execution.run import Run
+from handover_bpmn.timing.due_queue import DueQueue
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.execution.run import Run
 from handover_processes.records.records import TaskRecord, Timer, TimerKind
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.timing.due_queue import DueQueue
 
 
 class OpenTasks:

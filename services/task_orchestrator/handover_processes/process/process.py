@@ -17,16 +17,16 @@ from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
 from handover.tasks.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown, outcome_unknown
 from handover.tasks.task_life import FINISHED, STARTED, is_reachable
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.queries import OpenActivity, OpenIncident
+from handover_bpmn.execution.run import Run
+from handover_bpmn.execution.span_places import SpanPlace
+from handover_bpmn.execution.state import Library, RunFailed
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import PerformerLost
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator, NoPerformer
 from handover_processes.allocation.assignment import Assignment
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.queries import OpenActivity, OpenIncident
-from handover_processes.execution.run import Run
-from handover_processes.execution.span_places import SpanPlace
-from handover_processes.execution.state import Library, RunFailed
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import PerformerLost
 from handover_processes.process import alerts, attempts
 from handover_processes.process.open_tasks import OpenTasks
 from handover_processes.process.span_reservations import SpanReservations

@@ -11,13 +11,13 @@ from datetime import datetime
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover_bpmn.execution.run import Run
+from handover_bpmn.execution.span_places import ActiveSpan, SpanPlace
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.spans import Need, evaluated_needs
 from handover_processes.allocation.allocator import Allocator, AskedReservation, Within
 from handover_processes.allocation.reservations import Hold
-from handover_processes.execution.run import Run
-from handover_processes.execution.span_places import ActiveSpan, SpanPlace
-from handover_processes.languages.base import ExpressionError
 from handover_processes.records.records import ReservationRecord, ReservationState
-from handover_processes.timing.spans import Need, evaluated_needs
 
 MAX_ENDED = 50
 """Ended reservations that a process keeps for its history."""

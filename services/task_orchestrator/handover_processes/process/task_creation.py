@@ -6,14 +6,14 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from handover.tasks.specification import Specification
+from handover_bpmn.execution.queries import OpenActivity
+from handover_bpmn.execution.state import Library
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, FormBinding, FormReference, Value
+from handover_bpmn.notation.names import in_urn
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.assignment import Assignment
-from handover_processes.execution.queries import OpenActivity
-from handover_processes.execution.state import Library
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, FormBinding, FormReference, Value
-from handover_processes.notation.names import in_urn
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.records.entities import task_entity
 from handover_processes.records.records import SPECIFICATION, ProcessRecord, TaskRecord
 from handover_processes.settings import OrchestratorSettings

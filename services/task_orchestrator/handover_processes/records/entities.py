@@ -9,12 +9,13 @@ from handover.messages import message, with_code
 from handover.settings import Settings
 from handover.tasks.specification import MAX_COMMAND_ID
 from handover.tasks.task_life import is_for_people, type_of
+from handover_bpmn.model import Activity, Definition
+from handover_bpmn.references import is_reference
 from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.hints import due_of, follow_up_of, given_priority
-from handover_processes.model import Activity, Definition
 from handover_processes.records.records import ProcessRecord, TaskRecord
-from handover_processes.references import is_reference, resource_id
+from handover_processes.references import resource_id
 
 Entity = dict[str, Any]
 MAX_LISTED_TASKS = 200

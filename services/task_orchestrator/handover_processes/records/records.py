@@ -12,11 +12,11 @@ from typing import Any
 
 from handover.security.audit_trail import AuditedRequest
 from handover.tasks.task_life import FINISHED, performers_of
+from handover_bpmn.execution.machine import Effect
+from handover_bpmn.model import Fault
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
-from handover_processes.execution.machine import Effect
-from handover_processes.forms.registry import FormRecord
-from handover_processes.model import Fault
+from handover_processes.deployed_forms import FormRecord
 from handover_processes.tally import Tally, elapsed_ms
 
 

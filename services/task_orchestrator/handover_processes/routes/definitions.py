@@ -13,6 +13,9 @@ from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.serving.service import XML_TYPES, accepts
+from handover_bpmn.model import Fault
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import BadBpmn, as_json
 from handover_processes.allocation.report import allocation_report
 from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
 from handover_processes.documents.responses import (
@@ -30,9 +33,6 @@ from handover_processes.documents.views import (
     definition_view,
     statistics_view,
 )
-from handover_processes.model import Fault
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import BadBpmn, as_json
 from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.routes.resources import acting_name, of_definition
 from handover_processes.running.orchestrator import Orchestrator

@@ -8,14 +8,14 @@ from starlette.responses import JSONResponse
 from handover.http.body_limit import max_body
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover_bpmn.forms.form_js import MAX_FORM_BYTES
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import as_json
 from handover_processes.documents.requests import MAX_VERSION, DeploymentRequest
 from handover_processes.documents.responses import json_response
 from handover_processes.documents.tasklist_responses import DeployedFiles, FormView
 from handover_processes.documents.tasklist_views import form_record_view
 from handover_processes.documents.views import definition_view
-from handover_processes.forms.form_js import MAX_FORM_BYTES
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import as_json
 from handover_processes.operations.deployments import DeployedForm
 from handover_processes.running.components import Components
 

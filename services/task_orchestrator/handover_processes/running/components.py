@@ -11,9 +11,9 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.security.guard import Guard
 from handover.telemetry import get_logger
+from handover_bpmn.forms.form_js import BadForm
+from handover_bpmn.notation.faults import BadBpmn
 from handover_processes.allocation.mapping import read_mapping_file
-from handover_processes.forms.form_js import BadForm
-from handover_processes.notation.faults import BadBpmn
 from handover_processes.running.archive import Archiver
 from handover_processes.running.definition_offers import DefinitionOffers
 from handover_processes.running.entity_events import EntityEvents

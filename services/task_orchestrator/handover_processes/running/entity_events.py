@@ -27,9 +27,9 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
+from handover_bpmn.model import EntityFilter
 from handover_processes.events.entity_delivery import Watched
 from handover_processes.events.entity_matching import replay
-from handover_processes.model import EntityFilter
 from handover_processes.records.records import Step
 from handover_processes.running.orchestrator import Orchestrator
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover_bpmn.model import Definition
 from handover_datamodels.entities import TaskStatus
 from handover_processes import metrics
 from handover_processes.allocation.allocator import Allocator
@@ -23,7 +24,6 @@ from handover_processes.events.entity_delivery import EntityDelivery
 from handover_processes.events.entity_matching import SeenEntities
 from handover_processes.events.event_delivery import EventDelivery
 from handover_processes.events.stored_messages import StoredMessages
-from handover_processes.model import Definition
 from handover_processes.process.process import Process
 from handover_processes.records.records import (
     DefinitionHold,

@@ -9,9 +9,9 @@ import orjson
 
 from handover.messages import Message as MessageText
 from handover.messages import message_in, with_code
+from handover_bpmn.model import Fault
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
-from handover_processes.model import Fault
 from handover_processes.records.records import (
     Act,
     ActKind,

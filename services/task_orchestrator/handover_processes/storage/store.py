@@ -21,7 +21,7 @@ from sqlalchemy import (
 from handover.database import DatabaseLock
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
-from handover_processes.forms.registry import FormRecord
+from handover_processes.deployed_forms import FormRecord
 from handover_processes.records.records import (
     DefinitionHold,
     DefinitionRecord,

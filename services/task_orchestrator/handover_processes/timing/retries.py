@@ -11,8 +11,8 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from handover.tasks.outcomes import is_outcome_unknown
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import RetryPolicy
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import RetryPolicy
 
 MAX_DELAY_S = 30 * 86_400.0
 _NEVER = frozenset({"task.refused_by_broker", "task.definition_refused", "task.specification_refused"})

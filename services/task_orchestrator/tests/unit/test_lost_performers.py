@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from handover.tasks.outcomes import is_outcome_unknown
-from handover_processes.notation.faults import BadBpmn
+from handover_bpmn.notation.faults import BadBpmn
 from handover_processes.records.records import MessageKind
 from services.task_orchestrator.tests.unit.drawing import activity, end, path, start
 from services.task_orchestrator.tests.unit.process_driver import ProcessDriver, alerts, created, task_id

@@ -3,7 +3,7 @@
 import pytest
 
 from handover.errors import Problem
-from handover_processes.execution.graph import Plan
+from handover_bpmn.execution.graph import Plan
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.process.process import Process
