@@ -20,7 +20,8 @@ from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
 from handover_processes.deployed_forms import FormRegistry
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 
 BY_TASKLIST: Final = "tasklist"
 

@@ -47,23 +47,23 @@ from handover_bpmn.languages.times import read_now
 from handover_bpmn.languages.tokens import Tokens, excerpt, unquote
 
 
-class Scope:
+class NameScope:
     """The names that are visible: those of a loop, filter or context before those around it."""
 
     __slots__ = ("budget", "names", "parent")
 
-    def __init__(self, names: Mapping[str, FeelValue], parent: "Scope | None", budget: Budget) -> None:
+    def __init__(self, names: Mapping[str, FeelValue], parent: "NameScope | None", budget: Budget) -> None:
         self.names = names
         self.parent = parent
         self.budget = budget
 
-    def inner(self, names: Mapping[str, FeelValue]) -> "Scope":
+    def inner(self, names: Mapping[str, FeelValue]) -> "NameScope":
         """Return a scope within this one."""
-        return Scope(names, self, self.budget)
+        return NameScope(names, self, self.budget)
 
     def read(self, name: str) -> FeelValue:
         """Return the value of `name`; None if there is none."""
-        scope: Scope | None = self
+        scope: NameScope | None = self
         while scope is not None:
             if name in scope.names:
                 return scope.names[name]
@@ -71,9 +71,9 @@ class Scope:
         return None
 
 
-Node: TypeAlias = Callable[[Scope], FeelValue]
-Step: TypeAlias = Callable[[FeelValue, Scope], FeelValue]
-Test: TypeAlias = Callable[[FeelValue, Scope], bool | None]
+Node: TypeAlias = Callable[[NameScope], FeelValue]
+Step: TypeAlias = Callable[[FeelValue, NameScope], FeelValue]
+Test: TypeAlias = Callable[[FeelValue, NameScope], bool | None]
 Operator: TypeAlias = Callable[[FeelValue, FeelValue, Budget], FeelValue]
 
 _PATTERN = re.compile(
@@ -139,7 +139,7 @@ class FeelExpression:
         """Return the value; raise `ExpressionError` only if a limit is exceeded."""
         try:
             budget = Budget()
-            value = self._node(Scope(variables, None, budget))
+            value = self._node(NameScope(variables, None, budget))
             if value is None or value is True or value is False:
                 return value
             return within_limits(to_json(value, budget))
@@ -237,7 +237,7 @@ class _Parser:
         body, weight = self._body(len(iterators) + 1)
         reads_partial = self._partials > partials
 
-        def collect(scope: Scope) -> FeelValue:
+        def collect(scope: NameScope) -> FeelValue:
             results: list[FeelValue] = []
             try:
                 for inner in _iterate(tuple(iterators), scope, weight):
@@ -257,7 +257,7 @@ class _Parser:
         body, weight = self._body(len(iterators))
         decisive = word == "some"
 
-        def decide(scope: Scope) -> FeelValue:
+        def decide(scope: NameScope) -> FeelValue:
             result: bool | None = not decisive
             try:
                 for inner in _iterate(tuple(iterators), scope, weight):
@@ -354,7 +354,7 @@ class _Parser:
             return _binary(rest[0][0], first, rest[0][1])
         steps = tuple(rest)
 
-        def chained(scope: Scope) -> FeelValue:
+        def chained(scope: NameScope) -> FeelValue:
             value = first(scope)
             for calculate, right in steps:
                 value = calculate(value, right(scope), scope.budget)
@@ -370,7 +370,7 @@ class _Parser:
         if not steps:
             return base
 
-        def raised(scope: Scope) -> FeelValue:
+        def raised(scope: NameScope) -> FeelValue:
             value = base(scope)
             for step in steps:
                 value = power(value, step(scope), scope.budget)
@@ -548,7 +548,7 @@ class _Parser:
         self.tokens.leave()
         del self._local[len(self._local) - len(entries) :]
 
-        def build(scope: Scope) -> FeelValue:
+        def build(scope: NameScope) -> FeelValue:
             context: dict[str, FeelValue] = {}
             inner = scope.inner(context)
             for key, value in entries:
@@ -567,7 +567,7 @@ def _weigh(count: int) -> int:
 
 
 def _variable(name: str) -> Node:
-    def read(scope: Scope) -> FeelValue:
+    def read(scope: NameScope) -> FeelValue:
         names = scope.names
         return names[name] if name in names else scope.read(name)
 
@@ -585,7 +585,7 @@ def _binary(calculate: Operator, left: Node, right: Node) -> Node:
 def _connect(operands: tuple[Node, ...], *, decisive: bool) -> Node:
     """Return `or` (decisive True) or `and` (decisive False) with three values: null if nothing decides."""
 
-    def connected(scope: Scope) -> FeelValue:
+    def connected(scope: NameScope) -> FeelValue:
         result: bool | None = not decisive
         for operand in operands:
             value = operand(scope)
@@ -606,7 +606,7 @@ def _negate(value: FeelValue) -> FeelValue:
 
 
 def _entry(name: str) -> Step:
-    def read(value: FeelValue, scope: Scope) -> FeelValue:
+    def read(value: FeelValue, scope: NameScope) -> FeelValue:
         return value.get(name) if type(value) is dict else read_path(value, name, scope.budget)
 
     return read
@@ -619,7 +619,7 @@ def _path(node: Node, steps: list[Step]) -> Node:
         step = steps[0]
         return lambda scope: step(node(scope), scope)
 
-    def follow(scope: Scope) -> FeelValue:
+    def follow(scope: NameScope) -> FeelValue:
         value = node(scope)
         for step in steps:
             value = step(value, scope)
@@ -635,30 +635,30 @@ def _apply(call: Callable[..., FeelValue], arguments: tuple[Node, ...]) -> Node:
     return lambda scope: call(scope.budget, *(argument(scope) for argument in arguments))
 
 
-def _variables(scope: Scope) -> Mapping[str, FeelValue]:
+def _variables(scope: NameScope) -> Mapping[str, FeelValue]:
     while scope.parent is not None:
         scope = scope.parent
     return scope.names
 
 
-def _now(scope: Scope) -> FeelValue:
+def _now(scope: NameScope) -> FeelValue:
     return read_now(_variables(scope))
 
 
-def _today(scope: Scope) -> FeelValue:
+def _today(scope: NameScope) -> FeelValue:
     return read_now(_variables(scope)).date()
 
 
 def _make_range(
     start: Node, end: Node, *, has_start: bool = True, has_end: bool = True
-) -> Callable[[Scope], Range]:
+) -> Callable[[NameScope], Range]:
     return lambda scope: Range(start(scope), end(scope), has_start, has_end)
 
 
 def _membership(operand: Node) -> Test:
     """Return the test whether a value is, or is within, the value of `operand`."""
 
-    def test(value: FeelValue, scope: Scope) -> FeelValue:
+    def test(value: FeelValue, scope: NameScope) -> FeelValue:
         found = operand(scope)
         if value is _ITSELF:
             return found
@@ -677,7 +677,7 @@ def _is_member(value: FeelValue, item: FeelValue, budget: Budget) -> bool:
     return found is True
 
 
-def _any_test(tests: tuple[Test, ...], value: FeelValue, scope: Scope) -> bool | None:
+def _any_test(tests: tuple[Test, ...], value: FeelValue, scope: NameScope) -> bool | None:
     result: bool | None = False
     for test in tests:
         found = test(value, scope)
@@ -723,7 +723,7 @@ def _items(value: FeelValue, budget: Budget) -> Iterator[FeelValue]:
         yield value
 
 
-def _iterate(iterators: tuple[tuple[str, Node], ...], scope: Scope, weight: int) -> Iterator[Scope]:
+def _iterate(iterators: tuple[tuple[str, Node], ...], scope: NameScope, weight: int) -> Iterator[NameScope]:
     """Yield a scope for each combination of the items, the last iterator fastest."""
     (name, items), *rest = iterators
     visited = items(scope)
@@ -738,7 +738,7 @@ def _iterate(iterators: tuple[tuple[str, Node], ...], scope: Scope, weight: int)
             yield inner
 
 
-def _select(value: FeelValue, condition: Node, weight: int, scope: Scope) -> FeelValue:
+def _select(value: FeelValue, condition: Node, weight: int, scope: NameScope) -> FeelValue:
     """Return the item at a position (from 1, or from -1 at the end), or the items that meet a condition."""
     if value is None:
         return None
@@ -758,7 +758,7 @@ def _select(value: FeelValue, condition: Node, weight: int, scope: Scope) -> Fee
     return selected
 
 
-def _item_scope(item: FeelValue, scope: Scope) -> Scope:
+def _item_scope(item: FeelValue, scope: NameScope) -> NameScope:
     """Return the scope of a filter for an item; an entry named `item` comes before the item itself."""
     return scope.inner({"item": item, **item} if isinstance(item, dict) else {"item": item})
 

@@ -31,9 +31,9 @@ from handover_bpmn.languages.native_grammar import (
 )
 
 __all__ = [
-    "Expression",
     "ExpressionError",
     "Json",
+    "NativeExpression",
     "Variables",
     "is_name",
     "is_variable_name",
@@ -43,7 +43,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class Expression:
+class NativeExpression:
     """An expression that was parsed and validated."""
 
     text: str
@@ -66,13 +66,13 @@ class Expression:
 
 
 @lru_cache(maxsize=4096)
-def read(text: str) -> Expression:
+def read(text: str) -> NativeExpression:
     """Return the expression `text`; raise `ExpressionError` if it is invalid."""
     stripped = text.strip()
-    return Expression(stripped, parse(stripped))
+    return NativeExpression(stripped, parse(stripped))
 
 
-def read_script(text: str) -> tuple[tuple[str, Expression], ...]:
+def read_script(text: str) -> tuple[tuple[str, NativeExpression], ...]:
     """Return the assignments of a script: lines `name = expression`; raise `ExpressionError` for others."""
     steps = []
     for line in (line.strip() for line in text.splitlines()):

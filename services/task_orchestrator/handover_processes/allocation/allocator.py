@@ -19,7 +19,7 @@ from handover_bpmn.languages.base import ExpressionError, Variables
 from handover_bpmn.model import Activity, Value
 from handover_bpmn.spans import Need
 from handover_processes.allocation.agents import UNLIMITED, Agent
-from handover_processes.allocation.assignment import Assignment, AssignmentRules, named_request
+from handover_processes.allocation.assignment import AssignmentRules, PerformerAssignment, named_request
 from handover_processes.allocation.choice import (
     DEFAULT_PRIORITY,
     ChooseByRules,
@@ -321,12 +321,12 @@ class Allocator:
 
     def choose(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         key: tuple[str, str],
         since: datetime,
         now: datetime,
         within: Within = OUTSIDE,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         """Return the assignment to an agent, or why the activity waits; `key` are process and token."""
         agent = self._reserved_for(assignment, within)
         if agent is not None:
@@ -344,7 +344,7 @@ class Allocator:
         mine = WaitingRequest(assignment.request, since, key, within.holders)
         return self._choose_agent(assignment, mine, now)
 
-    def _reserved_for(self, assignment: Assignment, within: Within) -> str | None:
+    def _reserved_for(self, assignment: PerformerAssignment, within: Within) -> str | None:
         """Return the reserved agent that performs an activity, by preference that of the innermost span."""
         held = self.reservations.held
         holds = [held[holder] for holder in within.holders if holder in held]
@@ -361,12 +361,12 @@ class Allocator:
 
     def _choose_named(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         performers: Sequence[str],
         key: tuple[str, str],
         since: datetime,
         within: Within,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         """Let named agents perform an activity if nobody else holds them and the first has capacity."""
         mine = WaitingRequest(named_request(assignment, performers[0]), since, key, within.holders)
         for agent in performers:
@@ -433,10 +433,10 @@ class Allocator:
 
     def _choose_agent(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         mine: WaitingRequest,
         now: datetime,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         request = mine.request
         agents = list(self.rules.agents.by_id.values())
         loads = {agent: list(tasks) for agent, tasks in self._loads.items()}

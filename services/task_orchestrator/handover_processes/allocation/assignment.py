@@ -31,7 +31,7 @@ from handover_processes.settings import OrchestratorSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class PerformerAssignment:
     """Who gets an activity: `activity` is changed as the mapping says."""
 
     activity: Activity
@@ -73,7 +73,7 @@ class AssignmentRules:
 
     def request(
         self, activity: Activity, variables: Variables, declined: frozenset[str] = frozenset()
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         """Return who gets an activity, with everything that the choice of an agent depends on.
 
         Raises `ExpressionError` if a variable is missing that says who performs it.
@@ -100,7 +100,7 @@ class AssignmentRules:
 
     def assign(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str] = frozenset()
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         """Return who gets an activity with the present `variables`; None: before it runs.
 
         An assignee who has `declined` it gets it no more if users or groups are named beside the assignee.
@@ -116,15 +116,15 @@ class AssignmentRules:
 
     def _assign(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str]
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         if activity.involves:
             named = ", ".join(_described(value) for value in activity.involves)
             reason = message("allocation.by_file", "named in the process file: {resource}", resource=named)
-            return Assignment(activity, reason, named)
+            return PerformerAssignment(activity, reason, named)
         if activity.role is not None or activity.skills:
             request = Request(activity.role, activity.skills)
             reason = message("allocation.needs", "the file asks for {needed}", needed=request.described)
-            return Assignment(
+            return PerformerAssignment(
                 activity,
                 reason,
                 request.described,
@@ -136,7 +136,7 @@ class AssignmentRules:
 
     def _by_mapping(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str]
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         entry = self.mapping.find(names_of(activity, variables))
         others = self._others(entry, activity, variables)
         if others and entry is not None and self._have_all_declined(entry, declined):
@@ -146,7 +146,7 @@ class AssignmentRules:
                 reason = message(
                     "allocation.assignee_declined", "people, because the assignee has declined it"
                 )
-                return Assignment(activity, reason, candidates=others)
+                return PerformerAssignment(activity, reason, candidates=others)
             others = None
         if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
             request = Request(skills=kind.skills)
@@ -156,12 +156,12 @@ class AssignmentRules:
                 definition=kind.id,
                 needed=request.described,
             )
-            return Assignment(
+            return PerformerAssignment(
                 activity, reason, request.described, request=request, warning=self.nobody_has(request)
             )
         if entry is None:
             reason = message("allocation.no_entry", "people, because the mapping has no entry for it")
-            return Assignment(activity, reason, candidates=candidates_of(activity, variables))
+            return PerformerAssignment(activity, reason, candidates=candidates_of(activity, variables))
         if not self._is_allowed(entry):
             warning = message(
                 "allocation.unconfirmed",
@@ -170,7 +170,7 @@ class AssignmentRules:
                 name=entry.name,
                 performer=performer_of(entry),
             )
-            return Assignment(
+            return PerformerAssignment(
                 activity, warning, candidates=candidates_of(activity, variables), warning=warning
             )
         return self._by_entry(activity, entry, others)
@@ -200,7 +200,7 @@ class AssignmentRules:
 
     def _by_entry(
         self, activity: Activity, entry: MappingEntry, others: Mapping[str, Any] | None
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         changed = replace(
             activity,
             definition=entry.definition or activity.definition,
@@ -214,7 +214,7 @@ class AssignmentRules:
         candidates = others if request is None else None
         if entry.role is not None:
             candidates = {"groups": [entry.role]}
-        return Assignment(
+        return PerformerAssignment(
             changed,
             message(
                 "allocation.by_entry",
@@ -253,7 +253,7 @@ class AssignmentRules:
         return None
 
 
-def named_request(assignment: Assignment, agent: str) -> Request:
+def named_request(assignment: PerformerAssignment, agent: str) -> Request:
     """Return the request of an activity that names its performer."""
     return Request(priority=assignment.priority, due=assignment.due, resource=agent)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from handover.messages import Message, message, with_code
 from handover_bpmn.model import Activity, Definition, Kind
-from handover_processes.allocation.assignment import Assignment, AssignmentRules, names_of
+from handover_processes.allocation.assignment import AssignmentRules, PerformerAssignment, names_of
 from handover_processes.allocation.choice import Request
 from handover_processes.allocation.mapping import MappingEntry, NameKind
 from handover_processes.deployed_forms import FormRegistry
@@ -53,7 +53,7 @@ def allocation_report(
     return found
 
 
-def is_performed(assignment: Assignment) -> bool:
+def is_performed(assignment: PerformerAssignment) -> bool:
     """Return whether a device or person is named, or can be chosen."""
     return bool(assignment.performer or assignment.request or assignment.candidates)
 

@@ -16,19 +16,19 @@ from handover_bpmn.execution.state import Library, RunFailed
 from handover_bpmn.languages.base import quote_names
 from handover_bpmn.model import Call, Definition, Fault
 from handover_bpmn.notation.file import read_bpmn
-from handover_processes.records.entities import definition_entities
-from handover_processes.records.records import (
+from handover_processes.records.definitions import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
     DeletedVersion,
     HoldKind,
 )
+from handover_processes.records.entities import definition_entities
 from handover_processes.settings import OrchestratorSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Deployment:
+class DeployedDefinition:
     """The result of a deployment; `created` is False when it changed nothing."""
 
     name: str
@@ -40,7 +40,7 @@ class Deployment:
 class Deployed:
     """The results of the deployment of a file, one a process, and the warnings about it."""
 
-    deployments: tuple[Deployment, ...]
+    deployments: tuple[DeployedDefinition, ...]
     warnings: tuple[Fault, ...]
 
     @property

@@ -26,7 +26,8 @@ from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import TYPES, DataModelError, TaskDefinition
 from handover_processes.allocation.agents import position_of, read_shift, skill_name
 from handover_processes.allocation.task_kinds import TaskKind
-from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.step import Step
 
 DEFINITIONS = ("ProcessDefinition", "TaskDefinition")
 """Types that have an effect only after an engineer has accepted them."""

@@ -13,7 +13,7 @@ from handover.telemetry import get_logger
 from handover_bpmn.languages.base import ExpressionError
 from handover_bpmn.model import Definition, Kind, TimerEvent, TimerType
 from handover_bpmn.timing.timers import due_at, parse_cycle
-from handover_processes.records.records import StartTimer
+from handover_processes.records.timers import StartTimer
 
 log = get_logger(__name__)
 

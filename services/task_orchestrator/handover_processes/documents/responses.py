@@ -15,13 +15,10 @@ from handover_bpmn.execution.queries import ScopeKind
 from handover_bpmn.execution.state import TokenState
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import NameKind
-from handover_processes.records.records import (
-    ActKind,
-    HoldKind,
-    MessageOutcome,
-    OfferStatus,
-    ReservationState,
-)
+from handover_processes.records.definitions import HoldKind
+from handover_processes.records.messages import MessageOutcome
+from handover_processes.records.offers import OfferStatus
+from handover_processes.records.processes import ActKind, ReservationState
 
 
 def json_response(content: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Response:

@@ -7,7 +7,7 @@ from typing_extensions import TypedDict
 from handover_bpmn.forms.fields import FieldKind
 from handover_datamodels.entities import TaskStatus
 from handover_processes.documents.responses import BpmnWarning
-from handover_processes.records.records import TaskActKind
+from handover_processes.records.tasks import TaskActKind
 
 
 class FormOption(TypedDict):

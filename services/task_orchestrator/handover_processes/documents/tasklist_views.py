@@ -30,7 +30,8 @@ from handover_processes.people_acts import (
     performer_of,
     requires_pin,
 )
-from handover_processes.records.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import Move, TaskAct, TaskActKind, TaskRecord
 
 _NO_INPUTS = frozenset(
     {"description", "form", "candidates", "handlesOutcomes", "requirePin", "specification"}

@@ -57,18 +57,17 @@ from handover_processes.documents.responses import (
     VersionStatistics,
 )
 from handover_processes.process.interventions import MigrationReport
-from handover_processes.records.records import (
+from handover_processes.records.definitions import DefinitionRecord
+from handover_processes.records.offers import OfferRecord
+from handover_processes.records.processes import (
     Act,
-    DefinitionRecord,
     IncidentRecord,
-    Move,
-    OfferRecord,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
     Retry,
-    TaskRecord,
 )
+from handover_processes.records.tasks import Move, TaskRecord
 from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.counts import ElementCount, PeriodCount, VersionCount, count_elements

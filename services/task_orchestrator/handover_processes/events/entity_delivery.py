@@ -36,7 +36,7 @@ from handover_processes.events.entity_matching import (
 from handover_processes.events.event_delivery import EventDelivery, ProcessStarter
 from handover_processes.process.process import Process
 from handover_processes.records.entities import definition_id
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)

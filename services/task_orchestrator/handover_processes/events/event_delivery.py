@@ -26,7 +26,8 @@ from handover_processes.events.correlation import (
 from handover_processes.events.entity_matching import EntityIndex
 from handover_processes.events.stored_messages import StoredMessages
 from handover_processes.process.process import Process
-from handover_processes.records.records import MessageOutcome, MessageRecord, Step
+from handover_processes.records.messages import MessageOutcome, MessageRecord
+from handover_processes.records.step import Step
 
 log = get_logger(__name__)
 

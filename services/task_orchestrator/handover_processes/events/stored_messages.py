@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable
 from datetime import datetime
 
 from handover_bpmn.timing.due_queue import DueQueue
-from handover_processes.records.records import MessageRecord
+from handover_processes.records.messages import MessageRecord
 
 
 class StoredMessages:

@@ -6,7 +6,8 @@ from datetime import datetime
 from typing import Any
 
 from handover_processes.records.entities import entity_of, final_attributes
-from handover_processes.records.records import MessageKind, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 from handover_processes.storage.store import EndedProcess, EndedTask

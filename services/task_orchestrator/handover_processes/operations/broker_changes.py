@@ -18,7 +18,9 @@ from handover_processes.allocation.agents import Agents
 from handover_processes.operations.device_leases import DeviceLeases
 from handover_processes.people_acts import requires_pin
 from handover_processes.process.process import Process
-from handover_processes.records.records import Message, MessageKind, Step, TaskRecord
+from handover_processes.records.messages import Message, MessageKind
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

@@ -3,15 +3,15 @@
 from handover.errors import Problem
 from handover.messages import message
 from handover_bpmn.languages.base import quote_names
-from handover_processes.records.records import (
+from handover_processes.records.definitions import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
     DeletedVersion,
     HoldKind,
-    MessageKind,
-    Step,
 )
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

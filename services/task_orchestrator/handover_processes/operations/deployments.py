@@ -15,10 +15,12 @@ from handover_bpmn.notation.faults import as_json
 from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.allocation.report import allocation_report
-from handover_processes.definitions.definition_registry import Deployed, Deployment
+from handover_processes.definitions.definition_registry import Deployed, DeployedDefinition
 from handover_processes.definitions.start_timers import start_timers
 from handover_processes.deployed_forms import FormRecord
-from handover_processes.records.records import HoldKind, MessageKind, Step
+from handover_processes.records.definitions import HoldKind
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -33,7 +35,7 @@ class DeployedForm:
 
 
 @dataclass(frozen=True, slots=True)
-class DeployedFiles:
+class DeploymentResult:
     """The results of a deployment of several files."""
 
     bpmn: Deployed
@@ -67,7 +69,7 @@ class Deployments:
         forms: Sequence[tuple[str | None, bytes]],
         *,
         only_if_never_seen: bool = False,
-    ) -> DeployedFiles:
+    ) -> DeploymentResult:
         """Deploy BPMN files and forms (each with the name of its file) together: all or none.
 
         Raises `BadBpmn` or `BadForm` if one of them cannot be deployed.
@@ -78,7 +80,7 @@ class Deployments:
             for name, content in forms
         ]
 
-        def act(step: Step) -> DeployedFiles:
+        def act(step: Step) -> DeploymentResult:
             now = self._state.clock()
             written = [self._deploy_form(form, content, name, step, now) for form, content, name in read]
             found = [
@@ -86,7 +88,7 @@ class Deployments:
             ]
             deployments = tuple(each for deployed in found for each in deployed.deployments)
             warnings = tuple(each for deployed in found for each in deployed.warnings)
-            return DeployedFiles(Deployed(deployments, warnings), tuple(written))
+            return DeploymentResult(Deployed(deployments, warnings), tuple(written))
 
         return await self._writer.apply(act)
 
@@ -177,7 +179,7 @@ def deploy_into(
             if entities:
                 subject = registry.entity_id_of(record)
                 step.enqueue(f"definition {record.name}", MessageKind.DEFINE, subject, entities)
-        found.append(Deployment(record.name, record.version, created))
+        found.append(DeployedDefinition(record.name, record.version, created))
     return Deployed(tuple(found), file.warnings)
 
 

@@ -16,7 +16,8 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.entities import TaskStatus
 from handover_processes.operations.device_leases import DeviceLeases
-from handover_processes.records.records import Step, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

@@ -14,7 +14,8 @@ from handover_processes.definitions.offer_rules import Candidate
 from handover_processes.documents.responses import ActivityAllocation, OfferView
 from handover_processes.documents.views import changed_attributes, element_change_view, offer_view
 from handover_processes.operations.deployments import deploy_into
-from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

@@ -15,7 +15,9 @@ from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind, MessageOutcome, Step
+from handover_processes.records.messages import MessageOutcome
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

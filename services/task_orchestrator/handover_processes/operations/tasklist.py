@@ -13,7 +13,8 @@ from handover_datamodels.states import Outcome
 from handover_processes.operations.broker_changes import BrokerChanges
 from handover_processes.people_acts import PeopleActs, performer_of
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

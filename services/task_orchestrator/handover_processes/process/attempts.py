@@ -10,7 +10,8 @@ from typing import Any
 
 from handover_bpmn.execution.queries import OpenActivity
 from handover_bpmn.execution.run import Run
-from handover_processes.records.records import ProcessRecord, Retry, TaskRecord
+from handover_processes.records.processes import ProcessRecord, Retry
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.timing.retries import attempts_of, is_retried, retry_at
 
 MAX_LOST_ATTEMPTS = 3

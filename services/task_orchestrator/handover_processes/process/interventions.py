@@ -17,7 +17,9 @@ from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_processes.process import attempts
 from handover_processes.process.process import CANCELLED, Process
 from handover_processes.records.entities import execution_properties, status_request
-from handover_processes.records.records import Act, ActKind, MessageKind, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 
 
 @dataclass(frozen=True, slots=True)

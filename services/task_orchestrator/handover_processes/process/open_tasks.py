@@ -7,7 +7,8 @@ from handover_bpmn.execution.run import Run
 from handover_bpmn.timing.due_queue import DueQueue
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.records.records import TaskRecord, Timer, TimerKind
+from handover_processes.records.tasks import TaskRecord
+from handover_processes.records.timers import Timer, TimerKind
 from handover_processes.settings import OrchestratorSettings
 
 

@@ -26,7 +26,7 @@ from handover_bpmn.languages.base import ExpressionError
 from handover_bpmn.model import PerformerLost
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator, NoPerformer
-from handover_processes.allocation.assignment import Assignment
+from handover_processes.allocation.assignment import PerformerAssignment
 from handover_processes.process import alerts, attempts
 from handover_processes.process.open_tasks import OpenTasks
 from handover_processes.process.span_reservations import SpanReservations
@@ -41,20 +41,18 @@ from handover_processes.records.entities import (
     status_property,
     status_request,
 )
-from handover_processes.records.records import (
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import (
     Act,
     IncidentRecord,
-    MessageKind,
-    Move,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
-    Step,
-    TaskRecord,
-    Timer,
-    TimerKind,
     Unallocated,
 )
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskRecord
+from handover_processes.records.timers import Timer, TimerKind
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.timing.escalations import due_in, escalation_times, with_groups
 
@@ -660,12 +658,12 @@ class Process:
 
     def _choose(
         self, open_: OpenActivity, places: Sequence[SpanPlace], since: datetime, now: datetime
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         assignment = self._request(open_)
         key = self.record.id, open_.token
         return self.allocator.choose(assignment, key, since, now, self.reservations.within(places))
 
-    def _request(self, open_: OpenActivity) -> Assignment:
+    def _request(self, open_: OpenActivity) -> PerformerAssignment:
         declined = attempts.declined_by(self.record, open_)
         return self.allocator.rules.request(open_.activity, open_.variables, declined)
 
@@ -695,7 +693,7 @@ class Process:
                 self.allocator.remove_waiting(self.record.id, each.token)
         self.revise(unallocated=tuple(waiting))
 
-    def _post(self, open_: OpenActivity, assignment: Assignment, step: Step, now: datetime) -> None:
+    def _post(self, open_: OpenActivity, assignment: PerformerAssignment, step: Step, now: datetime) -> None:
         activity = with_form_version(
             assignment.activity, self.record, self.allocator.forms, self.library, now
         )

@@ -17,7 +17,7 @@ from handover_bpmn.languages.base import ExpressionError
 from handover_bpmn.spans import Need, evaluated_needs
 from handover_processes.allocation.allocator import Allocator, AskedReservation, Within
 from handover_processes.allocation.reservations import Hold
-from handover_processes.records.records import ReservationRecord, ReservationState
+from handover_processes.records.processes import ReservationRecord, ReservationState
 
 MAX_ENDED = 50
 """Ended reservations that a process keeps for its history."""

@@ -12,10 +12,11 @@ from handover_bpmn.languages.base import ExpressionError, Variables
 from handover_bpmn.model import Activity, FormBinding, FormReference, Value
 from handover_bpmn.notation.names import in_urn
 from handover_datamodels.entities import TaskStatus
-from handover_processes.allocation.assignment import Assignment
+from handover_processes.allocation.assignment import PerformerAssignment
 from handover_processes.deployed_forms import FormRegistry
 from handover_processes.records.entities import task_entity
-from handover_processes.records.records import SPECIFICATION, ProcessRecord, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import SPECIFICATION, TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.timing.escalations import escalation_times
 
@@ -32,7 +33,7 @@ def create_task(
     settings: OrchestratorSettings,
     process: ProcessRecord,
     open_: OpenActivity,
-    assignment: Assignment,
+    assignment: PerformerAssignment,
     *,
     activity: Activity,
     now: datetime,

@@ -14,7 +14,8 @@ from handover_bpmn.references import is_reference
 from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.hints import due_of, follow_up_of, given_priority
-from handover_processes.records.records import ProcessRecord, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.references import resource_id
 
 Entity = dict[str, Any]

@@ -17,7 +17,7 @@ from handover_processes.documents.responses import (
     ThroughputView,
 )
 from handover_processes.reporting.calendar import available_ms
-from handover_processes.storage.open_work import Cause, OpenTasks
+from handover_processes.storage.open_work import Cause, OpenTaskCounts
 from handover_processes.storage.reports import DefinitionReport, ElementReport, RunningCount
 from handover_processes.storage.rollups import Distribution, Distributions
 from handover_processes.tally import WHOLE_PROCESS, Counted, Period, moment_of
@@ -45,7 +45,7 @@ def elements_view(
 
 def _element(report: ElementReport, element: str, name: str) -> ElementTimes:
     completed = report.durations.get((element, Counted.COMPLETED), _NOTHING)
-    open_ = report.open_tasks.get(element, OpenTasks())
+    open_ = report.open_tasks.get(element, OpenTaskCounts())
     sums = completed.total
 
     def mean(total_ms: int) -> int | None:

@@ -18,7 +18,7 @@ from handover_processes.documents.responses import (
     json_response,
 )
 from handover_processes.operations.process_control import check_variables
-from handover_processes.records.records import ActKind
+from handover_processes.records.processes import ActKind
 from handover_processes.routes.process_response import PROCESS, changed_process_response
 from handover_processes.routes.resources import acting_name, of_definition_query, of_process
 from handover_processes.running.components import Components

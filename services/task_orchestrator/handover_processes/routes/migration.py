@@ -19,7 +19,7 @@ from handover_processes.documents.responses import (
 )
 from handover_processes.documents.views import migration_of_all_view, migration_view
 from handover_processes.operations.process_control import check_variables
-from handover_processes.records.records import Act, ActKind
+from handover_processes.records.processes import Act, ActKind
 from handover_processes.routes.resources import acting_name, of_definition, of_process
 from handover_processes.running.components import Components
 

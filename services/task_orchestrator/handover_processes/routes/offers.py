@@ -13,7 +13,7 @@ from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_processes.documents.requests import OfferRequest
 from handover_processes.documents.responses import OfferView, json_response
 from handover_processes.operations.offering import OfferReader
-from handover_processes.records.records import OfferStatus
+from handover_processes.records.offers import OfferStatus
 from handover_processes.routes.resources import acting_name
 from handover_processes.running.components import Components
 

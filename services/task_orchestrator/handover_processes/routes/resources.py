@@ -12,7 +12,8 @@ from handover.security.audit_trail import current_request
 from handover.security.guard import ResourceOf
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover_processes.definitions.definition_registry import DefinitionRegistry
-from handover_processes.records.records import ProcessRecord, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.running.components import Components
 
 

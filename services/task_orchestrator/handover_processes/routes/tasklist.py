@@ -44,7 +44,7 @@ from handover_processes.documents.tasklist_views import (
 )
 from handover_processes.documents.views import process_name
 from handover_processes.people_acts import requires_pin
-from handover_processes.records.records import TaskRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.routes.resources import of_process, of_task
 from handover_processes.running.components import Components
 

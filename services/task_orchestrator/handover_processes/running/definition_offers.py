@@ -35,7 +35,7 @@ from handover_processes.definitions.offer_rules import (
     with_fault,
 )
 from handover_processes.documents.downloads import Downloader, DownloadFailed
-from handover_processes.records.records import OfferRecord, OfferStatus
+from handover_processes.records.offers import OfferRecord, OfferStatus
 from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.running.reconcile import Reconciler
 

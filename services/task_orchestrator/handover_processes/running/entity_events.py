@@ -30,7 +30,7 @@ from handover.telemetry import get_logger
 from handover_bpmn.model import EntityFilter
 from handover_processes.events.entity_delivery import Watched
 from handover_processes.events.entity_matching import replay
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.running.orchestrator import Orchestrator
 
 log = get_logger(__name__)

@@ -44,7 +44,7 @@ from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_datamodels.states import Severity
 from handover_processes.definitions.own_definitions import write_definitions
-from handover_processes.records.records import Message, MessageKind
+from handover_processes.records.messages import Message, MessageKind
 from handover_processes.records.specification_writer import (
     SpecificationRefused,
     SpecificationsUnavailable,

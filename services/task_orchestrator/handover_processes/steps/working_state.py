@@ -25,14 +25,10 @@ from handover_processes.events.entity_matching import SeenEntities
 from handover_processes.events.event_delivery import EventDelivery
 from handover_processes.events.stored_messages import StoredMessages
 from handover_processes.process.process import Process
-from handover_processes.records.records import (
-    DefinitionHold,
-    DefinitionRecord,
-    HoldKind,
-    ProcessRecord,
-    StartTimer,
-    Step,
-)
+from handover_processes.records.definitions import DefinitionHold, DefinitionRecord, HoldKind
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.timers import StartTimer
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.steps.active_processes import ActiveProcesses
 from handover_processes.storage.store import Store

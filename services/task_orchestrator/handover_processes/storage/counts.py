@@ -13,11 +13,11 @@ from datetime import datetime
 from sqlalchemy import Connection, func, select
 
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import TaskRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.storage.open_work import open_tasks, running_processes
 from handover_processes.storage.rollups import (
     Distribution,
-    Scope,
+    ReportScope,
     element_durations,
     process_durations,
 )
@@ -96,7 +96,7 @@ def count_version(connection: Connection, definition: str, version: int, now: da
 
     The cost depends on the number of elements and months, not on that of Tasks. A median is accurate to 9 %.
     """
-    scope = Scope(definition, version)
+    scope = ReportScope(definition, version)
     counted = element_durations(connection, Period(0, hour_of(now) + 1), scope)
     running = running_processes(connection, scope).get(definition, (0, 0))[0]
     present = open_tasks(connection, scope)
@@ -138,7 +138,7 @@ def count_period(connection: Connection, since: datetime, now: datetime) -> Peri
         elif status == TaskStatus.COMPLETED.value:
             took_ms = elapsed_ms(datetime.fromisoformat(started_at), datetime.fromisoformat(ended_at))
             completed.setdefault(bin_of(took_ms), Sums()).add(Sums(1, took_ms))
-    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), Scope())
+    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), ReportScope())
     for (_, result), distribution in counted.items():
         if result is Counted.FAILED:
             failed += distribution.total.counted

@@ -10,7 +10,7 @@ import orjson
 from sqlalchemy import Connection, case, func, select, text
 
 from handover_datamodels.entities import TaskStatus
-from handover_processes.storage.rollups import Scope
+from handover_processes.storage.rollups import ReportScope
 from handover_processes.storage.schema import processes, tasks
 from handover_processes.tally import Period, elapsed_ms, moment_of
 
@@ -19,7 +19,7 @@ MAX_PROCESSES: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
-class OpenTasks:
+class OpenTaskCounts:
     """The Tasks of an element that have not ended."""
 
     waiting: int = 0
@@ -48,7 +48,7 @@ class Cause:
     """The processes that started last, some of them."""
 
 
-def open_tasks(connection: Connection, scope: Scope) -> dict[str, OpenTasks]:
+def open_tasks(connection: Connection, scope: ReportScope) -> dict[str, OpenTaskCounts]:
     """Return the open Tasks of the elements of a definition; Tasks that were cancelled are none of them."""
     columns = (processes.c.definition, processes.c.version, tasks.c.element, tasks.c.status)
     statement = (
@@ -63,7 +63,7 @@ def open_tasks(connection: Connection, scope: Scope) -> dict[str, OpenTasks]:
         if scope.contains(definition, version):
             counts.setdefault(element, Counter())[status] += count
     return {
-        element: OpenTasks(
+        element: OpenTaskCounts(
             each[TaskStatus.PENDING] + each[TaskStatus.ASSIGNED],
             each[TaskStatus.IN_PROGRESS],
             each[TaskStatus.PAUSED],
@@ -72,7 +72,7 @@ def open_tasks(connection: Connection, scope: Scope) -> dict[str, OpenTasks]:
     }
 
 
-def running_processes(connection: Connection, scope: Scope) -> dict[str, tuple[int, int]]:
+def running_processes(connection: Connection, scope: ReportScope) -> dict[str, tuple[int, int]]:
     """Return the number of processes that have not ended, and of those with incidents, by definition."""
     has_incident = case((processes.c.incidents != "[]", 1), else_=0)
     statement = (
@@ -83,7 +83,7 @@ def running_processes(connection: Connection, scope: Scope) -> dict[str, tuple[i
     return {name: (int(running), int(stopped)) for name, running, stopped in connection.execute(statement)}
 
 
-def open_incidents(connection: Connection, scope: Scope) -> Sequence[Cause]:
+def open_incidents(connection: Connection, scope: ReportScope) -> Sequence[Cause]:
     """Return the open incidents by element and cause, the most frequent first."""
     table = processes.c
     statement = (
@@ -109,7 +109,7 @@ def open_incidents(connection: Connection, scope: Scope) -> Sequence[Cause]:
     return sorted(found.values(), key=lambda cause: (-cause.count, cause.since, cause.element))
 
 
-def present_work(connection: Connection, period: Period, scope: Scope, now: datetime) -> dict[str, int]:
+def present_work(connection: Connection, period: Period, scope: ReportScope, now: datetime) -> dict[str, int]:
     """Return the time in ms that resources have worked in a period on Tasks that they still work on."""
     statement = (
         select(

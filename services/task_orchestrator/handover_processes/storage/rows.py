@@ -12,23 +12,19 @@ from handover.messages import message_in, with_code
 from handover_bpmn.model import Fault
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
-from handover_processes.records.records import (
+from handover_processes.records.messages import Message
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.processes import (
     Act,
     ActKind,
-    Decision,
     IncidentRecord,
-    Message,
-    OfferRecord,
-    OfferStatus,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
     Retry,
-    TaskAct,
-    TaskActKind,
-    TaskRecord,
     Unallocated,
 )
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 from handover_processes.tally import MAX_RESOURCE_LENGTH
 
 _MOMENTS = frozenset(

@@ -22,22 +22,13 @@ from handover.database import DatabaseLock
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.deployed_forms import FormRecord
-from handover_processes.records.records import (
-    DefinitionHold,
-    DefinitionRecord,
-    DeletedVersion,
-    HoldKind,
-    Message,
-    MessageKind,
-    MessageRecord,
-    Move,
-    OfferRecord,
-    ProcessRecord,
-    StartTimer,
-    Step,
-    TaskAct,
-    TaskRecord,
-)
+from handover_processes.records.definitions import DefinitionHold, DefinitionRecord, DeletedVersion, HoldKind
+from handover_processes.records.messages import Message, MessageKind, MessageRecord
+from handover_processes.records.offers import OfferRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskAct, TaskRecord
+from handover_processes.records.timers import StartTimer
 from handover_processes.storage import schema
 from handover_processes.storage.counts import PeriodCount, VersionCount, count_period, count_version
 from handover_processes.storage.process_filter import EVERY_PROCESS, ProcessFilter, processes_page

@@ -19,11 +19,9 @@ from sqlalchemy.exc import IntegrityError
 
 from handover.errors import HandoverError
 from handover.security.audit_trail import record_request
-from handover_processes.records.records import (
-    DefinitionRecord,
-    ProcessRecord,
-    Step,
-)
+from handover_processes.records.definitions import DefinitionRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
 from handover_processes.storage import schema
 from handover_processes.storage.rollups import write_tally
 from handover_processes.storage.rows import (

@@ -12,7 +12,9 @@ from handover_datamodels.times import iso
 from handover_processes.allocation.agents import Agent, Agents
 from handover_processes.allocation.allocator import Allocator
 from handover_processes.process.process import Process
-from handover_processes.records.records import ProcessRecord, ReservationState, Step, TaskRecord
+from handover_processes.records.processes import ProcessRecord, ReservationState
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW
 from services.task_orchestrator.tests.unit.process_driver import DEFINED_BY

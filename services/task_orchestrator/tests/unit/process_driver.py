@@ -10,7 +10,9 @@ from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.process.process import Process
-from handover_processes.records.records import MessageKind, ProcessRecord, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW, drawing
 

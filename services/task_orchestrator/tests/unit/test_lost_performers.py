@@ -6,7 +6,7 @@ import pytest
 
 from handover.tasks.outcomes import is_outcome_unknown
 from handover_bpmn.notation.faults import BadBpmn
-from handover_processes.records.records import MessageKind
+from handover_processes.records.messages import MessageKind
 from services.task_orchestrator.tests.unit.drawing import activity, end, path, start
 from services.task_orchestrator.tests.unit.process_driver import ProcessDriver, alerts, created, task_id
 

@@ -8,7 +8,9 @@ from handover.errors import Problem
 from handover_datamodels.entities import Task, TaskStatus
 from handover_processes.process import interventions
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind, MessageKind, TimerKind
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.timers import TimerKind
 from services.task_orchestrator.tests.unit.drawing import (
     NOW,
     ONE_STEP,
