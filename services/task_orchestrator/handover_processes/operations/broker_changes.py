@@ -17,6 +17,7 @@ from handover_datamodels.entities import Task, TaskStatus
 from handover_processes.allocation.agents import Agents
 from handover_processes.operations.device_leases import DeviceLeases
 from handover_processes.people_acts import requires_pin
+from handover_processes.process import task_troubles
 from handover_processes.process.process import Process
 from handover_processes.records.messages import Message, MessageKind
 from handover_processes.records.step import Step
@@ -84,7 +85,7 @@ class BrokerChanges:
             def act(step: Step) -> None:
                 owner = self._state.active_processes.owner(task_id)
                 if owner is not None:
-                    owner.missing(task_id, step, self._state.clock())
+                    task_troubles.missing(owner, task_id, step, self._state.clock())
 
             return act
 
@@ -95,7 +96,7 @@ class BrokerChanges:
         owner = self._state.active_processes.owner(message.subject)
         if message.kind in {MessageKind.CREATE, MessageKind.SPECIFY} and owner is not None:
             await self._writer.apply(
-                lambda step: owner.reject(message.subject, reason, step, self._state.clock())
+                lambda step: task_troubles.reject(owner, message.subject, reason, step, self._state.clock())
             )
 
     async def set_agents(self, agents: Agents) -> None:
@@ -149,7 +150,7 @@ class BrokerChanges:
             if task is None:
                 self._report_unreadable(owner, seen, step)
                 continue
-            owner.readable(task.id, step)
+            task_troubles.readable(owner, task.id, step)
             if self._refuse_without_pin(owner, task, step):
                 continue
             if owner.receive(self._without_unproven_performer(task), step, now):
@@ -160,7 +161,7 @@ class BrokerChanges:
 
     def _report_unreadable(self, owner: Process, seen: "_Seen", step: Step) -> None:
         writer = self._writer_of(owner.tasks.get(seen.id))
-        if owner.unreadable(seen.id, writer, seen.fault, step):
+        if task_troubles.unreadable(owner, seen.id, writer, seen.fault, step):
             RECEIVED.labels("unreadable").inc()
             log.warning("task does not match the data model", task=seen.id, writer=writer, error=seen.fault)
 
