@@ -18,20 +18,15 @@ from handover.messages import message, message_in, text_of
 from handover.tasks.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown
 from handover.tasks.task_life import FINISHED
 from handover_bpmn.execution.graph import Plan
-from handover_bpmn.execution.queries import OpenIncident
 from handover_bpmn.execution.run import Run
 from handover_bpmn.execution.state import Library, RunFailed
 from handover_bpmn.languages.base import ExpressionError
 from handover_datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.process import alerts, attempts, posting
+from handover_processes.process import alerts, attempts, posting, state_report
 from handover_processes.process.process_state import ProcessState
 from handover_processes.process.tally import count_change, count_end, count_start, count_task
-from handover_processes.process.task_creation import task_id_of
 from handover_processes.records.entities import (
-    MAX_LISTED_TASKS,
-    definition_id,
-    entity_of,
     execution_properties,
     outputs_property,
     status_property,
@@ -39,7 +34,6 @@ from handover_processes.records.entities import (
 )
 from handover_processes.records.messages import MessageKind
 from handover_processes.records.processes import (
-    IncidentRecord,
     ProcessRecord,
 )
 from handover_processes.records.step import Step
@@ -50,8 +44,6 @@ from handover_processes.timing.escalations import due_in, escalation_times, with
 
 CANCELLED = "cancelled"
 MAX_TITLE = 200
-REPORTED_TASKS = 10
-"""Beyond `MAX_LISTED_TASKS` the Process entity is written with every so many new Tasks."""
 NO_REASON = message("task.no_reason", "no reason given")
 
 
@@ -110,7 +102,7 @@ class Process(ProcessState):
         step.new.add(record.id)
         step.touched.add(record.id)
         count_start(step, record)
-        process.report_state(step, now)
+        state_report.report_state(process, step, now)
         process.update(step, now)
         return process
 
@@ -328,7 +320,7 @@ class Process(ProcessState):
         self._cancel_left(run, step, now)
         if self.record.retries:
             self.revise(retries=attempts.present_retries(self.record, run))
-        self._update_incidents(step)
+        state_report.update_incidents(self, step)
         known = self.record.id in step.processes or self.record.id in step.new
         self.revise(
             revision=self.record.revision + (0 if known else 1),
@@ -339,8 +331,8 @@ class Process(ProcessState):
         )
         step.processes[self.record.id] = self.record
         step.to_index[self.record.id] = None
-        if self._is_report_due():
-            self.report_state(step, now)
+        if state_report.is_report_due(self):
+            state_report.report_state(self, step, now)
 
     def _set_title(self, run: Run) -> None:
         """Set the title that the definition gives, once its variables are there; then it stays."""
@@ -351,37 +343,6 @@ class Process(ProcessState):
             value = naming.value(run.visible_variables())
             title = "" if value is None else " ".join(str(value).replace("\0", "").split())
             self.revise(title=title[:MAX_TITLE] or None)
-
-    def _update_incidents(self, step: Step) -> None:
-        """Record the incidents; raise the Alerts of new ones and clear those of others."""
-        known = {incident.token: incident for incident in self.record.incidents}
-        present = {}
-        for each in self.run.incidents() if self.run is not None else ():
-            before = known.get(each.token)
-            is_same = before is not None and (before.since, before.element) == (each.since, each.element)
-            present[each.token] = before if before is not None and is_same else self._incident(each)
-        for token, incident in known.items():
-            if present.get(token) is not incident:
-                alerts.clear_incident(step, self.record, self.urn, incident)
-        for token, incident in present.items():
-            if known.get(token) is not incident:
-                alerts.raise_incident(step, self.record, self.urn, incident)
-        self.revise(incidents=tuple(present.values()))
-
-    def _incident(self, found: OpenIncident) -> IncidentRecord:
-        failed = found.details.get("task")
-        if not failed and found.visit:
-            failed = task_id_of(self.settings, self.record.id, found.element, found.visit)
-        code = found.details.get("code")
-        return IncidentRecord(
-            token=found.token,
-            element=found.element,
-            name=found.name,
-            reason=found.reason,
-            since=found.since,
-            task=failed if failed in self.composed else None,
-            code=None if code is None else str(code),
-        )
 
     def _escalate(self, task: TaskRecord, step: Step, now: datetime) -> None:
         """Handle that a Task has not ended when a level of its escalation is due."""
@@ -439,22 +400,3 @@ class Process(ProcessState):
         self.run = None
         self.revise(status=status, reason=reason, ended_at=now, variables=variables)
         count_end(step, self.record)
-
-    def _is_report_due(self) -> bool:
-        """Return whether the Process entity has to be written: at each state, and when it has more Tasks.
-
-        The entity lists the last Tasks, and new ones of a long process are reported in groups, so that a step
-        costs the same however long the process has run.
-        """
-        if self.reported is None or self.reported[0] is not self.record.status:
-            return True
-        listed = self.reported[1]
-        new = len(self.composed) - listed
-        return new >= (1 if listed < MAX_LISTED_TASKS else REPORTED_TASKS)
-
-    def report_state(self, step: Step, now: datetime) -> None:
-        """Write the state of the process to the broker."""
-        self.reported = (self.record.status, len(self.composed))
-        defined_by = definition_id(self.settings, self.plan.definition)
-        entity = entity_of(self.settings, self.record, defined_by, self.composed, now)
-        step.enqueue(self.record.id, MessageKind.UPSERT, self.urn, [entity])

@@ -8,7 +8,7 @@ from handover.tasks.outcomes import outcome_unknown
 from handover.tasks.task_life import STARTED
 from handover_bpmn.model import PerformerLost
 from handover_datamodels.entities import TaskStatus
-from handover_processes.process import alerts
+from handover_processes.process import alerts, state_report
 from handover_processes.process.process import CANCELLED, Process, StatusChange
 from handover_processes.records.entities import (
     outputs_property,
@@ -112,10 +112,10 @@ def missing(process: Process, task_id: str, step: Step, now: datetime) -> None:
         process.apply(task, StatusChange(TaskStatus.FAILED, now, {"reason": CANCELLED}), step, now)
     elif task.status is TaskStatus.PENDING:
         step.enqueue(task.stream, MessageKind.CREATE, task.id, task.entity)
-        process.report_state(step, now)
+        state_report.report_state(process, step, now)
     else:
         process.record_task(task.changed(lost=task.lost + 1), step)
         if task.lost == 0:  # the broker may have lost the process with it
-            process.report_state(step, now)
+            state_report.report_state(process, step, now)
         if task.lost == 1:
             alerts.raise_lost(step, task)
