@@ -11,7 +11,7 @@ from lxml import etree
 from handover.formats.durations import parse_duration
 from handover_bpmn.model import Escalation
 from handover_bpmn.notation.dialects.base import attempt
-from handover_bpmn.notation.dialects.handover import extensions_of
+from handover_bpmn.notation.dialects.handover_elements import extensions_of
 from handover_bpmn.notation.faults import Findings
 
 

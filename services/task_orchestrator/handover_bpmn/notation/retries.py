@@ -14,7 +14,7 @@ from handover.formats.durations import parse_duration
 from handover_bpmn.model import RetryPolicy, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt
-from handover_bpmn.notation.dialects.handover import extension_of
+from handover_bpmn.notation.dialects.handover_elements import extension_of
 from handover_bpmn.notation.elements import warn_without_effect
 from handover_bpmn.timing.timers import RepeatingInterval, parse_cycle
 

@@ -30,7 +30,7 @@ from handover_bpmn.notation.activities import (
 )
 from handover_bpmn.notation.conditions import read_condition
 from handover_bpmn.notation.context import Context
-from handover_bpmn.notation.dialects.handover import has_task
+from handover_bpmn.notation.dialects.handover_elements import has_task
 from handover_bpmn.notation.document import (
     BPMN,
     child,

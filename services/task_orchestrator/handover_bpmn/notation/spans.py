@@ -20,11 +20,7 @@ from handover_bpmn.languages.juel import read_template
 from handover_bpmn.model import Node, Scope, Span, SpanKind, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt
-from handover_bpmn.notation.dialects.handover import (
-    NAMESPACE,
-    check_reserve,
-    reserve_elements,
-)
+from handover_bpmn.notation.dialects.handover_elements import NAMESPACE, check_reserve, reserve_elements
 from handover_bpmn.notation.document import BPMN, children, extensions, local, text
 from handover_bpmn.notation.elements import KINDS, referenced
 from handover_bpmn.notation.faults import Findings

@@ -12,7 +12,7 @@ from handover_bpmn.languages.juel import read_juel
 from handover_bpmn.model import Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt
-from handover_bpmn.notation.dialects.handover import extension_of
+from handover_bpmn.notation.dialects.handover_elements import extension_of
 
 
 def read_specification(element: etree._Element, context: Context) -> dict[str, Value] | None:

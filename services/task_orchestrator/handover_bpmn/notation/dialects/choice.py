@@ -4,7 +4,14 @@ from collections.abc import Callable
 
 from lxml import etree
 
-from handover_bpmn.notation.dialects import camunda7, handover, jbpm, zeebe
+from handover_bpmn.notation.dialects import (
+    camunda7,
+    camunda7_elements,
+    handover,
+    handover_elements,
+    jbpm,
+    zeebe,
+)
 from handover_bpmn.notation.dialects.base import Dialect
 from handover_bpmn.notation.document import children, extensions, local, namespace
 from handover_bpmn.notation.elements import warn_unknown_extension
@@ -12,7 +19,7 @@ from handover_bpmn.notation.faults import Findings
 
 _DIALECTS: tuple[tuple[tuple[str, ...], str, Callable[[], Dialect]], ...] = (
     ((zeebe.NAMESPACE,), "Camunda Cloud", zeebe.Zeebe),
-    (camunda7.NAMESPACES, "Camunda Platform", camunda7.Camunda7),
+    (camunda7_elements.NAMESPACES, "Camunda Platform", camunda7.Camunda7),
     (jbpm.NAMESPACES, "jBPM", jbpm.Jbpm),
 )
 """The namespaces of each dialect beside ours, and the platform that Camunda Modeler names.
@@ -27,7 +34,9 @@ _LANGUAGES_OF_JBPM = ("http://www.mvel.org", "http://www.java.com")
 _EXECUTABLE_BY_DEFAULT = ("http://activiti.org/bpmn", "http://flowable.org/bpmn")
 
 _PLATFORM = "{http://camunda.org/schema/modeler/1.0}executionPlatform"
-_KNOWN = frozenset({handover.NAMESPACE, *(each for namespaces, _, _ in _DIALECTS for each in namespaces)})
+_KNOWN = frozenset(
+    {handover_elements.NAMESPACE, *(each for namespaces, _, _ in _DIALECTS for each in namespaces)}
+)
 
 
 class Dialects:
@@ -36,7 +45,7 @@ class Dialects:
     def __init__(self, root: etree._Element) -> None:
         used = _used_namespaces(root)
         declared = self._declared = used.union(root.nsmap.values())
-        self.is_ours = handover.NAMESPACE in declared
+        self.is_ours = handover_elements.NAMESPACE in declared
         """Whether the file was drawn for us: what cannot be read in our language is then a fault."""
         self.handover = handover.Handover(is_strict=self.is_ours)
         self.main: Dialect = self.handover
@@ -57,7 +66,7 @@ class Dialects:
         """Return the dialect of an event: ours if it has our extension elements."""
         parts = [part for part in children(element) if local(part).endswith("EventDefinition")]
         ours = any(
-            namespace(extension) == handover.NAMESPACE
+            namespace(extension) == handover_elements.NAMESPACE
             for each in (element, *parts)
             for extension in extensions(each)
         )

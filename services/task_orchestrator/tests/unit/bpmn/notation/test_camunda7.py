@@ -12,7 +12,7 @@ from handover_bpmn.model import (
     Node,
     TimerEvent,
 )
-from handover_bpmn.notation.dialects import camunda7
+from handover_bpmn.notation.dialects import camunda7_elements
 from handover_bpmn.notation.file import read_bpmn
 from services.task_orchestrator.tests.unit.bpmn.notation.reading import (
     between,
@@ -405,10 +405,10 @@ def test_a_time_without_zone_is_utc() -> None:
     assert "is read as UTC" in warnings(between(event + "</bpmn:intermediateCatchEvent>"))[0]
 
 
-@pytest.mark.parametrize("namespace", camunda7.NAMESPACES)
+@pytest.mark.parametrize("namespace", camunda7_elements.NAMESPACES)
 def test_the_relatives_of_camunda_have_the_same_attributes(namespace: str) -> None:
     xml = file(between('<bpmn:userTask id="x" camunda:assignee="ann"/>'))
-    xml = xml.replace(camunda7.NAMESPACES[0].encode(), namespace.encode())
+    xml = xml.replace(camunda7_elements.NAMESPACES[0].encode(), namespace.encode())
     assert read_bpmn(xml).definitions[0].activities()["x"].hints == {"assignee": "ann"}
 
 

@@ -15,11 +15,11 @@ from handover_bpmn.model import (
     MessageEvent,
     SignalEvent,
 )
-from handover_bpmn.notation.dialects.handover import (
-    _ATTRIBUTES,
-    _EVALUATED,
+from handover_bpmn.notation.dialects.handover_elements import (
+    ATTRIBUTES,
+    EVALUATED,
     NAMESPACE,
-    _check_attributes,
+    check_attributes,
 )
 from handover_bpmn.notation.faults import Findings
 from handover_bpmn.notation.file import read_bpmn
@@ -266,14 +266,14 @@ def test_a_wrong_form_is_a_fault(form: str) -> None:
 
 
 def test_every_attribute_that_is_not_evaluated_refuses_an_expression() -> None:
-    for element, attributes in _ATTRIBUTES.items():
-        for name in attributes - _EVALUATED.get(element, frozenset()) - {"expression"}:
+    for element, attributes in ATTRIBUTES.items():
+        for name in attributes - EVALUATED.get(element, frozenset()) - {"expression"}:
             extension = etree.Element(f"{{{NAMESPACE}}}{element}", {name: "${x}"})
             found = Findings()
-            _check_attributes(extension, found)
+            check_attributes(extension, found)
             assert [f'{name}="${{x}}" is an expression' in each.message for each in found.faults] == [True]
             deployed = Findings(is_deployed=True)  # it was accepted by an earlier release
-            _check_attributes(extension, deployed)
+            check_attributes(extension, deployed)
             assert (deployed.faults, len(deployed.warnings)) == ([], 1)
 
 

@@ -9,7 +9,7 @@ from lxml import etree
 
 import handover_processes
 from handover_bpmn.model import Kind, Scope
-from handover_bpmn.notation.dialects import camunda7, handover, zeebe
+from handover_bpmn.notation.dialects import camunda7_elements, handover_elements, zeebe
 from handover_bpmn.notation.document import BPMN
 from handover_bpmn.notation.faults import BadBpmn
 from handover_bpmn.notation.file import read_bpmn
@@ -65,9 +65,12 @@ NAMES = [
     ),
 ]
 EXTENSIONS = [
-    *(f"{{{handover.NAMESPACE}}}{name}" for name in ("task", "on", "process", "involves", "parameter")),
     *(
-        f"{{{camunda7.NAMESPACES[0]}}}{name}"
+        f"{{{handover_elements.NAMESPACE}}}{name}"
+        for name in ("task", "on", "process", "involves", "parameter")
+    ),
+    *(
+        f"{{{camunda7_elements.NAMESPACES[0]}}}{name}"
         for name in (
             "inputOutput",
             "inputParameter",
@@ -88,8 +91,8 @@ ATTRIBUTES = [
     *("id", "name", "sourceRef", "targetRef", "attachedToRef", "messageRef", "processRef", "default", "type"),
     *("isExecutable", "triggeredByEvent", "calledElement", "source", "target", "expression", "definition"),
     *("dataObjectRef", "variable", "scriptFormat", "key", "isForCompensation", "processId", "value", "event"),
-    f"{{{camunda7.NAMESPACES[0]}}}topic",
-    f"{{{camunda7.NAMESPACES[0]}}}collection",
+    f"{{{camunda7_elements.NAMESPACES[0]}}}topic",
+    f"{{{camunda7_elements.NAMESPACES[0]}}}collection",
     f"{{{zeebe.NAMESPACE}}}x",
 ]
 TEXTS = st.one_of(
