@@ -38,17 +38,21 @@ def upcoming_activities(
     """
     graph = _Graph(definition)
     here = [graph.nodes[name] for name in waiting if name in graph.nodes]
-    known = _settled(graph, here, variables)
-    found: dict[str, Activity] = {}
+    settled = _settled(graph, here, variables)
+    upcoming: dict[str, Activity] = {}
     exceptions = [node for node in here if node.kind is Kind.BOUNDARY_EVENT]
     for node in here:
-        exceptions += [each for each in graph.boundary_events.get(node.id, ()) if each not in here]
-    regular = [each for each in here if each.kind is not Kind.BOUNDARY_EVENT and each.scope is None]
+        exceptions += [event for event in graph.boundary_events.get(node.id, ()) if event not in here]
+    regular = [
+        waiting_node
+        for waiting_node in here
+        if waiting_node.kind is not Kind.BOUNDARY_EVENT and waiting_node.scope is None
+    ]
     for node in [*regular, *exceptions]:
         host = node.attached_to or node.id
-        for name in _Walk(graph, host, dict(known)).activities_after(node.id):
-            found.setdefault(name, graph.activities[name])
-    return tuple(found.values())[:MAX_UPCOMING]
+        for name in _Walk(graph, host, dict(settled)).activities_after(node.id):
+            upcoming.setdefault(name, graph.activities[name])
+    return tuple(upcoming.values())[:MAX_UPCOMING]
 
 
 def _settled(graph: "_Graph", here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
@@ -75,7 +79,7 @@ def _set_by(node: Node) -> tuple[str, ...] | None:
     if node.kind is Kind.BOUNDARY_EVENT:
         return ("error",)
     if node.outputs:
-        return tuple(each.target for each in node.outputs)
+        return tuple(output.target for output in node.outputs)
     if node.activity is None:
         return None if node.event is not None and node.kind in EVENTS else ()
     if node.activity.outputs:
@@ -167,11 +171,11 @@ def _enclose(host: Node, scope: Scope, leaving: dict[str, list[Flow]]) -> None:
 
 @dataclass
 class _Walk:
-    """A traversal of the graph from the element `host`, with the `known` variables."""
+    """A traversal of the graph from the element `host`, with the `settled` variables."""
 
     graph: _Graph
     host: str
-    known: dict[str, Any]
+    settled: dict[str, Any]
     _passed: set[str] = field(default_factory=set)
 
     def activities_after(self, name: str) -> Iterator[str]:
@@ -219,10 +223,10 @@ class _Walk:
         if flow.condition is None:
             return None
         try:
-            return bool(flow.condition.value(self.known))
+            return bool(flow.condition.value(self.settled))
         except ExpressionError:
             return None
 
     def _forget_variables(self) -> None:
         """A script on the path changes variables and is not executed here, so none is known afterwards."""
-        self.known.clear()
+        self.settled.clear()

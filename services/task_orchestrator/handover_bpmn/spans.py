@@ -89,24 +89,24 @@ def evaluated_needs(span: Span, variables: Variables) -> tuple[Need, ...]:
 
     Raises `ExpressionError` if a variable is missing, `ValueError` if a value names nothing to reserve.
     """
-    found = tuple(
+    needs = tuple(
         need for value in span.needs for text in _texts(value.value(variables)) for need in read_needs(text)
     )
-    if len(found) > MAX_NEEDS:
+    if len(needs) > MAX_NEEDS:
         raise ValueError(
             message(
                 "reservation.too_many",
                 '"{span}" reserves {count} resources; {limit} are possible',
                 span=span.name,
-                count=len(found),
+                count=len(needs),
                 limit=MAX_NEEDS,
             )
         )
-    return found
+    return needs
 
 
 def _texts(value: Json) -> list[str]:
-    return [str(each) for each in value] if isinstance(value, list) else ["" if value is None else str(value)]
+    return [str(text) for text in value] if isinstance(value, list) else ["" if value is None else str(value)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +142,11 @@ class _Placed:
 
 def find_unions(scope: Scope) -> dict[str, tuple[SpanUnion, ...]]:
     """Return the unions of a process, by the id of the scope whose nodes they have."""
-    found: dict[str, tuple[SpanUnion, ...]] = {}
+    unions: dict[str, tuple[SpanUnion, ...]] = {}
     for placed in _joined(list(_placed(scope, ()))):
-        anchor = min(placed, key=lambda each: len(each.way)).scope
-        found[anchor.id] = (*found.get(anchor.id, ()), _union(anchor, placed))
-    return found
+        anchor = min(placed, key=lambda placed_span: len(placed_span.way)).scope
+        unions[anchor.id] = (*unions.get(anchor.id, ()), _union(anchor, placed))
+    return unions
 
 
 def spans_in_parallel_instances(scope: Scope) -> Iterator[tuple[Span, Node]]:
@@ -155,11 +155,11 @@ def spans_in_parallel_instances(scope: Scope) -> Iterator[tuple[Span, Node]]:
     They cannot be reserved with the outer one: the number of their instances is not known then.
     """
     for placed in _joined(list(_placed(scope, ()))):
-        depth = min(len(each.way) for each in placed)
-        for each in placed:
-            for _, node in each.way[depth:]:
+        depth = min(len(placed_span.way) for placed_span in placed)
+        for placed_span in placed:
+            for _, node in placed_span.way[depth:]:
                 if isinstance(node.loop, MultiInstance) and not node.loop.sequential:
-                    yield each.span, node
+                    yield placed_span.span, node
                     break
 
 
@@ -198,55 +198,55 @@ def _extent(scope: Scope, span: Span) -> frozenset[str]:
 def _upstream(scope: Scope, targets: Iterable[str]) -> frozenset[str]:
     """Return the nodes from which a token can reach one of `targets`."""
     sources = predecessors(scope)
-    found: set[str] = set()
+    nodes: set[str] = set()
     stack = [source for target in targets for source in sources.get(target, ())]
     while stack:
         name = stack.pop()
-        if name not in found:
-            found.add(name)
+        if name not in nodes:
+            nodes.add(name)
             stack += sources.get(name, ())
-    return frozenset(found)
+    return frozenset(nodes)
 
 
 def _joined(placed: list[_Placed]) -> list[list[_Placed]]:
     """Return the spans in sets of those that overlap directly or by others."""
     sets: list[list[_Placed]] = []
-    for each in placed:
-        overlapping = [one for one in sets if any(_overlap(each, other) for other in one)]
-        sets = [one for one in sets if one not in overlapping]
-        sets.append([*(other for one in overlapping for other in one), each])
+    for placed_span in placed:
+        overlapping = [group for group in sets if any(_overlap(placed_span, other) for other in group)]
+        sets = [group for group in sets if group not in overlapping]
+        sets.append([*(other for group in overlapping for other in group), placed_span])
     return sets
 
 
-def _overlap(one: _Placed, other: _Placed) -> bool:
-    if len(one.way) > len(other.way):
-        one, other = other, one
-    if one.scope is other.scope:
-        return bool(one.extent & other.span.members or other.extent & one.span.members)
-    if len(one.way) == len(other.way):
+def _overlap(first: _Placed, other: _Placed) -> bool:
+    if len(first.way) > len(other.way):
+        first, other = other, first
+    if first.scope is other.scope:
+        return bool(first.extent & other.span.members or other.extent & first.span.members)
+    if len(first.way) == len(other.way):
         return False
-    scope, node = other.way[len(one.way)]
-    return scope is one.scope and node.id in one.extent
+    scope, node = other.way[len(first.way)]
+    return scope is first.scope and node.id in first.extent
 
 
 def _union(anchor: Scope, placed: list[_Placed]) -> SpanUnion:
-    depth = min(len(each.way) for each in placed)
+    depth = min(len(placed_span.way) for placed_span in placed)
     entry: set[str] = set()
     held: set[str] = set()
     extent: set[str] = set()
-    for each in placed:
-        if each.scope is not anchor:
-            entry.add(each.way[depth][1].id)
+    for placed_span in placed:
+        if placed_span.scope is not anchor:
+            entry.add(placed_span.way[depth][1].id)
             continue
-        entry |= each.span.members
-        extent |= each.extent
-        if each.span.kind is SpanKind.LANE:
-            held |= each.extent
+        entry |= placed_span.span.members
+        extent |= placed_span.extent
+        if placed_span.span.kind is SpanKind.LANE:
+            held |= placed_span.extent
     extent |= entry
     activities = tuple(a for name in sorted(extent) for a in _activities(anchor.nodes[name]))
-    ordered = sorted(placed, key=lambda each: (len(each.way), -len(each.span.members)))
+    ordered = sorted(placed, key=lambda placed_span: (len(placed_span.way), -len(placed_span.span.members)))
     return SpanUnion(
-        tuple(each.span for each in ordered),
+        tuple(placed_span.span for placed_span in ordered),
         frozenset(entry),
         frozenset(entry | held),
         frozenset(extent),

@@ -142,15 +142,15 @@ def _call(machine: Machine, token: Token, call: Call) -> None:
         with machine.failures(token):
             plan = called_plan(machine, call, variables)
             parameters = plan.definition.parameters
-            given: dict[str, Any] = {}
+            passed: dict[str, Any] = {}
             if call.all_inputs:
-                given = {name: variables[name] for name in variables if not parameters or name in parameters}
-            given.update((_mapped if call.in_order else _evaluated)(call.inputs, variables))
-            given = plan.definition.arguments(given)
+                passed = {name: variables[name] for name in variables if not parameters or name in parameters}
+            passed.update((_mapped if call.in_order else _evaluated)(call.inputs, variables))
+            passed = plan.definition.arguments(passed)
             key = None if call.key is None else call.key.value(variables)
     except Problem as problem:
         raise machine.failure(token, problem.detail) from problem
-    frame = machine.add_frame(plan.graph, token, plan=plan, variables=given)
+    frame = machine.add_frame(plan.graph, token, plan=plan, variables=passed)
     frame.key = None if key is None else str(key)
     _start_frame(machine, token, frame)
 
@@ -220,15 +220,15 @@ def throw_message(machine: Machine, token: Token, event: MessageEvent) -> None:
 
 
 def _evaluated(assignments: tuple[Assignment, ...], variables: Variables) -> dict[str, Json]:
-    return {each.target: each.value.value(variables) for each in assignments}
+    return {assignment.target: assignment.value.value(variables) for assignment in assignments}
 
 
 def _mapped(assignments: tuple[Assignment, ...], variables: Variables) -> dict[str, Json]:
     """Return what mappings yield, in their order: each sees the values of those before it."""
     values: dict[str, Json] = {}
     visible = ChainMap(values, variables)  # type: ignore[arg-type]  # only the first is written to
-    for each in assignments:
-        values[each.target] = each.value.value(visible)
+    for assignment in assignments:
+        values[assignment.target] = assignment.value.value(visible)
     return values
 
 
@@ -315,10 +315,12 @@ def _items(machine: Machine, token: Token, loop: MultiInstance) -> list[Json]:
     variables = machine.variables(token)
     with machine.failures(token):
         if loop.collection is not None:
-            found = loop.collection.value(variables)
-            if not isinstance(found, list):
-                raise ValueError(f"the collection of a multi-instance activity is a list, not {found!r:.80}")
-            items = list(found)
+            collection = loop.collection.value(variables)
+            if not isinstance(collection, list):
+                raise ValueError(
+                    f"the collection of a multi-instance activity is a list, not {collection!r:.80}"
+                )
+            items = list(collection)
         else:
             items = list(range(_count(loop.cardinality or Value(0), variables)))
         if len(items) > MAX_INSTANCES:
@@ -327,10 +329,10 @@ def _items(machine: Machine, token: Token, loop: MultiInstance) -> list[Json]:
 
 
 def _count(cardinality: Value, variables: Mapping[str, Json]) -> int:
-    found = cardinality.value(variables)
-    count = _whole_number(found)
+    number = cardinality.value(variables)
+    count = _whole_number(number)
     if count is None or not 0 <= count <= MAX_INSTANCES:
-        raise ValueError(f"the number of instances is 0 to {MAX_INSTANCES}, not {found!r:.80}")
+        raise ValueError(f"the number of instances is 0 to {MAX_INSTANCES}, not {number!r:.80}")
     return count
 
 

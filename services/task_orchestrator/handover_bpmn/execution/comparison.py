@@ -46,8 +46,8 @@ def comparable(value: Any, *, but: frozenset[str] = frozenset()) -> Any:
     if hasattr(value, "names") and hasattr(value, "text") and not hasattr(value, "members"):
         return type(value).__name__, value.text
     if is_dataclass(value) and not isinstance(value, type):
-        parts = [(each.name, comparable(getattr(value, each.name))) for each in fields(value)
-                 if each.name not in but]  # fmt: skip
+        parts = [(field.name, comparable(getattr(value, field.name))) for field in fields(value)
+                 if field.name not in but]  # fmt: skip
         return type(value).__name__, parts
     if isinstance(value, Mapping):
         return {name: comparable(part) for name, part in value.items()}
@@ -58,18 +58,18 @@ def comparable(value: Any, *, but: frozenset[str] = frozenset()) -> Any:
 
 def nodes_ahead(graph: Graph, nodes: Iterable[str]) -> list[tuple[Node, list[Flow]]]:
     """Return the nodes that tokens at `nodes` can reach in a scope, with their outgoing flows."""
-    stack, found = list(nodes), dict[str, tuple[Node, list[Flow]]]()
+    stack, reached = list(nodes), dict[str, tuple[Node, list[Flow]]]()
     while stack:
         name = stack.pop()
-        if name in found:
+        if name in reached:
             continue
         node = graph.nodes[name]
-        found[name] = node, graph.outgoing[name]
+        reached[name] = node, graph.outgoing[name]
         stack += [flow.target for flow in graph.outgoing[name]]
-        stack += [each.id for each in graph.boundaries.get(name, [])]
+        stack += [boundary.id for boundary in graph.boundaries.get(name, [])]
         if isinstance(node.event, LinkEvent) and node.event.name in graph.links:
             stack.append(graph.links[node.event.name].id)
-    return list(found.values())
+    return list(reached.values())
 
 
 def read_by(value: Any) -> Iterator[str]:
@@ -82,8 +82,8 @@ def read_by(value: Any) -> Iterator[str]:
     elif hasattr(value, "names") and hasattr(value, "text"):
         yield from value.names()
     elif is_dataclass(value) and not isinstance(value, type):
-        for each in fields(value):
-            yield from read_by(getattr(value, each.name))
+        for field in fields(value):
+            yield from read_by(getattr(value, field.name))
     elif isinstance(value, Mapping):
         for part in value.values():
             yield from read_by(part)
@@ -103,7 +103,7 @@ def set_by(node: Node) -> Iterator[str]:
         node.outputs,
         () if node.call is None else node.call.outputs,
     ):
-        yield from (each.target for each in assigned)
+        yield from (assignment.target for assignment in assigned)
     if isinstance(node.loop, MultiInstance):
         yield from (name for name in (node.loop.item_variable, node.loop.output_collection) if name)
     for name in ("code_variable", "message_variable"):

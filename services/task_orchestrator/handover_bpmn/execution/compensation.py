@@ -33,11 +33,11 @@ def start_compensation(machine: Machine, token: Token, event: CompensateEvent) -
     token.compensation = Compensation([])
     for frame in reversed(_targets(machine, token)):
         kept: list[Completion] = []
-        for each in frame.completions:
-            if event.activity in (None, each["activity"]):
-                token.compensation.entries.append((frame.id, each))
+        for completion in frame.completions:
+            if event.activity in (None, completion["activity"]):
+                token.compensation.entries.append((frame.id, completion))
             else:
-                kept.append(each)
+                kept.append(completion)
         frame.completions = kept
     continue_compensation(machine, token)
 
@@ -45,11 +45,11 @@ def start_compensation(machine: Machine, token: Token, event: CompensateEvent) -
 def _targets(machine: Machine, token: Token) -> list[Frame]:
     """Return the frames to compensate: the own one; from an event subprocess also the scope that has it."""
     frame = machine.frame_of(token)
-    found = [frame]
+    frames = [frame]
     while (host := machine.host(frame)) is not None and machine.node(host).triggered_by_event:
         frame = machine.frame_of(host)
-        found.append(frame)
-    return found
+        frames.append(frame)
+    return frames
 
 
 def continue_compensation(machine: Machine, token: Token) -> None:
@@ -91,7 +91,7 @@ def _compensate_content(machine: Machine, host: Token, content: Content) -> None
     host.compensation = Compensation([])
     own = graph.compensation_subprocess
     if own is None:
-        host.compensation.entries = [(frame.id, each) for each in content["completions"]]
+        host.compensation.entries = [(frame.id, completion) for completion in content["completions"]]
         continue_compensation(machine, host)
     else:
         machine.change_state(host, TokenState.COMPENSATING)

@@ -68,7 +68,9 @@ def _throw(machine: Machine, token: Token, node: Node) -> None:
     if node.inputs:
         with machine.failures(token):
             variables = machine.variables(token)
-            token.local.update({each.target: each.value.value(variables) for each in node.inputs})
+            token.local.update(
+                {assignment.target: assignment.value.value(variables) for assignment in node.inputs}
+            )
     match node.event:
         case MessageEvent() as event:
             throw_message(machine, token, event)

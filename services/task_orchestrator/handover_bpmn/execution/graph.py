@@ -47,7 +47,7 @@ class Graph:
             else:
                 self.boundaries[node.attached_to].append(node)
         elif node.triggered_by_event and node.scope is not None:
-            starts = [each for each in node.scope.nodes.values() if each.kind is Kind.START_EVENT]
+            starts = [inner for inner in node.scope.nodes.values() if inner.kind is Kind.START_EVENT]
             self.event_subprocesses += [(node, start) for start in starts]
         elif node.kind is Kind.CATCH_EVENT and isinstance(node.event, LinkEvent):
             self.links[node.event.name] = node
@@ -93,15 +93,15 @@ class Graph:
 
 
 def _reaching(target: str, join: str, sources: Mapping[str, list[str]]) -> frozenset[str]:
-    found: set[str] = set()
+    names: set[str] = set()
     stack = [target]
     while stack:
         name = stack.pop()
-        if name in found or name == join:
+        if name in names or name == join:
             continue
-        found.add(name)
+        names.add(name)
         stack += sources.get(name, [])
-    return frozenset(found)
+    return frozenset(names)
 
 
 class Plan:

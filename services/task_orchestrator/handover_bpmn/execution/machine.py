@@ -341,7 +341,11 @@ class Machine:
             self.discard_frame(self.state.frames[token.child])
         if token.compensation is not None:
             token.compensation = None
-            self._discard_all(each for each in self.state.tokens.values() if each.compensates == token.id)
+            self._discard_all(
+                compensating
+                for compensating in self.state.tokens.values()
+                if compensating.compensates == token.id
+            )
         token.loop = None
         if token.body is None:
             token.local.clear()

@@ -111,11 +111,11 @@ class Migration:
         old_ids = {name for scope in self._old.definition.scopes() for name in _ids(scope)}
         new_ids = {name for scope in self._new.definition.scopes() for name in _ids(scope)}
         for source, target in self._mapping.items():
-            for name, known, version in (
+            for name, expected, version in (
                 (source, old_ids, self._old.version),
                 (target, new_ids, self._new.version),
             ):
-                if name not in known:
+                if name not in expected:
                     reason = message(
                         "migration.unknown_element",
                         'the mapping names "{name}", which version {version} does not have',
@@ -183,13 +183,13 @@ class Migration:
         if reason is not None:
             self._keep_called(outer, host, before, frame, reason)
             return None
-        found = message(
+        obstacle = message(
             "migration.called_too",
             'the called process "{name}" continues in version {version}',
             name=name,
             version=plan.version,
         )
-        self._find(outer, host, before, found, target=host.node)
+        self._find(outer, host, before, obstacle, target=host.node)
         return plan
 
     def _keep_called(self, outer: Frame, host: Token, node: Node, frame: Frame, why: str) -> None:
@@ -332,9 +332,9 @@ class Migration:
                 added = self._await(frame, owner, after)
                 if added is not None and wait.stopped is not None:
                     added.stopped = wait.stopped
-        known = {self._target(name) for name in old}
+        targets = {self._target(name) for name in old}
         for event in new.values():
-            if event.id in known or not self._can_await(frame, owner):
+            if event.id in targets or not self._can_await(frame, owner):
                 continue
             if self._await(frame, owner, event) is not None:
                 reason = message("migration.newly_awaited", "the process waits for this event from now on")
@@ -377,20 +377,22 @@ class Migration:
     def _kept(self, frame: Frame, completions: Iterable[Completion], scopes: _Scopes) -> list[Completion]:
         """Return the completed activities that can still be compensated, with their new ids."""
         kept: list[Completion] = []
-        for each in completions:
-            before = each["activity"]
+        for completion in completions:
+            before = completion["activity"]
             target = self._target(before)
-            if "inside" in each:
+            if "inside" in completion:
                 inner = scopes.new.inner.get(target)
                 is_kept = inner is not None and before in scopes.old.inner
                 if inner is not None and is_kept:
                     within = _Scopes(scopes.old.inner[before], inner)
-                    each["inside"]["completions"] = self._kept(frame, each["inside"]["completions"], within)
+                    completion["inside"]["completions"] = self._kept(
+                        frame, completion["inside"]["completions"], within
+                    )
             else:
                 is_kept = target in scopes.new.handlers
             if is_kept:
-                each["activity"] = target
-                kept.append(each)
+                completion["activity"] = target
+                kept.append(completion)
             else:
                 reason = message(
                     "migration.not_compensated", "it has completed and is not compensated any more"
@@ -429,11 +431,11 @@ class Migration:
 
     def _missing_variables(self) -> set[str]:
         """Return the names that what follows reads, and that nothing has set or sets before."""
-        found: dict[str, Node] = {}
+        nodes: dict[str, Node] = {}
         for frame in self._state.frames.values():
             if frame.process is None or frame is self._state.root:
-                found |= self._read_but_not_set(frame)
-        return set(found)
+                nodes |= self._read_but_not_set(frame)
+        return set(nodes)
 
     def _add_parameters(self) -> None:
         """Set the parameters of the new version that the process does not have to their defaults."""
@@ -498,12 +500,16 @@ def _ids(scope: Scope) -> Iterator[str]:
 def _events_at(graph: Graph, token: Token, node_id: str) -> dict[str, Node]:
     """Return the events that a token at a node can wait for: its own, and the boundary events."""
     node = graph.nodes[node_id]
-    found = {} if token.body is not None else {each.id: each for each in graph.boundaries.get(node_id, [])}
+    events = (
+        {}
+        if token.body is not None
+        else {boundary.id: boundary for boundary in graph.boundaries.get(node_id, [])}
+    )
     if node.kind is Kind.EVENT_BASED:
-        found |= {flow.target: graph.nodes[flow.target] for flow in graph.outgoing[node_id]}
+        events |= {flow.target: graph.nodes[flow.target] for flow in graph.outgoing[node_id]}
     elif node.event is not None and node.kind in {Kind.CATCH_EVENT, Kind.RECEIVE_TASK}:
-        found[node_id] = node
-    return found
+        events[node_id] = node
+    return events
 
 
 def _obstacle(old: Node, new: Node, token: Token) -> Message | None:

@@ -125,7 +125,7 @@ def find_stalled(machine: Machine) -> None:
     """Raise incidents at joins that wait for branches from which no token can come any more."""
     for frame_id in machine.left_frames:
         frame = machine.state.frames.get(frame_id)
-        if frame is None or any(each.state is not TokenState.JOINED for each in frame.tokens.peek_all()):
+        if frame is None or any(token_.state is not TokenState.JOINED for token_ in frame.tokens.peek_all()):
             continue
         for token in frame.tokens.values():
             if token.incident is None:

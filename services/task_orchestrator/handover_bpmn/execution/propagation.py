@@ -83,14 +83,14 @@ def _find_catcher(
     while True:
         host = token if token.body is None else machine.state.tokens[token.body]
         frame = machine.frame_of(host)
-        found = _best(frame.graph.boundaries.get(host.node, []), matches)
-        if found is not None:
-            return Catcher(found, host=host)
+        boundary = _best(frame.graph.boundaries.get(host.node, []), matches)
+        if boundary is not None:
+            return Catcher(boundary, host=host)
         if not machine.node(host).triggered_by_event:  # what it throws concerns the enclosing scope
             starts = {start.id: node for node, start in frame.graph.event_subprocesses}
-            found = _best([start for _, start in frame.graph.event_subprocesses], matches)
-            if found is not None:
-                return Catcher(found, frame=frame, subprocess=starts[found.id])
+            boundary = _best([start for _, start in frame.graph.event_subprocesses], matches)
+            if boundary is not None:
+                return Catcher(boundary, frame=frame, subprocess=starts[boundary.id])
         outer = machine.host(frame)
         if outer is None:
             return None
@@ -99,9 +99,9 @@ def _find_catcher(
 
 def _best(nodes: list[Node], matches: Callable[[Event | None], bool]) -> Node | None:
     """Return the node whose event matches; one with a code comes before one that catches everything."""
-    found = [node for node in nodes if matches(node.event)]
-    found.sort(key=lambda node: getattr(node.event, "code", None) is None)
-    return found[0] if found else None
+    catching = [node for node in nodes if matches(node.event)]
+    catching.sort(key=lambda node: getattr(node.event, "code", None) is None)
+    return catching[0] if catching else None
 
 
 def _catch(machine: Machine, catcher: Catcher, results: dict[str, Any], *, interrupting: bool) -> None:

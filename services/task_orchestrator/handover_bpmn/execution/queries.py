@@ -160,8 +160,10 @@ def open_activity(machine: Machine, token: Token) -> OpenActivity:
     assert node.activity is not None  # noqa: S101 - only such a token works
     frame = machine.frame_of(token)
     data = {
-        each.name or each.data: machine.data_owner(frame, each.data).get(each.data)
-        for each in node.data_inputs
+        association.name or association.data: machine.data_owner(frame, association.data).get(
+            association.data
+        )
+        for association in node.data_inputs
     }
     variables = machine.copy_variables(token)
     return OpenActivity(
@@ -183,7 +185,7 @@ _NAMES = ("name", "title", "label", "id", "key")
 
 def _instances(machine: Machine, token: Token) -> list[str]:
     """Return which instances of multi-instance activities a token is in, the outermost first."""
-    found: list[str] = []
+    elements: list[str] = []
     inside: Token | None = token
     while inside is not None:
         body = None if inside.body is None else machine.state.tokens[inside.body]
@@ -193,9 +195,9 @@ def _instances(machine: Machine, token: Token) -> list[str]:
             described = _described(item)
             if (body.loop.total or 0) > 1:
                 place = f"{inside.index + 1}/{body.loop.total}"
-                found.append(f"{place}: {described}" if described else place)
+                elements.append(f"{place}: {described}" if described else place)
         inside = machine.host(machine.frame_of(inside))
-    return found[::-1]
+    return elements[::-1]
 
 
 def _described(item: Any) -> str:
@@ -243,12 +245,12 @@ def subscriptions(machine: Machine, waits: Iterable[int]) -> tuple[Subscription,
 
 def entity_waits(machine: Machine, waits: Iterable[int]) -> tuple[EntityWait, ...]:
     """Return those of `waits` that have a filter of entities."""
-    found = []
+    scopes = []
     for wait in map(machine.state.waits.__getitem__, waits):
         on = entity_filter(event_of(machine, wait))
         if on is not None:
             element = machine.state.frames[wait.frame].prefix + wait.node
-            found.append(
+            scopes.append(
                 EntityWait(wait.id, wait.type, wait.text or "", wait.key, on, element, tuple(wait.holding))
             )
-    return tuple(found)
+    return tuple(scopes)

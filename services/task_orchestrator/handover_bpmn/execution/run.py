@@ -191,20 +191,20 @@ class Run:
 
     def visit(self, token: str) -> int | None:
         """Return the visit of the activity of `token` that a performer works on; None if there is none."""
-        found = self._find(token)
-        return found.visit if found is not None and found.state is TokenState.WORK else None
+        position = self._find(token)
+        return position.visit if position is not None and position.state is TokenState.WORK else None
 
     def activity(self, token: str) -> Activity:
         """Return the activity of an open `token`; raise `RunFailed` if it is not open."""
-        found = self._working(token)
-        activity = self._state.frames[found.frame].graph.nodes[found.node].activity
+        position = self._working(token)
+        activity = self._state.frames[position.frame].graph.nodes[position.node].activity
         assert activity is not None  # noqa: S101 - only such a token is open
         return activity
 
     def element(self, token: str) -> str | None:
         """Return the id of the element at which `token` is; None if there is no such token."""
-        found = self._find(token)
-        return None if found is None else self._state.frames[found.frame].prefix + found.node
+        position = self._find(token)
+        return None if position is None else self._state.frames[position.frame].prefix + position.node
 
     def incidents(self) -> tuple[OpenIncident, ...]:
         """Return the tokens that cannot continue."""
@@ -386,9 +386,9 @@ class Run:
         """Set variables of the process, or those that a token sees where the nearest scope has them."""
 
         def act(machine: Machine) -> None:
-            found = None if token is None else self._token(token)
-            frame = self._state.root if found is None else machine.frame_of(found)
-            machine.set_variables(frame, values, token=found)
+            position = None if token is None else self._token(token)
+            frame = self._state.root if position is None else machine.frame_of(position)
+            machine.set_variables(frame, values, token=position)
 
         self._change(act, now)
 
@@ -432,21 +432,21 @@ class Run:
         `mapping` names the elements that have another id in the new version. Returns what differs; if there
         is an obstacle, nothing has changed.
         """
-        found: list[Finding] = []
+        findings: list[Finding] = []
 
         def act(machine: Machine) -> None:
             machine.set_variables(self._state.root, values)
-            found.extend(Migration(machine, self.plan, plan, mapping).apply())
+            findings.extend(Migration(machine, self.plan, plan, mapping).apply())
             self._state.touch_all()
-            if any(each.is_obstacle for each in found):
+            if any(finding.is_obstacle for finding in findings):
                 raise _HasObstacles
 
         try:
             self._change(act, now)
         except _HasObstacles:
-            return found
+            return findings
         self.plan = plan
-        return found
+        return findings
 
     # Steps
 
@@ -458,20 +458,20 @@ class Run:
         return self._state.tokens.get(int(token)) if token.isdecimal() else None
 
     def _token(self, token: str) -> Token:
-        found = self._find(token)
-        if found is None:
+        position = self._find(token)
+        if position is None:
             raise RunFailed(message("process.no_such_token", 'there is no token "{token}"', token=token))
-        return found
+        return position
 
     def _working(self, token: str) -> Token:
-        found = self._token(token)
-        if found.state is not TokenState.WORK:
+        position = self._token(token)
+        if position.state is not TokenState.WORK:
             raise RunFailed(
                 message(
                     "process.token_not_open", 'nobody works on the activity of token "{token}"', token=token
                 )
             )
-        return found
+        return position
 
     def _change(
         self,

@@ -34,7 +34,7 @@ class SpanPlace:
 
 def active_spans(state: State) -> tuple[ActiveSpan, ...]:
     """Return the spans in which tokens are, those of calling processes first."""
-    found = []
+    places_ = []
     for frame in state.frames.values():
         if not frame.graph.unions:
             continue
@@ -42,7 +42,7 @@ def active_spans(state: State) -> tuple[ActiveSpan, ...]:
         for union in frame.graph.unions:
             if not union.held.isdisjoint(nodes):
                 host = None if frame.host is None else state.tokens[frame.host]
-                found.append(
+                places_.append(
                     ActiveSpan(
                         _span_key(frame, union),
                         frame.prefix + union.id,
@@ -51,7 +51,7 @@ def active_spans(state: State) -> tuple[ActiveSpan, ...]:
                         tuple(place.key for place in places(state, host) if place.is_member),
                     )
                 )
-    return tuple(found)
+    return tuple(places_)
 
 
 def places(state: State, token: Token | None) -> Iterator[SpanPlace]:

@@ -218,8 +218,8 @@ class State:
 
     def new_id(self) -> int:
         """Return an id that no token, frame or wait of this process ever had."""
-        found, self.next_id = self.next_id, self.next_id + 1
-        return found
+        id_, self.next_id = self.next_id, self.next_id + 1
+        return id_
 
     @property
     def root(self) -> Frame:
@@ -320,9 +320,9 @@ def _written(
 
 
 _DERIVED = frozenset({"tokens", "graph", "prefix", "waits", "inner", "child"})
-_FRAME_FIELDS = tuple(each.name for each in fields(Frame) if each.name not in _DERIVED)
-_WAIT_FIELDS = tuple(each.name for each in fields(Wait))
-_TOKEN_FIELDS = tuple(each.name for each in fields(Token) if each.name not in {*_DERIVED, "incident"})
+_FRAME_FIELDS = tuple(field_.name for field_ in fields(Frame) if field_.name not in _DERIVED)
+_WAIT_FIELDS = tuple(field_.name for field_ in fields(Wait))
+_TOKEN_FIELDS = tuple(field_.name for field_ in fields(Token) if field_.name not in {*_DERIVED, "incident"})
 _NULLABLE = frozenset({"key", "results", "stopped"})
 """Fields whose empty value is not the same as none."""
 

@@ -83,8 +83,8 @@ def move(machine: Machine, token: Token, node: str) -> None:
 
 def set_scope_variables(machine: Machine, scope: str, values: Mapping[str, Any]) -> str:
     """Set variables of an inner scope, a frame or a token, and return its element."""
-    found = int(scope) if scope.isascii() and scope.isdecimal() else 0
-    frame, token = machine.state.frames.get(found), machine.state.tokens.get(found)
+    holder_id = int(scope) if scope.isascii() and scope.isdecimal() else 0
+    frame, token = machine.state.frames.get(holder_id), machine.state.tokens.get(holder_id)
     host = None if frame is None else machine.host(frame)
     if token is not None:
         token.local.update(values)

@@ -83,7 +83,7 @@ def repeat(machine: Machine, wait: Wait) -> bool:
 
 def conditions_that_became_true(machine: Machine) -> list[Wait]:
     """Return the waits whose conditions are true now and were not at the last evaluation."""
-    found = []
+    waits = []
     for wait_id in machine.state.conditions:
         wait = machine.state.waits[wait_id]
         if wait.stopped is not None:
@@ -93,8 +93,8 @@ def conditions_that_became_true(machine: Machine) -> list[Wait]:
             continue
         held, wait.holds = wait.holds, _holds(event, _visible(machine, wait))
         if wait.holds and not held:
-            found.append(wait)
-    return found
+            waits.append(wait)
+    return waits
 
 
 def holds_for(machine: Machine, wait: Wait, entity: Variables) -> bool:

@@ -144,7 +144,7 @@ def _choice_fault(field: Field, value: Json) -> Message | None:
     if not isinstance(chosen, list):
         return wrong_type("array")
     allowed = [option.value for option in field.options]
-    if all(any(type(each) is type(one) and each == one for one in allowed) for each in chosen):
+    if all(any(type(choice) is type(option) and choice == option for option in allowed) for choice in chosen):
         return None
     return not_allowed()
 
@@ -158,8 +158,8 @@ def _text_fault(field: Field, value: Json) -> Message | None:
         return message("form.too_long", "at most {limit} characters", limit=field.max_length)
     if field.pattern is not None and not matches(value, field.pattern):
         return bad_format()
-    known = {"email": _EMAIL, "phone": _PHONE}.get(field.text_format or "")
-    return bad_format() if known is not None and known.fullmatch(value) is None else None
+    pattern = {"email": _EMAIL, "phone": _PHONE}.get(field.text_format or "")
+    return bad_format() if pattern is not None and pattern.fullmatch(value) is None else None
 
 
 _READERS: Mapping[FieldKind, Callable[[str], object]] = {
@@ -221,8 +221,8 @@ _WRONG_TYPES: Mapping[str, Message] = {
 
 def wrong_type(expected: str) -> Message:
     """Return the reason for a value of another type than `expected`, a type of JSON Schema or a kind."""
-    known = _WRONG_TYPES.get(expected)
-    return known or message("form.type", "this is not of the type {expected}", expected=expected)
+    fault = _WRONG_TYPES.get(expected)
+    return fault or message("form.type", "this is not of the type {expected}", expected=expected)
 
 
 def _plain(number: float) -> float | int:
@@ -231,21 +231,21 @@ def _plain(number: float) -> float | int:
 
 def value_at(data: Mapping[str, Any], path: str) -> Json:
     """Return the value at a dotted path; None if there is none."""
-    found: Any = data
+    value: Any = data
     for name in path.split("."):
-        if not isinstance(found, Mapping) or name not in found:
+        if not isinstance(value, Mapping) or name not in value:
             return None
-        found = found[name]
-    return found
+        value = value[name]
+    return value
 
 
 def has_value(data: Mapping[str, Any], path: str) -> bool:
     """Return whether there is a value at a dotted path, even null."""
     *outer, last = path.split(".")
-    found: Any = data
+    value: Any = data
     for name in outer:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return isinstance(found, Mapping) and last in found
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return isinstance(value, Mapping) and last in value
 
 
 def put_at(data: dict[str, Any], path: str, value: Json) -> None:

@@ -107,10 +107,10 @@ def read_form(content: bytes, name: str | None = None) -> FormFile:
         raise BadForm([message("form.not_form_js", "a form of form-js is an object with components")])
     faults: list[Message] = []
     warnings: list[Message] = []
-    given = schema.get("id") or name
-    if not isinstance(given, str) or not 0 < len(given) <= 200 or "\0" in given:
+    form_id = schema.get("id") or name
+    if not isinstance(form_id, str) or not 0 < len(form_id) <= 200 or "\0" in form_id:
         faults.append(message("form.no_id", "the form needs an id of at most 200 characters"))
-        given = ""
+        form_id = ""
     for count, (component, depth) in enumerate(_walk(schema["components"], 0), 1):
         if count > MAX_FIELDS or depth > MAX_DEPTH:
             faults.append(
@@ -125,8 +125,8 @@ def read_form(content: bytes, name: str | None = None) -> FormFile:
         _check_component(component, faults, warnings)
     if faults:
         raise BadForm(faults)
-    title = schema.get("name") or schema.get("title") or given
-    return FormFile(given, str(title)[:500], schema, tuple(dict.fromkeys(warnings)))
+    title = schema.get("name") or schema.get("title") or form_id
+    return FormFile(form_id, str(title)[:500], schema, tuple(dict.fromkeys(warnings)))
 
 
 def _walk(components: Any, depth: int) -> Iterator[tuple[Mapping[str, Any], int]]:
@@ -173,9 +173,9 @@ def _expressions(component: Mapping[str, Any]) -> Iterator[str]:
     for name in ("valuesExpression", "expression"):
         if isinstance(component.get(name), str) and component[name].strip():
             yield component[name]
-    given = [component.get(name) for name in _EXPRESSIONS]
-    given += list(_record(component.get("validate")).values())
-    yield from (text for text in given if isinstance(text, str) and text.startswith("="))
+    texts = [component.get(name) for name in _EXPRESSIONS]
+    texts += list(_record(component.get("validate")).values())
+    yield from (text for text in texts if isinstance(text, str) and text.startswith("="))
 
 
 @dataclass
@@ -200,8 +200,8 @@ def check(
 
     It has the values of visible fields only; read-only ones keep their value, computed ones are computed.
     """
-    known = {**data, **outputs}
-    fields = resolve(schema, known).fields
+    variables = {**data, **outputs}
+    fields = resolve(schema, variables).fields
     before = {field.path: field for field in _with_value(resolve(schema, data).fields)}
     values: dict[str, Any] = {}
     faults: list[FieldFault] = []
@@ -235,8 +235,8 @@ def _faults(field: Field, value: Json) -> Iterator[FieldFault]:
             return
         for nth, item in enumerate(items):
             for inner in _with_value(field.fields):
-                given = value_at(item, inner.path) if isinstance(item, Mapping) else None
-                for fault in _faults(inner, given):
+                own_value = value_at(item, inner.path) if isinstance(item, Mapping) else None
+                for fault in _faults(inner, own_value):
                     yield FieldFault(f"{field.path}.{nth}.{fault.path}", fault.reason)
         return
     reason_ = value_fault(field, value)
@@ -276,8 +276,8 @@ class _Reader:
         kind = _KINDS[type_]
         if type_ == "datetime":
             kind = _DATE_KINDS.get(str(component.get("subtype")), FieldKind.DATETIME)
-        given = component.get("path" if type_ in _CONTAINERS else "key")
-        key = given if isinstance(given, str) else ""
+        name = component.get("path" if type_ in _CONTAINERS else "key")
+        key = name if isinstance(name, str) else ""
         path = f"{prefix}{key}" if kind not in WITHOUT_VALUE else f"#{component.get('id') or ''}"
         field = Field(
             path,
@@ -351,33 +351,33 @@ class _Reader:
         source = component.get("dataSource")
         rows = self._feel(source) if isinstance(source, str) else None
         rows = [dict(row) for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
-        given = component.get("columns")
+        drawn_columns = component.get("columns")
         if isinstance(component.get("columnsExpression"), str):
-            given = self._feel(component["columnsExpression"])
+            drawn_columns = self._feel(component["columnsExpression"])
         columns = [
-            (str(each.get("key")), str(each.get("label") or each.get("key")))
-            for each in (given if isinstance(given, list) else ())
-            if isinstance(each, Mapping)
+            (str(column.get("key")), str(column.get("label") or column.get("key")))
+            for column in (drawn_columns if isinstance(drawn_columns, list) else ())
+            if isinstance(column, Mapping)
         ]
         if not columns and rows:
             columns = [(name, name) for name in rows[0]]
         return replace(field, columns=tuple(columns), initial=rows[:MAX_LIST_ITEMS])
 
     def _options(self, component: Mapping[str, Any]) -> tuple[Option, ...]:
-        given = component.get("values")
+        choices = component.get("values")
         if isinstance(component.get("valuesExpression"), str):
-            given = self._feel(component["valuesExpression"])
+            choices = self._feel(component["valuesExpression"])
         elif isinstance(component.get("valuesKey"), str):
             self.is_dynamic = True
-            given = value_at(self._data, component["valuesKey"])
-        found = []
-        for each in (given if isinstance(given, list) else [])[:MAX_LIST_ITEMS]:
-            if isinstance(each, Mapping):
-                value = each.get("value")
-                found.append(Option(value, self._text(each.get("label")) or str(value)))
-            elif each is not None:
-                found.append(Option(each, str(each)))
-        return tuple(found)
+            choices = value_at(self._data, component["valuesKey"])
+        options = []
+        for choice in (choices if isinstance(choices, list) else [])[:MAX_LIST_ITEMS]:
+            if isinstance(choice, Mapping):
+                value = choice.get("value")
+                options.append(Option(value, self._text(choice.get("label")) or str(value)))
+            elif choice is not None:
+                options.append(Option(choice, str(choice)))
+        return tuple(options)
 
     def _label(self, component: Mapping[str, Any], key: str) -> str:
         for name in ("label", "dateLabel", "timeLabel"):
@@ -386,23 +386,23 @@ class _Reader:
                 return text
         return key
 
-    def _text(self, given: Json) -> str:
+    def _text(self, text: Json) -> str:
         """Return a text, whose templates `{{…}}` and expressions are evaluated."""
-        if not isinstance(given, str):
+        if not isinstance(text, str):
             return ""
-        if given.startswith("="):
-            return _shown(self._feel(given))
-        return _TEMPLATE.sub(lambda found: _shown(self._feel(found.group(1))), given)
+        if text.startswith("="):
+            return _shown(self._feel(text))
+        return _TEMPLATE.sub(lambda match: _shown(self._feel(match.group(1))), text)
 
-    def _flag(self, given: Json) -> bool:
-        return self._feel(given) is True if isinstance(given, str) and given else given is True
+    def _flag(self, flag: Json) -> bool:
+        return self._feel(flag) is True if isinstance(flag, str) and flag else flag is True
 
-    def _number(self, given: Json) -> float | None:
-        value = self._feel(given) if isinstance(given, str) and given else given
+    def _number(self, number: Json) -> float | None:
+        value = self._feel(number) if isinstance(number, str) and number else number
         return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
-    def _count(self, given: Json) -> int | None:
-        number = self._number(given)
+    def _count(self, count: Json) -> int | None:
+        number = self._number(count)
         return None if number is None else int(number)
 
     def _feel(self, text: str) -> Json:

@@ -91,8 +91,8 @@ def _fields(
 ) -> Iterator[Field]:
     required = schema.get("required")
     names = required if isinstance(required, list) else []
-    for name, each in list(_record(schema.get("properties")).items())[:MAX_FIELDS]:
-        field = _field(_record(each), f"{prefix}{name}", data, depth, locked=locked)
+    for name, part in list(_record(schema.get("properties")).items())[:MAX_FIELDS]:
+        field = _field(_record(part), f"{prefix}{name}", data, depth, locked=locked)
         yield field if name not in names else _required(field)
 
 
@@ -140,13 +140,13 @@ def _field(
 
 
 def _kind(schema: Mapping[str, Any]) -> FieldKind:
-    given = schema.get("type")
-    if isinstance(given, list):
-        given = next((each for each in given if each != "null"), None)
-    if given is None and isinstance(schema.get("properties"), Mapping):
+    type_ = schema.get("type")
+    if isinstance(type_, list):
+        type_ = next((name for name in type_ if name != "null"), None)
+    if type_ is None and isinstance(schema.get("properties"), Mapping):
         return FieldKind.JSON
-    if given in _BY_TYPE:
-        return _BY_TYPE[given]
+    if type_ in _BY_TYPE:
+        return _BY_TYPE[type_]
     if schema.get("format") in _BY_FORMAT:
         return _BY_FORMAT[schema["format"]]
     return FieldKind.MULTILINE if (_count(schema.get("maxLength")) or 0) > 200 else FieldKind.TEXT
@@ -154,8 +154,10 @@ def _kind(schema: Mapping[str, Any]) -> FieldKind:
 
 def _options(schema: Mapping[str, Any]) -> tuple[Option, ...]:
     titled = schema.get("oneOf")
-    if isinstance(titled, list) and titled and all("const" in _record(each) for each in titled):
-        return tuple(Option(each["const"], _text(each.get("title")) or str(each["const"])) for each in titled)
+    if isinstance(titled, list) and titled and all("const" in _record(option) for option in titled):
+        return tuple(
+            Option(option["const"], _text(option.get("title")) or str(option["const"])) for option in titled
+        )
     listed = schema.get("enum")
     return tuple(Option(value, str(value)) for value in listed) if isinstance(listed, list) else ()
 
@@ -179,13 +181,13 @@ def violations(schema: Mapping[str, Any], values: Mapping[str, Any]) -> list[Fie
 
     Raises `SchemaError`, `Unresolvable` or `RecursionError` if the schema cannot be used.
     """
-    found: dict[str, FieldFault] = {}
+    faults: dict[str, FieldFault] = {}
     for error in _validator(orjson.dumps(schema)).iter_errors(values):
         path, reason = _explained(error)
-        found.setdefault(path, FieldFault(path, reason))
-        if len(found) == MAX_FAULTS:
+        faults.setdefault(path, FieldFault(path, reason))
+        if len(faults) == MAX_FAULTS:
             break
-    return list(found.values())
+    return list(faults.values())
 
 
 def _flat(fields: tuple[Field, ...]) -> Iterator[Field]:
@@ -209,7 +211,10 @@ def _explained(error: ValidationError) -> tuple[str, Message]:
     if error.validator == "required":
         instance: Any = error.instance
         missing = [name for name in limit if name not in instance]
-        name = next((each for each in missing if error.message.startswith(repr(each))), missing[0])
+        name = next(
+            (missing_name for missing_name in missing if error.message.startswith(repr(missing_name))),
+            missing[0],
+        )
         return f"{path}.{name}" if path else str(name), message("form.required", "a value is required")
     reason = _REASONS.get(str(error.validator))
     if reason is not None:

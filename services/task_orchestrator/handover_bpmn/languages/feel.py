@@ -16,7 +16,7 @@ from handover_bpmn.languages.base import (
     within_limits,
 )
 from handover_bpmn.languages.feel_nodes import NameScope, Node
-from handover_bpmn.languages.feel_parser import Parser
+from handover_bpmn.languages.feel_parser import FeelParser
 from handover_bpmn.languages.feel_values import (
     Budget,
     to_json,
@@ -53,7 +53,7 @@ def read_feel(text: str) -> FeelExpression:
     """Return the expression `text`, with or without the `=` before it; raise `ExpressionError` for others."""
     stripped = text.strip()
     try:
-        parser = Parser(stripped, 1 if stripped.startswith("=") else 0)
+        parser = FeelParser(stripped, 1 if stripped.startswith("=") else 0)
         node = parser.whole()
     except RecursionError:
         raise ExpressionError(f"{excerpt(stripped)}: an expression is nested too deeply") from None

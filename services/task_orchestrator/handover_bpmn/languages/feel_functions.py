@@ -160,9 +160,9 @@ def _number(_: Budget, value: FeelValue, *separators: FeelValue) -> FeelValue:
 
 @_typed(str, str, str, optional=1)
 def _matches(budget: Budget, value: str, pattern: str, flags: str = "") -> FeelValue:
-    found = is_match(value, with_flags(pattern, flags), is_whole=False)
+    is_matching = is_match(value, with_flags(pattern, flags), is_whole=False)
     budget.spend(len(value))
-    return found
+    return is_matching
 
 
 # Lists and contexts
@@ -191,10 +191,10 @@ def _extreme(sign: int) -> Callable[[Budget, list[FeelValue]], FeelValue]:
             return None
         best = items[0]
         for item in items:
-            found = order(item, best, budget)
-            if found is None:
+            ordering = order(item, best, budget)
+            if ordering is None:
                 return None
-            best = item if found == sign else best
+            best = item if ordering == sign else best
         return best
 
     return extreme
@@ -239,12 +239,12 @@ def _concatenate(budget: Budget, *lists: FeelValue) -> FeelValue:
 
 
 def _distinct(budget: Budget, items: list[FeelValue]) -> FeelValue:
-    found: list[FeelValue] = []
+    distinct: list[FeelValue] = []
     for item in items:
-        budget.spend(len(found))
-        if not any(is_same(item, other, budget) is True for other in found):
-            found.append(item)
-    return found
+        budget.spend(len(distinct))
+        if not any(is_same(item, other, budget) is True for other in distinct):
+            distinct.append(item)
+    return distinct
 
 
 @_typed(list)
@@ -338,14 +338,14 @@ def _context(budget: Budget, entries: list[FeelValue]) -> FeelValue:
 
 
 def _duplicates(budget: Budget, items: list[FeelValue]) -> FeelValue:
-    found: list[FeelValue] = []
+    matches: list[FeelValue] = []
     for index, item in enumerate(items):
         budget.spend(len(items))
         if any(is_same(item, other, budget) is True for other in items[index + 1 :]) and not any(
-            is_same(item, other, budget) is True for other in found
+            is_same(item, other, budget) is True for other in matches
         ):
-            found.append(item)
-    return found
+            matches.append(item)
+    return matches
 
 
 @_typed(list, int)
@@ -383,8 +383,8 @@ def _numbers(calculate: Callable[[list[float]], float]) -> Function:
         if len(values) < len(items) or not values:
             return None
         try:
-            found = calculate(values)
-            return number(int(found) if found.is_integer() else found) if math.isfinite(found) else None
+            result = calculate(values)
+            return number(int(result) if result.is_integer() else result) if math.isfinite(result) else None
         except (statistics.StatisticsError, OverflowError):
             return None
 

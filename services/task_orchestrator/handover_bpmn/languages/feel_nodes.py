@@ -63,8 +63,8 @@ def _ordered(holds: Callable[[Any, Any], bool]) -> Operator:
     def compare(left: FeelValue, right: FeelValue, budget: Budget) -> bool | None:
         if type(left) is int and type(right) is int:
             return holds(left, right)
-        found = order(left, right, budget)
-        return None if found is None else holds(found, 0)
+        ordering = order(left, right, budget)
+        return None if ordering is None else holds(ordering, 0)
 
     return compare
 
@@ -198,32 +198,32 @@ def membership(operand: Node) -> Test:
     """Return the test whether a value is, or is within, the value of `operand`."""
 
     def test(value: FeelValue, scope: NameScope) -> FeelValue:
-        found = operand(scope)
+        expected = operand(scope)
         if value is ITSELF:
-            return found
-        if isinstance(found, Range):
-            return found.includes(value, scope.budget)
-        if isinstance(found, list) and not isinstance(value, list):
-            scope.budget.spend(len(found))
-            return any(_is_member(value, item, scope.budget) for item in found)
-        return is_same(value, found, scope.budget)
+            return expected
+        if isinstance(expected, Range):
+            return expected.includes(value, scope.budget)
+        if isinstance(expected, list) and not isinstance(value, list):
+            scope.budget.spend(len(expected))
+            return any(_is_member(value, item, scope.budget) for item in expected)
+        return is_same(value, expected, scope.budget)
 
     return test
 
 
 def _is_member(value: FeelValue, item: FeelValue, budget: Budget) -> bool:
-    found = item.includes(value, budget) if isinstance(item, Range) else is_same(value, item, budget)
-    return found is True
+    is_included = item.includes(value, budget) if isinstance(item, Range) else is_same(value, item, budget)
+    return is_included is True
 
 
 def meets_any(tests: tuple[Test, ...], value: FeelValue, scope: NameScope) -> bool | None:
     """Return whether a value meets a test; null if none is met and one is undecided."""
     result: bool | None = False
     for test in tests:
-        found = test(value, scope)
-        if found is True:
+        is_met = test(value, scope)
+        if is_met is True:
             return True
-        if found is None:
+        if is_met is None:
             result = None
     return result
 
@@ -284,16 +284,16 @@ def select_items(value: FeelValue, condition: Node, weight: int, scope: NameScop
         return None
     items = list(_items(value, scope.budget))
     first = items[0] if items else None
-    found = condition(_item_scope(first, scope))
-    if is_number(found):
-        position = int(found)
-        if position != found or position == 0 or abs(position) > len(items):
+    selector = condition(_item_scope(first, scope))
+    if is_number(selector):
+        position = int(selector)
+        if position != selector or position == 0 or abs(position) > len(items):
             return None
         return items[position - 1] if position > 0 else items[position]
     selected = []
     for index, item in enumerate(items):
         scope.budget.spend(weight)
-        if (found if index == 0 else condition(_item_scope(item, scope))) is True:
+        if (selector if index == 0 else condition(_item_scope(item, scope))) is True:
             selected.append(item)
     return selected
 

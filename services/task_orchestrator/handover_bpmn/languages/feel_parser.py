@@ -73,7 +73,7 @@ _WORDS = frozenset(
 _CONSTANTS: dict[str, Json] = {"true": True, "false": False, "null": None}
 
 
-class Parser:
+class FeelParser:
     """Recursive descent; each method returns the function that evaluates what it read."""
 
     def __init__(self, text: str, position: int) -> None:
@@ -186,12 +186,12 @@ class Parser:
 
     def _instance(self, value: Node) -> Node:
         tokens = self.tokens
-        found = _TYPE.match(tokens.source, tokens.start) if tokens.text == "of" else None
-        if found is None:
+        match = _TYPE.match(tokens.source, tokens.start) if tokens.text == "of" else None
+        if match is None:
             raise tokens.error(f"expected `of` and a type; types are: {', '.join(TYPES)}")
-        tokens.position = found.end()
+        tokens.position = match.end()
         tokens.advance()
-        name = " ".join(found.group(1).split())
+        name = " ".join(match.group(1).split())
         return lambda scope: has_type(value(scope), name)
 
     def _tests(self) -> tuple[Test, ...]:

@@ -412,8 +412,8 @@ class Parser:
         if self.tokens.accept("("):
             return self._execution_method(name, start)
         if name not in EXECUTION_PROPERTIES:
-            known = quote_names(EXECUTION_PROPERTIES)
-            raise self.tokens.error(f"execution.{name} is not supported; properties are: {known}", start)
+            properties = quote_names(EXECUTION_PROPERTIES)
+            raise self.tokens.error(f"execution.{name} is not supported; properties are: {properties}", start)
         return _execution_property(name)
 
     def _execution_method(self, name: str, start: int) -> Node:
@@ -434,9 +434,9 @@ class Parser:
                 "service task or listener; set the variable in a script task",
                 start,
             )
-        known = name[3:4].lower() + name[4:]
-        if name.startswith("get") and known in EXECUTION_PROPERTIES and not arguments:
-            return _execution_property(known)
+        property_ = name[3:4].lower() + name[4:]
+        if name.startswith("get") and property_ in EXECUTION_PROPERTIES and not arguments:
+            return _execution_property(property_)
         raise self.tokens.error(
             f"execution.{name}() is not supported; methods are getVariable('name'), hasVariable('name') and "
             f"the getters of {quote_names(EXECUTION_PROPERTIES)}",
@@ -456,8 +456,8 @@ def _variable(name: str, is_lenient: bool) -> Node:
         try:
             return variables[name]
         except KeyError:
-            known = quote_names(key for key in variables if str(key).isidentifier())
-            raise ExpressionError(f'there is no variable "{name}"; variables are: {known}') from None
+            names = quote_names(key for key in variables if str(key).isidentifier())
+            raise ExpressionError(f'there is no variable "{name}"; variables are: {names}') from None
 
     return variable
 

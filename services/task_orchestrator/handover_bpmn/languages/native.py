@@ -175,8 +175,8 @@ def _variable(name: str, variables: Variables) -> Json:
         return variables[name]
     if name in CONSTANTS:
         return CONSTANTS[name]
-    known = quote_names(variables) if variables else "none yet"
-    raise ExpressionError(f'there is no variable "{name}"; those there are: {known}')
+    names = quote_names(variables) if variables else "none yet"
+    raise ExpressionError(f'there is no variable "{name}"; those there are: {names}')
 
 
 def _part(whole: Json, key: Json) -> Json:

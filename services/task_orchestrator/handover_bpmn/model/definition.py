@@ -87,16 +87,16 @@ class Definition:
         """Return the activities that create Tasks, by the id of their node."""
         return {node.id: node.activity for node in self.nodes() if node.activity is not None}
 
-    def arguments(self, given: Mapping[str, Any], form: Collection[str] = ()) -> dict[str, Any]:
+    def arguments(self, values: Mapping[str, Any], form: Collection[str] = ()) -> dict[str, Any]:
         """Return the initial variables of a process, including defaults.
 
         `form` are the names of the variables of its start form. Raises `Problem` 422 when one is missing or
         unknown.
         """
-        unknown = sorted(set(given) - set(self.parameters) - set(form)) if self.parameters else []
-        missing = sorted(p.name for p in self.parameters.values() if p.required and p.name not in given)
+        unknown = sorted(set(values) - set(self.parameters) - set(form)) if self.parameters else []
+        missing = sorted(p.name for p in self.parameters.values() if p.required and p.name not in values)
         if unknown:
-            known = quote_names(self.parameters)
+            names = quote_names(self.parameters)
             raise Problem(
                 422,
                 "Unknown parameter",
@@ -105,7 +105,7 @@ class Definition:
                     '"{unknown}" is no parameter of {definition}; its parameters are: {known}',
                     unknown=unknown[0],
                     definition=self.name,
-                    known=known,
+                    known=names,
                 ),
             )
         if missing:
@@ -119,4 +119,4 @@ class Definition:
                     missing=missing[0],
                 ),
             )
-        return {**{p.name: p.default for p in self.parameters.values()}, **given}
+        return {**{p.name: p.default for p in self.parameters.values()}, **values}

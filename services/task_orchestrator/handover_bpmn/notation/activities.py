@@ -44,12 +44,12 @@ from handover_bpmn.notation.task_data import (
 
 def read_activity(element: etree._Element, context: Context, *, script: Script | None = None) -> Activity:
     """Return the activity for whose Task nothing but the element itself is needed."""
-    found = context.found
+    findings = context.findings
     main, handover = context.dialects.main, context.dialects.handover
-    work = main.work(element, found)
+    work = main.work(element, findings)
     spreads = main.spreads_outputs
     if main is not handover and has_task(element):
-        ours = handover.work(element, found)
+        ours = handover.work(element, findings)
         hints = {**work.hints, **ours.hints}
         work, spreads = _with_form(ours, work), False
     else:
@@ -91,7 +91,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         inputs_schema=work.inputs_schema,
         spreads_outputs=spreads and not outputs,
         retry=read_retry(element, hints, context),
-        escalations=read_escalations(element, found),
+        escalations=read_escalations(element, findings),
         specification=read_specification(element, context),
         texts=_texts(element, context),
     )
@@ -114,14 +114,14 @@ def _with_variable(work: Work, script: Script) -> Work:
 def _texts(element: etree._Element, context: Context) -> dict[str, Expression]:
     """Return the expressions in the drawn texts that people read; one that cannot be read is a warning."""
     drawn = {"name": _drawn_name(element), "description": documentation(element) or ""}
-    found: dict[str, Expression] = {}
-    for name, given in drawn.items():
-        if "${" not in given and "#{" not in given:
+    expressions: dict[str, Expression] = {}
+    for name, drawn_text in drawn.items():
+        if "${" not in drawn_text and "#{" not in drawn_text:
             continue
         try:
-            found[name] = read_juel(given)
+            expressions[name] = read_juel(drawn_text)
         except ExpressionError as error:
-            context.found.warn(
+            context.findings.warn(
                 element,
                 message(
                     "bpmn.text_not_evaluated",
@@ -130,7 +130,7 @@ def _texts(element: etree._Element, context: Context) -> dict[str, Expression]:
                     error=str(error),
                 ),
             )
-    return found
+    return expressions
 
 
 def _drawn_name(element: etree._Element) -> str:
@@ -139,7 +139,7 @@ def _drawn_name(element: etree._Element) -> str:
 
 def warn_foreign_script(element: etree._Element, script: Script, context: Context) -> None:
     """Add the warning that a script in another language becomes a Task."""
-    context.found.warn(
+    context.findings.warn(
         element,
         message(
             "bpmn.foreign_script",
@@ -162,16 +162,16 @@ def _standard_loop(element: etree._Element, loop: etree._Element, context: Conte
     condition = child_text(loop, "loopCondition")
     maximum = (loop.get("loopMaximum") or "").strip()
     if maximum and not (maximum.isascii() and maximum.isdecimal() and len(maximum) < 10):
-        context.found.fault(
+        context.findings.fault(
             element,
             message("bpmn.wrong_loop_maximum", 'loopMaximum="{given}" is no number', given=maximum[:64]),
         )
         maximum = ""
     elif not condition and not maximum and context.dialects.main.lenient:  # only a drawn marker
-        warn_without_effect(element, context.found, "a loop without loopCondition and loopMaximum")
+        warn_without_effect(element, context.findings, "a loop without loopCondition and loopMaximum")
         return None
     elif not condition and not maximum:
-        context.found.fault(
+        context.findings.fault(
             element, message("bpmn.endless_loop", "a loop needs a loopCondition or loopMaximum")
         )
     return StandardLoop(
@@ -182,20 +182,20 @@ def _standard_loop(element: etree._Element, loop: etree._Element, context: Conte
 
 
 def _multi_instance(element: etree._Element, loop: etree._Element, context: Context) -> MultiInstance:
-    found, main = context.found, context.dialects.main
-    items = main.items(loop, found)
+    findings, main = context.findings, context.dialects.main
+    items = main.items(loop, findings)
     cardinality, completion = child_text(loop, "loopCardinality"), child_text(loop, "completionCondition")
     if loop.get("behavior") not in {None, "All"} or child(loop, "complexBehaviorDefinition") is not None:
-        warn_without_effect(element, found, "behavior of multiInstanceLoopCharacteristics")
+        warn_without_effect(element, findings, "behavior of multiInstanceLoopCharacteristics")
     collection = items.collection
     if collection is None:
         name = _data_name(element, child_text(loop, "loopDataInputRef"), context)
         if "${" in name or "#{" in name:
-            collection = attempt(element, lambda: main.value(name), None, found)
+            collection = attempt(element, lambda: main.value(name), None, findings)
         elif name:
-            collection = attempt(element, lambda: native_variable(name), None, found)
-    if collection is None and not cardinality and element.get("id") not in found.broken:
-        found.fault(
+            collection = attempt(element, lambda: native_variable(name), None, findings)
+    if collection is None and not cardinality and element.get("id") not in findings.broken:
+        findings.fault(
             element,
             message(
                 "bpmn.no_collection",
@@ -211,10 +211,10 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
         if item_name and main.lenient:  # an instance need not set it
             output_item = Value(expression=read_juel(f"${{vars:get({item_name})}}"))
         elif item_name:
-            output_item = attempt(element, lambda: native_variable(item_name), None, found)
+            output_item = attempt(element, lambda: native_variable(item_name), None, findings)
     return MultiInstance(
         sequential=flag(loop, "isSequential", default=False),
-        cardinality=attempt(element, lambda: _number(cardinality, context), None, found)
+        cardinality=attempt(element, lambda: _number(cardinality, context), None, findings)
         if cardinality
         else None,
         collection=collection,
@@ -228,10 +228,10 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
     )
 
 
-def _number(given: str, context: Context) -> Value:
-    if given.isascii() and given.isdecimal() and len(given) < 10:
-        return Value(int(given))
-    return Value(expression=context.dialects.main.expression(given))
+def _number(cardinality: str, context: Context) -> Value:
+    if cardinality.isascii() and cardinality.isdecimal() and len(cardinality) < 10:
+        return Value(int(cardinality))
+    return Value(expression=context.dialects.main.expression(cardinality))
 
 
 def _item_name(element: etree._Element, item: etree._Element | None, context: Context) -> str | None:
@@ -240,7 +240,7 @@ def _item_name(element: etree._Element, item: etree._Element | None, context: Co
     drawn = item.get("name") or ""
     name = drawn if is_variable_name(drawn) else item.get("id") or drawn
     if not is_variable_name(name):
-        context.found.fault(
+        context.findings.fault(
             element,
             message("bpmn.wrong_variable", '"{name}" cannot be the name of a variable', name=name),
         )
@@ -278,11 +278,11 @@ def read_data(
         data = context.data.get(outer, outer)
         if data not in context.data_names:
             if is_event or not has_variable(association, context):
-                warn_without_effect(association, context.found)
+                warn_without_effect(association, context.findings)
             continue
         for part in ("transformation", "assignment"):
             if child(association, part) is not None:
-                warn_without_effect(association, context.found, f"{part} of a {local(association)}")
+                warn_without_effect(association, context.findings, f"{part} of a {local(association)}")
         if is_input:
             inputs.append(DataAssociation(data, names.get(inner) or context.data_names[data]))
         else:
@@ -294,7 +294,7 @@ def check_quantities(element: etree._Element, context: Context) -> None:
     """Refuse activities that need or make several tokens."""
     for name in ("startQuantity", "completionQuantity"):
         if (element.get(name) or "1").strip() != "1":
-            refuse(element, f'{name}="{element.get(name)}"', "use a parallel gateway", context.found)
+            refuse(element, f'{name}="{element.get(name)}"', "use a parallel gateway", context.findings)
 
 
 ACTIVITY_PARTS = frozenset(

@@ -26,14 +26,14 @@ class ElementChange:
 def changed_elements(before: bytes, after: bytes, process: str) -> list[ElementChange]:
     """Return the elements of a process in which two files differ, without sequence flows and drawings."""
     old, new = dict(_elements(before, process)), dict(_elements(after, process))
-    found = []
+    changes = []
     for element, (name, written) in new.items():
         if element not in old:
-            found.append(ElementChange(process, element, name, "added"))
+            changes.append(ElementChange(process, element, name, "added"))
         elif old[element][1] != written:
-            found.append(ElementChange(process, element, name, "changed"))
+            changes.append(ElementChange(process, element, name, "changed"))
     gone = ((element, name) for element, (name, _) in old.items() if element not in new)
-    return [*found, *(ElementChange(process, element, name, "removed") for element, name in gone)]
+    return [*changes, *(ElementChange(process, element, name, "removed") for element, name in gone)]
 
 
 def _elements(xml: bytes, process: str) -> Iterator[tuple[str, tuple[str | None, bytes]]]:
@@ -58,5 +58,5 @@ def _within(container: etree._Element) -> Iterator[tuple[str, tuple[str | None, 
 def _written(element: etree._Element) -> bytes:
     """Return an element without layout; the order of its attributes does not count."""
     parts = [repr((element.tag, sorted(element.attrib.items()), (element.text or "").strip())).encode()]
-    parts += [_written(each) for each in element.iterchildren("{*}*") if local(each) not in _IGNORED]
+    parts += [_written(part) for part in element.iterchildren("{*}*") if local(part) not in _IGNORED]
     return b"(" + b" ".join(parts) + b")"

@@ -33,35 +33,35 @@ def read_condition(
     """Return a condition of `element`; None without one, or with a fault."""
     if condition is None:
         return None
-    language, given = (condition.get("language") or "").strip(), text(condition)
-    if not given and not language:
+    language, expression = (condition.get("language") or "").strip(), text(condition)
+    if not expression and not language:
         return _missing(element, context)
     name = language.lower()
     if name in JAVA_LIKE or name in _RULES:
-        return _java_condition(element, language, given, context)
+        return _java_condition(element, language, expression, context)
     reading = _LANGUAGES.get("feel" if "/feel" in name else name)
     if reading is None:
         if language and not name.startswith(("http:", "https:")):
             return _refuse(element, language, context)
         reading = context.dialects.main.expression
     chosen = reading
-    return attempt(element, lambda: chosen(given), None, context.found)
+    return attempt(element, lambda: chosen(expression), None, context.findings)
 
 
 def _missing(element: etree._Element, context: Context) -> Expression | None:
     if context.dialects.is_ours:
-        context.found.fault(element, "an expression is empty")
+        context.findings.fault(element, "an expression is empty")
     return None
 
 
 def _java_condition(
-    element: etree._Element, language: str, given: str, context: Context
+    element: etree._Element, language: str, text_: str, context: Context
 ) -> Expression | None:
     try:
-        expression = read_java(given)
+        expression = read_java(text_)
     except ExpressionError:
         return _refuse(element, language, context)
-    context.found.warn(
+    context.findings.warn(
         element,
         message(
             "bpmn.condition_read_as_juel",
@@ -77,6 +77,6 @@ def _refuse(element: etree._Element, language: str, context: Context) -> Express
         element,
         f"a condition in {language}",
         "write an expression without a language attribute",
-        context.found,
+        context.findings,
     )
     return None

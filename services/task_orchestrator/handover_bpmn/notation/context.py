@@ -25,7 +25,7 @@ class Context:
     dialects: Dialects
     declared: Declarations
     collaboration: Collaboration
-    found: Findings
+    findings: Findings
     ids: set[str]
     """The ids of the file that are used."""
     lanes: dict[str, str] = field(default_factory=dict)
@@ -46,19 +46,19 @@ class Context:
 
     def id(self, element: etree._Element) -> str:
         """Return the id of an element; report it if it is invalid or used twice."""
-        found = element.get("id") or ""
+        id_ = element.get("id") or ""
         if local(element) == "process" and not (
-            is_process_id(found) or (is_foreign_id(found) and not self.dialects.is_ours)
+            is_process_id(id_) or (is_foreign_id(id_) and not self.dialects.is_ours)
         ):
-            self.found.fault(
+            self.findings.fault(
                 element,
                 message(
                     "bpmn.wrong_process_id",
                     "a process needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
                 ),
             )
-        elif not is_node_id(found) and (self.dialects.is_ours or not is_foreign_id(found)):
-            self.found.fault(
+        elif not is_node_id(id_) and (self.dialects.is_ours or not is_foreign_id(id_)):
+            self.findings.fault(
                 element,
                 message(
                     "bpmn.wrong_id",
@@ -67,10 +67,10 @@ class Context:
                     limit=MAX_NODE_ID,
                 ),
             )
-        elif found in self.ids:
-            self.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=found))
-        self.ids.add(found)
-        return found
+        elif id_ in self.ids:
+            self.findings.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
+        self.ids.add(id_)
+        return id_
 
     def variable(self, element: etree._Element, name: str | None) -> str:
         """Return the variable for the results of an element; report it if it cannot be one.
@@ -85,7 +85,7 @@ class Context:
             self._times[base] = self._times.get(base, 1) + 1
             variable = f"{base}_{self._times[base]}"
         if variable != base:
-            self.found.warn(
+            self.findings.warn(
                 element,
                 message(
                     "bpmn.variable_renamed",

@@ -152,8 +152,8 @@ def child_text(element: etree._Element, name: str) -> str:
 
 def flag(element: etree._Element, name: str, *, default: bool) -> bool:
     """Return a boolean attribute; other texts than those of XML Schema count as the default."""
-    given = (element.get(name) or "").strip()
-    return {"true": True, "1": True, "false": False, "0": False}.get(given, default)
+    value = (element.get(name) or "").strip()
+    return {"true": True, "1": True, "false": False, "0": False}.get(value, default)
 
 
 def attributes_of(element: etree._Element, namespaces: Container[str | None]) -> dict[str, str]:
@@ -171,9 +171,9 @@ def own_data(element: etree._Element) -> Mapping[str, str]:
     specification = child(element, "ioSpecification")
     parts = [element] if specification is None else [element, specification]
     return {
-        each.get("id") or "": each.get("name") or ""
+        data.get("id") or "": data.get("name") or ""
         for part in parts
-        for each in children(part, "dataInput", "dataOutput")
+        for data in children(part, "dataInput", "dataOutput")
     }
 
 
@@ -195,7 +195,8 @@ def is_none_start(element: etree._Element) -> bool:
     if local(element) != "startEvent" or parent is None or local(parent) != "process":
         return False
     return not any(
-        local(each).endswith(("EventDefinition", "eventDefinitionRef")) for each in element.iter("{*}*")
+        local(descendant).endswith(("EventDefinition", "eventDefinitionRef"))
+        for descendant in element.iter("{*}*")
     )
 
 

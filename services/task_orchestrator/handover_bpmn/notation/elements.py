@@ -57,17 +57,17 @@ _DIAGRAMS = frozenset({"http://www.omg.org/spec/BPMN/20100524/DI"})
 _COLLABORATION = HARMLESS | {"participant", "messageFlow"}
 
 
-def warn_without_effect(element: etree._Element, found: Findings, what: str | None = None) -> None:
+def warn_without_effect(element: etree._Element, findings: Findings, what: str | None = None) -> None:
     """Add the warning that an element, or `what` of it, has no effect on the execution."""
-    found.warn(
+    findings.warn(
         element,
         message("bpmn.no_effect", "{element} has no effect on the execution", element=what or local(element)),
     )
 
 
-def warn_unknown_extension(element: etree._Element, found: Findings) -> None:
+def warn_unknown_extension(element: etree._Element, findings: Findings) -> None:
     """Add the warning that an extension of an unknown vendor is ignored."""
-    found.warn(
+    findings.warn(
         element,
         message(
             "bpmn.unknown_extension",
@@ -77,25 +77,25 @@ def warn_unknown_extension(element: etree._Element, found: Findings) -> None:
     )
 
 
-def refuse(element: etree._Element, what: str, way_out: str, found: Findings) -> None:
+def refuse(element: etree._Element, what: str, way_out: str, findings: Findings) -> None:
     """Add the fault that something is not supported yet."""
-    found.fault(
+    findings.fault(
         element,
         message("bpmn.not_supported", "{what} is not supported yet; {way_out}", what=what, way_out=way_out),
     )
 
 
-def check_other(element: etree._Element, parent: str, found: Findings) -> None:
+def check_other(element: etree._Element, parent: str, findings: Findings) -> None:
     """Report an element that nothing else reads: without effect, of a vendor, or unknown."""
     name = local(element)
     if not is_bpmn(element):
-        warn_unknown_extension(element, found)
+        warn_unknown_extension(element, findings)
     elif name in HARMLESS:
         return
     elif name in WITHOUT_EFFECT:
-        warn_without_effect(element, found)
+        warn_without_effect(element, findings)
     else:
-        refuse(element, f"{name} in a {parent}", "remove it", found)
+        refuse(element, f"{name} in a {parent}", "remove it", findings)
 
 
 @dataclass
@@ -113,7 +113,7 @@ class Declarations:
     """Tasks that call activities may call instead of a process."""
 
     @classmethod
-    def of(cls, root: etree._Element, found: Findings) -> "Declarations":
+    def of(cls, root: etree._Element, findings: Findings) -> "Declarations":
         """Return the declarations of a file, and report what else its root has."""
         declared = cls()
         tables = {
@@ -133,9 +133,9 @@ class Declarations:
             elif is_bpmn(element) and name == "resource":
                 declared.resources[element.get("id") or ""] = element.get("name") or ""
             elif not is_bpmn(element) and namespace(element) not in _DIAGRAMS:
-                warn_unknown_extension(element, found)
+                warn_unknown_extension(element, findings)
             elif is_bpmn(element) and name not in _DEFINITIONS:
-                check_other(element, "definitions", found)
+                check_other(element, "definitions", findings)
         return declared
 
 
@@ -153,25 +153,25 @@ class Contents:
     flows: list[etree._Element] = field(default_factory=list)
 
     @classmethod
-    def of(cls, container: etree._Element, found: Findings) -> "Contents":
+    def of(cls, container: etree._Element, findings: Findings) -> "Contents":
         """Return the contents of `container`, and report unknown elements."""
         contents = cls()
         for element in children(container):
             name = local(element)
             if not is_bpmn(element):
-                warn_unknown_extension(element, found)
+                warn_unknown_extension(element, findings)
             elif name in KINDS:
                 contents.nodes.append((element, KINDS[name]))
             elif name == "sequenceFlow":
                 contents.flows.append(element)
             elif name in REFUSED:
                 contents.refused.append(element)
-                refuse(element, name, REFUSED[name], found)
+                refuse(element, name, REFUSED[name], findings)
             elif name in HARMLESS or name in WITHOUT_EFFECT:
-                check_other(element, local(container), found)
+                check_other(element, local(container), findings)
             elif name not in _NODE_PARTS:
                 contents.refused.append(element)
-                refuse(element, name, f"supported are {', '.join(KINDS)}", found)
+                refuse(element, name, f"supported are {', '.join(KINDS)}", findings)
         return contents
 
 
@@ -192,16 +192,16 @@ def data_object_of(reference: etree._Element) -> str:
 
 def lanes(process: etree._Element) -> dict[str, str]:
     """Return the lane of each node; of nested lanes the innermost."""
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for lane in process.iter("{*}lane"):
         name = lane.get("name") or lane.get("id") or ""
         for reference in children(lane, "flowNodeRef"):
-            found[text(reference)] = name
-    return found
+            names[text(reference)] = name
+    return names
 
 
 def executable_processes(
-    root: etree._Element, found: Findings, *, unless_denied: bool = False
+    root: etree._Element, findings: Findings, *, unless_denied: bool = False
 ) -> list[etree._Element]:
     """Return the processes that are to be run; the only process of a file need not say so.
 
@@ -211,7 +211,7 @@ def executable_processes(
     default = len(processes) == 1 or unless_denied
     executable = [process for process in processes if flag(process, "isExecutable", default=default)]
     if not executable:
-        found.fault(
+        findings.fault(
             processes[0] if processes else root,
             message(
                 "bpmn.no_executable_process",
@@ -222,7 +222,7 @@ def executable_processes(
         )
     for process in processes:
         if process not in executable and executable:
-            found.warn(
+            findings.warn(
                 process,
                 message(
                     "bpmn.not_executable",
@@ -248,7 +248,7 @@ class Collaboration:
         root: etree._Element,
         executable: list[etree._Element],
         declared: Declarations,
-        found: Findings,
+        findings: Findings,
     ) -> "Collaboration":
         """Return the collaboration of a file; message flows between other pools are warnings."""
         collaboration = cls()
@@ -268,8 +268,8 @@ class Collaboration:
                     process = referenced(part.get("processRef") or "")
                     collaboration.titles[process] = part.get("name") or ""
                 elif not is_bpmn(part) or name not in _COLLABORATION:
-                    check_other(part, "collaboration", found)
-        collaboration._read_flows(flows, running, declared, found)
+                    check_other(part, "collaboration", findings)
+        collaboration._read_flows(flows, running, declared, findings)
         return collaboration
 
     def _read_flows(
@@ -277,7 +277,7 @@ class Collaboration:
         flows: list[etree._Element],
         running: Mapping[str | None, etree._Element],
         declared: Declarations,
-        found: Findings,
+        findings: Findings,
     ) -> None:
         """Give the ends of message flows that are connected with each other one message name."""
         ends_of = [(flow, [end for end in map(referenced, _ends(flow)) if end in running]) for flow in flows]
@@ -287,7 +287,7 @@ class Collaboration:
                 self.connected.update(inside)
                 groups.join(*inside)
             else:
-                found.warn(
+                findings.warn(
                     flow,
                     message(
                         "bpmn.message_flow_outside",
@@ -298,15 +298,15 @@ class Collaboration:
         for flow, inside in ends_of:
             if inside:
                 members.setdefault(groups.of(inside[0]), []).append((flow, inside))
-        for each in members.values():
-            self._name(each, running, declared, found)
+        for group in members.values():
+            self._name(group, running, declared, findings)
 
     def _name(
         self,
         members: list[tuple[etree._Element, list[str]]],
         running: Mapping[str | None, etree._Element],
         declared: Declarations,
-        found: Findings,
+        findings: Findings,
     ) -> None:
         own = {end: message_of(running[end], declared) for _, ends in members for end in ends}
         named = sorted({name for name in own.values() if name})
@@ -315,7 +315,7 @@ class Collaboration:
         derived = by_flow.get("name") if by_flow is not None else None
         chosen = named[0] if named else derived or flow.get("id") or "message"
         if len(named) > 1:
-            found.warn(
+            findings.warn(
                 flow,
                 message(
                     "bpmn.different_messages",
@@ -343,17 +343,17 @@ class _Groups:
             self._parents[name] = name = self._parents.get(parent, parent)
         return name
 
-    def join(self, one: str, other: str) -> None:
+    def join(self, first: str, other: str) -> None:
         """Join the sets of two nodes."""
-        self._parents[self.of(one)] = self.of(other)
+        self._parents[self.of(first)] = self.of(other)
 
 
 def message_of(node: etree._Element, declared: Declarations) -> str | None:
     """Return the name of the message that a node refers to, if it refers to one that has a name."""
     references = [node.get("messageRef")]
-    references += [each.get("messageRef") for each in children(node, "messageEventDefinition")]
+    references += [definition.get("messageRef") for definition in children(node, "messageEventDefinition")]
     for reference in references:
-        found = declared.messages.get(referenced(reference or ""))
-        if found is not None and found.get("name"):
-            return str(found.get("name"))
+        declaration = declared.messages.get(referenced(reference or ""))
+        if declaration is not None and declaration.get("name"):
+            return str(declaration.get("name"))
     return None

@@ -15,10 +15,10 @@ from handover_bpmn.notation.dialects.handover_elements import extensions_of
 from handover_bpmn.notation.faults import Findings
 
 
-def read_escalations(element: etree._Element, found: Findings) -> tuple[Escalation, ...]:
+def read_escalations(element: etree._Element, findings: Findings) -> tuple[Escalation, ...]:
     """Return the escalations of an activity, the earliest first."""
-    extensions = extensions_of(element, "escalation", found)
-    read = [attempt(extension, partial(_read, extension), None, found) for extension in extensions]
+    extensions = extensions_of(element, "escalation", findings)
+    read = [attempt(extension, partial(_read, extension), None, findings) for extension in extensions]
     levels = [level for level in read if level is not None]
     return tuple(sorted(levels, key=lambda level: level.after.nominal_s))
 

@@ -77,11 +77,13 @@ _EXAMPLES: Mapping[TimerType, str] = {
 
 def definitions_of(element: etree._Element, context: Context) -> list[etree._Element]:
     """Return the event definitions of an event, with those that it refers to."""
-    found = [part for part in children(element) if is_bpmn(part) and local(part).endswith("EventDefinition")]
+    definitions = [
+        part for part in children(element) if is_bpmn(part) and local(part).endswith("EventDefinition")
+    ]
     for reference in children(element, "eventDefinitionRef"):
         declared = context.declared.event_definitions.get(referenced(text(reference)))
         if declared is None:
-            context.found.fault(
+            context.findings.fault(
                 element,
                 message(
                     "bpmn.unknown_event_definition",
@@ -90,8 +92,8 @@ def definitions_of(element: etree._Element, context: Context) -> list[etree._Ele
                 ),
             )
         else:
-            found.append(declared)
-    return found
+            definitions.append(declared)
+    return definitions
 
 
 def read_event(
@@ -105,24 +107,24 @@ def read_event(
             element,
             f"a {kind.value} with several event definitions ({what})",
             "draw one event for each",
-            context.found,
+            context.findings,
         )
         return None
     definition = definitions[0] if definitions else None
     name = "" if definition is None else local(definition).removesuffix("EventDefinition")
     allowed = _allowed(kind, in_event_subprocess=in_event_subprocess)
     if name not in allowed:
-        if name == "" and element.get("id") in context.found.broken:
+        if name == "" and element.get("id") in context.findings.broken:
             return None
         _refuse_event(element, kind, name, allowed, context)
         return None
     dialect = context.dialects.of(element)
     if definition is None:
-        dialect.occurrence(element, None, context.found)
+        dialect.occurrence(element, None, context.findings)
         return None
-    occurrence = dialect.occurrence(element, definition, context.found)
+    occurrence = dialect.occurrence(element, definition, context.findings)
     if occurrence.on is not None and name not in {"message", "signal", "conditional"}:
-        context.found.fault(element, "handover:on stands in message, signal and conditional events")
+        context.findings.fault(element, "handover:on stands in message, signal and conditional events")
     event = _READERS[name](_Source(element, definition, occurrence, dialect, context))
     if kind is Kind.START_EVENT and not in_event_subprocess and isinstance(event, TimerEvent):
         _warn_of_variables(element, event, context)
@@ -133,7 +135,7 @@ def _warn_of_variables(element: etree._Element, event: TimerEvent, context: Cont
     """Warn that the timer which starts a process cannot read variables, which do not exist yet."""
     names = frozenset() if event.value.expression is None else event.value.expression.names()
     if names:
-        context.found.warn(
+        context.findings.warn(
             element,
             message(
                 "bpmn.start_timer_reads_variables",
@@ -154,20 +156,23 @@ def _refuse_event(
 ) -> None:
     if name == "cancel":
         refuse(
-            element, f"{kind.value} with cancelEventDefinition", "use an error event instead", context.found
+            element,
+            f"{kind.value} with cancelEventDefinition",
+            "use an error event instead",
+            context.findings,
         )
         return
-    known = [f"{each}EventDefinition" for each in _NAMES if each in allowed]
+    supported = [f"{event}EventDefinition" for event in _NAMES if event in allowed]
     if "" in allowed:
-        known.append("none")
-    context.found.fault(
+        supported.append("none")
+    context.findings.fault(
         element,
         message(
             "bpmn.wrong_event",
             "a {kind} with {event} is not supported; supported: {known}",
             kind=kind.value,
             event=f"{name}EventDefinition" if name else "no event definition",
-            known=" or ".join(known),
+            known=" or ".join(supported),
         ),
     )
 
@@ -197,7 +202,7 @@ def _conditional(source: _Source) -> ConditionalEvent | None:
     if on is not None and not text(condition):
         return ConditionalEvent(native.read("true"), on)
     if not text(condition):
-        source.context.found.fault(source.element, "an expression is empty")
+        source.context.findings.fault(source.element, "an expression is empty")
         return None
     expression = read_condition(source.element, condition, source.context)
     return None if expression is None else ConditionalEvent(expression, on)
@@ -205,14 +210,14 @@ def _conditional(source: _Source) -> ConditionalEvent | None:
 
 def _compensation(source: _Source) -> CompensateEvent:
     if not flag(source.definition, "waitForCompletion", default=True):
-        warn_without_effect(source.element, source.context.found, 'waitForCompletion="false"')
+        warn_without_effect(source.element, source.context.findings, 'waitForCompletion="false"')
     return CompensateEvent(referenced(source.definition.get("activityRef") or "") or None)
 
 
 def _link(source: _Source) -> LinkEvent:
     name = (source.definition.get("name") or source.element.get("name") or "").strip()
     if not name:
-        source.context.found.fault(
+        source.context.findings.fault(
             source.element,
             message("bpmn.link_without_name", "a link event needs a name; name both ends alike"),
         )
@@ -224,11 +229,11 @@ def read_message(element: etree._Element, occurrence: Occurrence, context: Conte
 
     Its name is that of `messageRef`, of the message flow, or the drawn name with a warning.
     """
-    found = context.found
+    findings = context.findings
     reference = _message_reference(element)
     name = message_of(element, context.declared) or context.collaboration.names.get(element.get("id") or "")
     if reference and reference not in context.declared.messages:
-        found.fault(
+        findings.fault(
             element,
             message(
                 "bpmn.unknown_message",
@@ -238,7 +243,7 @@ def read_message(element: etree._Element, occurrence: Occurrence, context: Conte
         )
     elif name is None and occurrence.on is None:
         name = _drawn_name(element)
-        found.warn(
+        findings.warn(
             element,
             message(
                 "bpmn.message_by_name",
@@ -247,16 +252,16 @@ def read_message(element: etree._Element, occurrence: Occurrence, context: Conte
             ),
         )
     declared = context.declared.messages.get(reference)
-    correlation = None if declared is None else context.dialects.main.correlation(declared, found)
+    correlation = None if declared is None else context.dialects.main.correlation(declared, findings)
     text_ = name or _drawn_name(element)
-    value = attempt(element, lambda: context.dialects.main.value(text_), Value(text_), found)
+    value = attempt(element, lambda: context.dialects.main.value(text_), Value(text_), findings)
     return MessageEvent(value, correlation, occurrence.on)
 
 
 def _message_reference(element: etree._Element) -> str:
     references = [element.get("messageRef")]
-    references += [each.get("messageRef") for each in children(element, "messageEventDefinition")]
-    return next((referenced(each) for each in references if each), "")
+    references += [definition.get("messageRef") for definition in children(element, "messageEventDefinition")]
+    return next((referenced(reference) for reference in references if reference), "")
 
 
 def _drawn_name(element: etree._Element) -> str:
@@ -273,7 +278,7 @@ def _signal_name(source: _Source) -> Value:
     elif reference:
         name = _undeclared(source, "signal", reference) or name
     else:
-        context.found.warn(
+        context.findings.warn(
             element,
             message(
                 "bpmn.signal_by_name",
@@ -281,7 +286,7 @@ def _signal_name(source: _Source) -> Value:
                 name=name,
             ),
         )
-    return attempt(element, lambda: context.dialects.main.value(name), Value(name), context.found)
+    return attempt(element, lambda: context.dialects.main.value(name), Value(name), context.findings)
 
 
 def _code(source: _Source, what: str) -> str | None:
@@ -289,16 +294,16 @@ def _code(source: _Source, what: str) -> str | None:
     reference = referenced(source.definition.get(f"{what}Ref") or "")
     if not reference:
         return None
-    found = (declared.errors if what == "error" else declared.escalations).get(reference)
-    if found is None:
+    declaration = (declared.errors if what == "error" else declared.escalations).get(reference)
+    if declaration is None:
         return _undeclared(source, what, reference)
-    return found.get(f"{what}Code") or None
+    return declaration.get(f"{what}Code") or None
 
 
 def _undeclared(source: _Source, what: str, reference: str) -> str | None:
     """Return a reference to nothing of the file as the name; None, with a fault, in our own dialect."""
     if source.dialect.lenient:
-        source.context.found.warn(
+        source.context.findings.warn(
             source.element,
             message(
                 "bpmn.reference_as_name",
@@ -308,7 +313,7 @@ def _undeclared(source: _Source, what: str, reference: str) -> str | None:
             ),
         )
         return reference
-    source.context.found.fault(
+    source.context.findings.fault(
         source.element,
         message(
             "bpmn.unknown_reference",
@@ -321,33 +326,33 @@ def _undeclared(source: _Source, what: str, reference: str) -> str | None:
 
 
 def _timer(source: _Source) -> TimerEvent | None:
-    found = source.context.found
-    times = list(children(source.definition, *(each.value for each in TimerType)))
-    given = text(times[0]) if len(times) == 1 else ""
-    if not given:
-        found.fault(
+    findings = source.context.findings
+    times = list(children(source.definition, *(timer.value for timer in TimerType)))
+    time = text(times[0]) if len(times) == 1 else ""
+    if not time:
+        findings.fault(
             source.element,
             message("bpmn.wrong_timer", "a timer has one timeDuration, timeDate or timeCycle"),
         )
         return None
     type_ = TimerType(local(times[0]))
-    given = source.dialect.time(given)
-    if source.dialect.lenient and (zoned := _in_utc(given)) != given:
-        found.warn(
+    time = source.dialect.time(time)
+    if source.dialect.lenient and (zoned := _in_utc(time)) != time:
+        findings.warn(
             source.element,
-            message("bpmn.time_without_zone", '"{time}" has no time zone and is read as UTC', time=given),
+            message("bpmn.time_without_zone", '"{time}" has no time zone and is read as UTC', time=time),
         )
-        given = zoned
+        time = zoned
     try:
-        return TimerEvent(type_, _time(type_, given, source.dialect))
+        return TimerEvent(type_, _time(type_, time, source.dialect))
     except (ExpressionError, ValueError) as error:
-        found.fault(source.element, text_of(error))
+        findings.fault(source.element, text_of(error))
         return None
 
 
-def _in_utc(given: str) -> str:
+def _in_utc(time: str) -> str:
     """Return a time with UTC as the zone of those moments in it that have none."""
-    return _ZONELESS.sub(lambda moment: f"{moment[1]}{moment[2] or 'T00:00:00'}Z", given.strip())
+    return _ZONELESS.sub(lambda moment: f"{moment[1]}{moment[2] or 'T00:00:00'}Z", time.strip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,21 +363,21 @@ class _TimeInUtc:
     expression: Expression
 
     def value(self, variables: Variables) -> Json:
-        found = self.expression.value(variables)
-        return _in_utc(found) if isinstance(found, str) else found
+        time = self.expression.value(variables)
+        return _in_utc(time) if isinstance(time, str) else time
 
     def names(self) -> frozenset[str]:
         return self.expression.names()
 
 
-def _time(type_: TimerType, given: str, dialect: Dialect) -> Value:
-    if is_time(given):
+def _time(type_: TimerType, time: str, dialect: Dialect) -> Value:
+    if is_time(time):
         if type_ is TimerType.CYCLE:
-            parse_cycle(given)
+            parse_cycle(time)
         else:
-            due_at(given, datetime.now(UTC))
-        return Value(given)
-    value = dialect.value(given)
+            due_at(time, datetime.now(UTC))
+        return Value(time)
+    value = dialect.value(time)
     if value.expression is not None:
         if not dialect.lenient:
             return value
@@ -382,12 +387,12 @@ def _time(type_: TimerType, given: str, dialect: Dialect) -> Value:
             message(
                 "bpmn.no_time",
                 '"{time}" is no {type}; write it like {example}',
-                time=given[:64],
+                time=time[:64],
                 type=type_.value,
                 example=_EXAMPLES[type_],
             )
         )
-    return Value(expression=dialect.expression(given))
+    return Value(expression=dialect.expression(time))
 
 
 _READERS: Mapping[str, Callable[[_Source], Event | None]] = {

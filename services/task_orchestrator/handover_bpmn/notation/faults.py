@@ -52,10 +52,10 @@ class Findings:
 
     def fault(self, element: etree._Element, text: str) -> None:
         """Add a fault of `element`; it is reported at the flow element that contains it."""
-        found = _fault_of(element, text)
-        self._faults.setdefault(found)
-        if found.element is not None:
-            self.broken.add(found.element)
+        new_fault = _fault_of(element, text)
+        self._faults.setdefault(new_fault)
+        if new_fault.element is not None:
+            self.broken.add(new_fault.element)
 
     def fault_of_deployment(self, element: etree._Element, text: str) -> None:
         """Add a fault by a rule that earlier releases did not have: a deployed file has a warning instead."""

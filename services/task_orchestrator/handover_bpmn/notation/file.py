@@ -41,12 +41,12 @@ def read_bpmn(xml: bytes, *, is_deployed: bool = False) -> BpmnFile:
     A file that `is_deployed` stays executable although a later release has more rules.
     """
     root = parse(xml)
-    found = Findings(is_deployed=is_deployed)
-    declared = Declarations.of(root, found)
+    findings = Findings(is_deployed=is_deployed)
+    declared = Declarations.of(root, findings)
     dialects = Dialects(root)
-    executable = executable_processes(root, found, unless_denied=dialects.runs_undeclared)
+    executable = executable_processes(root, findings, unless_denied=dialects.runs_undeclared)
     if len(executable) > MAX_PROCESSES:  # each of them is stored with the whole file
-        found.fault(
+        findings.fault(
             executable[MAX_PROCESSES],
             message(
                 "bpmn.too_many_processes",
@@ -55,42 +55,42 @@ def read_bpmn(xml: bytes, *, is_deployed: bool = False) -> BpmnFile:
                 processes=len(executable),
             ),
         )
-        raise BadBpmn(found.faults, found.warnings)
-    collaboration = Collaboration.of(root, executable, declared, found)
+        raise BadBpmn(findings.faults, findings.warnings)
+    collaboration = Collaboration.of(root, executable, declared, findings)
     ids: set[str] = set()
     definitions = []
-    beside = found.warnings
+    beside = findings.warnings
     for process in executable:
         own = Findings(is_deployed=is_deployed)
         context = Context(dialects, declared, collaboration, own, ids if dialects.is_ours else set())
         definition = _definition(process, context, xml)
-        found.add(own.faults, own.warnings)
+        findings.add(own.faults, own.warnings)
         definitions.append(replace(definition, warnings=(*beside, *own.warnings)))
-    if found.faults:
-        raise BadBpmn(found.faults, found.warnings)
-    return BpmnFile(tuple(definitions), found.warnings)
+    if findings.faults:
+        raise BadBpmn(findings.faults, findings.warnings)
+    return BpmnFile(tuple(definitions), findings.warnings)
 
 
 def _definition(process: etree._Element, context: Context, xml: bytes) -> Definition:
-    found = context.found
+    findings = context.findings
     id_ = context.id(process)
     if process.get("processType") not in {None, "", "None", "Public", "Private"}:
-        found.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
+        findings.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
     context.lanes = lanes(process)
     collect_associations(process, context)
     collect_data(process, context)
     collect_properties(process, context)
-    context.dialects.check(process, found)
-    ours = context.dialects.handover.process(process, found)
-    label = ours.label or context.dialects.main.process(process, found).label
+    context.dialects.check(process, findings)
+    ours = context.dialects.handover.process(process, findings)
+    label = ours.label or context.dialects.main.process(process, findings).label
     too_large = _fault_of_size(process)
     scope = Scope(id_, {}, {}) if too_large is not None else read_scope(process, context)
     if too_large is not None:
-        found.add([too_large])
+        findings.add([too_large])
     else:
-        checked = check_process(scope, process.sourceline or 0, found.broken)
-        found.add(checked.faults, checked.warnings)
-        check_spans(process, scope, found)
+        checked = check_process(scope, process.sourceline or 0, findings.broken)
+        findings.add(checked.faults, checked.warnings)
+        check_spans(process, scope, findings)
     if context.dialects.main.spreads_outputs and _mentions(scope, "outcome"):
         scope = _handling_outcomes(scope)
     title = process.get("name") or context.collaboration.titles.get(id_) or id_
@@ -112,7 +112,7 @@ def _start_form(process: etree._Element, context: Context) -> StartForm:
     """Return the form of the none start event; ours counts before that of another dialect."""
     for element in filter(is_none_start, process):
         for dialect in (context.dialects.handover, context.dialects.main):
-            if form := dialect.start_form(element, context.found):
+            if form := dialect.start_form(element, context.findings):
                 return form
     return StartForm()
 
@@ -127,8 +127,8 @@ def _mentions(scope: Scope, name: str) -> bool:
     """Return whether a condition of a process reads this variable."""
     return any(
         flow.condition is not None and name in flow.condition.names()
-        for each in scope.walk()
-        for flow in each.flows.values()
+        for inner in scope.walk()
+        for flow in inner.flows.values()
     )
 
 

@@ -18,11 +18,11 @@ class Dominators:
     first: Mapping[str, int]
     last: Mapping[str, int]
 
-    def dominates(self, one: str, other: str) -> bool:
+    def dominates(self, dominator: str, other: str) -> bool:
         """Return whether every path to `other` passes `one`; False for nodes that cannot be reached."""
-        if one not in self.first or other not in self.first:
+        if dominator not in self.first or other not in self.first:
             return False
-        return self.first[one] <= self.first[other] <= self.last[one]
+        return self.first[dominator] <= self.first[other] <= self.last[dominator]
 
 
 def dominators(successors: Callable[[str], Iterable[str]], starts: Iterable[str]) -> Dominators:
@@ -38,10 +38,10 @@ def dominators(successors: Callable[[str], Iterable[str]], starts: Iterable[str]
     stack: list[tuple[str, Iterator[str]]] = [(_ENTRY, iter(entered))]
     while stack:
         node, following = stack[-1]
-        for each in following:
-            if each not in graph:
-                graph[each] = list(successors(each))
-                stack.append((each, iter(graph[each])))
+        for successor in following:
+            if successor not in graph:
+                graph[successor] = list(successors(successor))
+                stack.append((successor, iter(graph[successor])))
                 break
         else:
             order.append(node)
@@ -50,30 +50,30 @@ def dominators(successors: Callable[[str], Iterable[str]], starts: Iterable[str]
     number = {node: nth for nth, node in enumerate(order)}
     predecessors: dict[str, list[str]] = {node: [] for node in order}
     for node in order:
-        for each in graph[node]:
-            predecessors[each].append(node)
+        for successor in graph[node]:
+            predecessors[successor].append(node)
     parents = {_ENTRY: _ENTRY}
     changed = True
     while changed:
         changed = False
         for node in order[1:]:
-            known = [each for each in predecessors[node] if each in parents]
-            parent = known[0]
-            for each in known[1:]:
-                parent = _common(parent, each, parents, number)
+            reached = [name for name in predecessors[node] if name in parents]
+            parent = reached[0]
+            for predecessor in reached[1:]:
+                parent = _common(parent, predecessor, parents, number)
             if parents.get(node) != parent:
                 parents[node] = parent
                 changed = True
     return _numbered(order, parents)
 
 
-def _common(one: str, other: str, parents: Mapping[str, str], number: Mapping[str, int]) -> str:
-    while one != other:
-        while number[one] > number[other]:
-            one = parents[one]
-        while number[other] > number[one]:
+def _common(first: str, other: str, parents: Mapping[str, str], number: Mapping[str, int]) -> str:
+    while first != other:
+        while number[first] > number[other]:
+            first = parents[first]
+        while number[other] > number[first]:
             other = parents[other]
-    return one
+    return first
 
 
 def _numbered(order: list[str], parents: Mapping[str, str]) -> Dominators:
@@ -90,5 +90,5 @@ def _numbered(order: list[str], parents: Mapping[str, str]) -> Dominators:
         else:
             first[node] = len(first)
             stack.append((node, True))
-            stack += [(each, False) for each in below[node]]
+            stack += [(descendant, False) for descendant in below[node]]
     return Dominators(first, last)

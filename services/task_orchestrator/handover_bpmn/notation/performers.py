@@ -23,14 +23,14 @@ def performer_hints(element: etree._Element, context: Context) -> Mapping[str, s
     """Return assignee, candidate users and groups that the resource roles of an activity name."""
     names: dict[str, list[str]] = {}
     for role in children(element, *sorted(RESOURCE_ROLES)):
-        given = _resource(role, context)
-        if not given:
-            warn_without_effect(role, context.found)
+        resource = _resource(role, context)
+        if not resource:
+            warn_without_effect(role, context.findings)
             continue
         plain = "assignee" if local(role) in _PERFORMERS else context.dialects.main.potential_owner
-        for hint, name in _split(given, plain):
+        for hint, name in _split(resource, plain):
             names.setdefault(hint, []).append(name)
-    return {hint: ",".join(found) for hint, found in names.items()}
+    return {hint: ",".join(hinted) for hint, hinted in names.items()}
 
 
 def _resource(role: etree._Element, context: Context) -> str:
@@ -38,24 +38,24 @@ def _resource(role: etree._Element, context: Context) -> str:
     assignment = child(role, "resourceAssignmentExpression")
     if assignment is not None:
         for name in ("formalExpression", "expression"):
-            given = child_text(assignment, name)
-            if given:
-                return given
+            expression = child_text(assignment, name)
+            if expression:
+                return expression
         return text(assignment)
     reference = referenced(child_text(role, "resourceRef"))
     return context.declared.resources.get(reference) or reference
 
 
-def _split(given: str, plain: str) -> list[tuple[str, str]]:
+def _split(resource: str, plain: str) -> list[tuple[str, str]]:
     """Return hint and name of each part of `user(kermit), group(accounting), management`."""
-    if "${" in given or "#{" in given or given.startswith("="):
-        return [(plain, given)]
-    found = []
-    for part in (each.strip() for each in re.split(r",(?![^()]*\))", given)):
+    if "${" in resource or "#{" in resource or resource.startswith("="):
+        return [(plain, resource)]
+    hints = []
+    for part in (name.strip() for name in re.split(r",(?![^()]*\))", resource)):
         qualified = _QUALIFIED.fullmatch(part)
         if qualified is not None:
             hint = "candidateUsers" if qualified[1].lower() == "user" else "candidateGroups"
-            found += [(hint, name.strip()) for name in qualified[2].split(",") if name.strip()]
+            hints += [(hint, name.strip()) for name in qualified[2].split(",") if name.strip()]
         elif part:
-            found.append((plain, part))
-    return found
+            hints.append((plain, part))
+    return hints

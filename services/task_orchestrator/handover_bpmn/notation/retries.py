@@ -24,18 +24,18 @@ MAX_FACTOR = 100.0
 
 def read_retry(element: etree._Element, hints: Mapping[str, str], context: Context) -> RetryPolicy | None:
     """Return the retry policy of an activity; ours decides if a file has several."""
-    found = context.found
-    ours = extension_of(element, "retry", found)
+    findings = context.findings
+    ours = extension_of(element, "retry", findings)
     if ours is not None:
-        return attempt(ours, lambda: _ours(ours), None, found)
+        return attempt(ours, lambda: _ours(ours), None, findings)
     if "retry" in hints:
         cycle = hints["retry"]
-        policy = attempt(element, lambda: _cycle(cycle), None, found) if "{" not in cycle else None
-        if policy is None and element.get("id") not in found.broken:
-            warn_without_effect(element, found, f"failedJobRetryTimeCycle {cycle[:64]}")
+        policy = attempt(element, lambda: _cycle(cycle), None, findings) if "{" not in cycle else None
+        if policy is None and element.get("id") not in findings.broken:
+            warn_without_effect(element, findings, f"failedJobRetryTimeCycle {cycle[:64]}")
         return policy
     if "retries" in hints:
-        return attempt(element, lambda: RetryPolicy(_attempts(context, hints["retries"])), None, found)
+        return attempt(element, lambda: RetryPolicy(_attempts(context, hints["retries"])), None, findings)
     return None
 
 
@@ -67,7 +67,7 @@ def _number(extension: etree._Element, name: str, default: float) -> float:
 
 def _cycle(text: str) -> RetryPolicy:
     if not text.lstrip().startswith("R"):
-        delays = tuple(parse_duration(each.strip()) for each in text.split(","))
+        delays = tuple(parse_duration(delay.strip()) for delay in text.split(","))
         return RetryPolicy(Value(len(delays) + 1), delays)
     cycle = parse_cycle(text)
     if not isinstance(cycle, RepeatingInterval) or cycle.count is None or cycle.start or cycle.end:

@@ -69,10 +69,12 @@ def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
     """Return the faults and warnings of a process, which begins in `line`, with all its scopes."""
     scopes = list(scope.walk())
     checked = Checked()
-    everywhere = {node for each in scopes for node in each.nodes}
-    hosts = {node.scope.id: node for each in scopes for node in each.nodes.values() if node.scope is not None}
-    for each in scopes:
-        rules = _Rules(each, hosts.get(each.id), line, broken, everywhere, checked.warnings)
+    everywhere = {node for inner in scopes for node in inner.nodes}
+    hosts = {
+        node.scope.id: node for inner in scopes for node in inner.nodes.values() if node.scope is not None
+    }
+    for inner in scopes:
+        rules = _Rules(inner, hosts.get(inner.id), line, broken, everywhere, checked.warnings)
         checked.faults += rules.faults()
     return checked
 
@@ -108,10 +110,10 @@ class _Rules:
         return self._flows_by("source")
 
     def _flows_by(self, end: str) -> Mapping[str, list[Flow]]:
-        found: dict[str, list[Flow]] = {name: [] for name in self.scope.nodes}
+        flows: dict[str, list[Flow]] = {name: [] for name in self.scope.nodes}
         for flow in self.scope.flows.values():
-            found.setdefault(getattr(flow, end), []).append(flow)
-        return found
+            flows.setdefault(getattr(flow, end), []).append(flow)
+        return flows
 
     def faults(self) -> Iterator[Fault]:
         """Yield the faults of this scope, and add its warnings."""

@@ -68,14 +68,14 @@ def read_scope(
     container: etree._Element, context: Context, depth: int = 0, *, in_event_subprocess: bool = False
 ) -> Scope:
     """Return the content of a process or subprocess; what cannot be read is a fault."""
-    contents = Contents.of(container, context.found)
+    contents = Contents.of(container, context.findings)
     name = container.get("id") or ""
-    flows = {flow.id: flow for flow in (_flow(each, context) for each in contents.flows)}
+    flows = {flow.id: flow for flow in (_flow(sequence_flow, context) for sequence_flow in contents.flows)}
     nodes: dict[str, Node] = {}
     for element, kind in contents.nodes:
         node = _node(element, kind, context, depth, in_event_subprocess=in_event_subprocess)
         nodes[node.id] = node
-    for element in (each for each in contents.refused if each.get("id")):
+    for element in (refused for refused in contents.refused if refused.get("id")):
         id_ = context.id(element)
         nodes[id_] = Node(id_, _PLACEHOLDER, id_, element.sourceline or 0)
     nodes, flows = with_listeners(container, contents, nodes, flows, context)
@@ -93,9 +93,9 @@ def collect_associations(process: etree._Element, context: Context) -> None:
     """Collect the associations: one may stand in any container around its ends (BPMN 2.0.2, 8.4.1)."""
     beside = process.getroottree().getroot().iterchildren(f"{{{BPMN}}}collaboration")
     context.associations = tuple(
-        (referenced(each.get("sourceRef") or ""), referenced(each.get("targetRef") or ""))
+        (referenced(association.get("sourceRef") or ""), referenced(association.get("targetRef") or ""))
         for container in (process, *beside)
-        for each in container.iter(f"{{{BPMN}}}association")
+        for association in container.iter(f"{{{BPMN}}}association")
     )
 
 
@@ -122,7 +122,7 @@ def _node(
     element: etree._Element, kind: Kind, context: Context, depth: int, *, in_event_subprocess: bool
 ) -> Node:
     id_ = context.id(element)
-    context.dialects.check(element, context.found)
+    context.dialects.check(element, context.findings)
     node = Node(
         id=id_,
         kind=kind,
@@ -141,14 +141,14 @@ def _event(element: etree._Element, node: Node, context: Context, *, in_event_su
     for part in children(element):
         is_definition = is_bpmn(part) and local(part).endswith("EventDefinition")
         if not is_definition and local(part) not in _EVENT_PARTS:
-            check_other(part, node.kind.value, context.found)
+            check_other(part, node.kind.value, context.findings)
     payload: tuple[Assignment, ...] = ()
     for definition in definitions_of(element, context):
-        context.dialects.check(definition, context.found)
-        payload += context.dialects.main.mapped(definition, context.found).inputs
+        context.dialects.check(definition, context.findings)
+        payload += context.dialects.main.mapped(definition, context.findings).inputs
     if _is_work(element, node.kind, context):
         _warn_message_not_thrown(element, context)
-        mapped = context.dialects.main.mapped(element, context.found)
+        mapped = context.dialects.main.mapped(element, context.findings)
         return replace(
             node,
             kind=Kind.SEND_TASK,
@@ -158,7 +158,7 @@ def _event(element: etree._Element, node: Node, context: Context, *, in_event_su
         )
     event = read_event(element, node.kind, context, in_event_subprocess=in_event_subprocess)
     interrupting = "cancelActivity" if node.kind is Kind.BOUNDARY_EVENT else "isInterrupting"
-    mapped = context.dialects.main.mapped(element, context.found)
+    mapped = context.dialects.main.mapped(element, context.findings)
     data_inputs, data_outputs = read_data(element, context, is_event=True)
     return replace(
         node,
@@ -185,7 +185,7 @@ def _is_work(element: etree._Element, kind: Kind, context: Context) -> bool:
 
 
 def _has_implementation(element: etree._Element, context: Context) -> bool:
-    return has_task(element) or context.dialects.main.work(element, context.found).has_implementation
+    return has_task(element) or context.dialects.main.work(element, context.findings).has_implementation
 
 
 def _work_of_event(element: etree._Element, context: Context) -> Activity:
@@ -193,7 +193,7 @@ def _work_of_event(element: etree._Element, context: Context) -> Activity:
     definition = child(element, "messageEventDefinition")
     if definition is None or has_task(element):
         return activity
-    work = context.dialects.main.work(definition, context.found)
+    work = context.dialects.main.work(definition, context.findings)
     return replace(
         activity,
         parameters={**activity.parameters, **work.parameters},
@@ -203,7 +203,7 @@ def _work_of_event(element: etree._Element, context: Context) -> Activity:
 
 def _warn_message_not_thrown(element: etree._Element, context: Context) -> None:
     if element.get("id") in context.collaboration.connected:
-        context.found.warn(
+        context.findings.warn(
             element,
             message(
                 "bpmn.message_sent_by_performer",
@@ -216,39 +216,39 @@ def _warn_message_not_thrown(element: etree._Element, context: Context) -> None:
 def _gateway(element: etree._Element, node: Node, context: Context) -> Node:
     for part in children(element):
         if local(part) not in _GATEWAY_PARTS:
-            check_other(part, node.kind.value, context.found)
+            check_other(part, node.kind.value, context.findings)
     if node.kind is Kind.EVENT_BASED:
         if element.get("eventGatewayType") == "Parallel":
             refuse(
                 element,
                 "a parallel eventBasedGateway",
                 "use a parallel gateway with one event a branch",
-                context.found,
+                context.findings,
             )
         if flag(element, "instantiate", default=False):
             refuse(
                 element,
                 "an eventBasedGateway that starts the process",
                 "draw one start event for each event",
-                context.found,
+                context.findings,
             )
     return node
 
 
 def _activity(element: etree._Element, node: Node, context: Context, depth: int) -> Node:
-    main, found = context.dialects.main, context.found
+    main, findings = context.dialects.main, context.findings
     is_scope = node.kind is Kind.SUB_PROCESS
     if not is_scope:
         for part in children(element):
             is_script = local(part) == "script" and node.kind is Kind.SCRIPT_TASK
             if local(part) not in ACTIVITY_PARTS and not is_script:
-                check_other(part, node.kind.value, found)
+                check_other(part, node.kind.value, findings)
     check_quantities(element, context)
     for name in ("standardLoopCharacteristics", "multiInstanceLoopCharacteristics"):
         loop = child(element, name)
         if loop is not None:
-            context.dialects.check(loop, found)
-    mapped = main.mapped(element, found)
+            context.dialects.check(loop, findings)
+    mapped = main.mapped(element, findings)
     data_inputs, data_outputs = read_data(element, context)
     node = replace(
         node,
@@ -268,12 +268,12 @@ def _activity(element: etree._Element, node: Node, context: Context, depth: int)
     if node.kind is Kind.CALL_ACTIVITY:
         if referenced(element.get("calledElement") or "") in context.declared.global_tasks:
             return replace(node, activity=read_activity(element, context))
-        return replace(node, call=_named_process(main.call(element, found)))
+        return replace(node, call=_named_process(main.call(element, findings)))
     return _subprocess(element, node, context, depth)
 
 
 def _task(element: etree._Element, node: Node, context: Context) -> Node:
-    evaluated = None if has_task(element) else context.dialects.main.evaluated(element, context.found)
+    evaluated = None if has_task(element) else context.dialects.main.evaluated(element, context.findings)
     if evaluated is not None:
         return replace(node, kind=Kind.SCRIPT_TASK, script=evaluated)
     return replace(node, activity=read_activity(element, context))
@@ -287,7 +287,7 @@ def _named_process(call: Call | None) -> Call | None:
 
 
 def _script_task(element: etree._Element, node: Node, context: Context) -> Node:
-    script = context.dialects.main.script(element, context.found)
+    script = context.dialects.main.script(element, context.findings)
     if has_task(element):
         return replace(node, activity=read_activity(element, context, script=script))
     if script.assignments is not None:
@@ -302,14 +302,14 @@ def _message_task(element: etree._Element, node: Node, context: Context) -> Node
     if flag(element, "instantiate", default=False):
         if not _has_incoming(element):  # the same as a start event
             event = read_message(
-                element, context.dialects.of(element).occurrence(element, None, context.found), context
+                element, context.dialects.of(element).occurrence(element, None, context.findings), context
             )
             return replace(node, kind=Kind.START_EVENT, event=event)
         refuse(
             element,
             "a receiveTask that starts the process",
             "draw a message start event before it",
-            context.found,
+            context.findings,
         )
         return node
     is_send = node.kind is Kind.SEND_TASK
@@ -321,7 +321,7 @@ def _message_task(element: etree._Element, node: Node, context: Context) -> Node
     if is_send and not has_message:
         return replace(node, activity=read_activity(element, context))
     dialect = context.dialects.of(element)
-    occurrence = dialect.occurrence(element, None, context.found)
+    occurrence = dialect.occurrence(element, None, context.findings)
     return replace(node, event=read_message(element, occurrence, context))
 
 
@@ -334,7 +334,7 @@ def _has_incoming(element: etree._Element) -> bool:
 def _subprocess(element: etree._Element, node: Node, context: Context, depth: int) -> Node:
     by_event = flag(element, "triggeredByEvent", default=False)
     if depth >= MAX_SCOPE_DEPTH:
-        context.found.fault(
+        context.findings.fault(
             element,
             message(
                 "bpmn.subprocesses_too_deep",
@@ -363,8 +363,8 @@ def _flow(element: etree._Element, context: Context) -> Flow:
         id_ = _flow_id(element, id_, context)
     for part in children(element):
         if local(part) != "conditionExpression":
-            check_other(part, "sequenceFlow", context.found)
-    context.dialects.check(element, context.found)
+            check_other(part, "sequenceFlow", context.findings)
+    context.dialects.check(element, context.findings)
     return Flow(
         id=id_,
         source=source,
@@ -380,7 +380,7 @@ def _flow_id(element: etree._Element, id_: str, context: Context) -> str:
         used, number = id_, 2
         while id_ in context.ids:
             id_, number = f"{used}_{number}", number + 1
-        context.found.warn(
+        context.findings.warn(
             element,
             message(
                 "bpmn.flow_renamed",
@@ -390,7 +390,7 @@ def _flow_id(element: etree._Element, id_: str, context: Context) -> str:
             ),
         )
     elif id_ in context.ids:
-        context.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
+        context.findings.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
     context.ids.add(id_)
     return id_
 
@@ -403,7 +403,7 @@ def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Cont
     leaving: dict[str, int] = {}
     for flow in flows.values():
         leaving[flow.source] = leaving.get(flow.source, 0) + 1
-        if flow.condition is None and flow.id not in context.found.broken:
+        if flow.condition is None and flow.id not in context.findings.broken:
             without.setdefault(flow.source, []).append(flow)
     changed = dict(nodes)
     for node in nodes.values():

@@ -71,7 +71,7 @@ def read_spans(container: etree._Element, nodes: Mapping[str, Node], context: Co
         spans.append(_span(container, SpanKind.SCOPE, frozenset(nodes), context))
     for lane in _own_lanes(container):
         if _reserves(lane):
-            listed = {text(each) for each in lane.iter(f"{{{BPMN}}}flowNodeRef")}
+            listed = {text(reference) for reference in lane.iter(f"{{{BPMN}}}flowNodeRef")}
             spans.append(_span(lane, SpanKind.LANE, frozenset(listed & nodes.keys()), context))
     for group in _reserving_groups(container):
         members = _members(group, container)
@@ -80,10 +80,10 @@ def read_spans(container: etree._Element, nodes: Mapping[str, Node], context: Co
     return tuple(span for span in spans if span.needs)
 
 
-def check_spans(process: etree._Element, scope: Scope, found: Findings) -> None:
+def check_spans(process: etree._Element, scope: Scope, findings: Findings) -> None:
     """Report the spans of a process that cannot be reserved, and groups without effect."""
     for span, node in spans_in_parallel_instances(scope):
-        found.fault(
+        findings.fault(
             _element(process, span.id),
             message(
                 "bpmn.reserve_in_parallel_instances",
@@ -93,7 +93,7 @@ def check_spans(process: etree._Element, scope: Scope, found: Findings) -> None:
             ),
         )
     for group in _reserving_groups(process):
-        _check_group(group, process, found)
+        _check_group(group, process, findings)
 
 
 def _span(element: etree._Element, kind: SpanKind, members: frozenset[str], context: Context) -> Span:
@@ -103,7 +103,7 @@ def _span(element: etree._Element, kind: SpanKind, members: frozenset[str], cont
         id=id_,
         name=name or id_,
         kind=kind,
-        needs=tuple(_needs(element, context.found)),
+        needs=tuple(_needs(element, context.findings)),
         members=members,
         line=element.sourceline or 0,
     )
@@ -123,23 +123,23 @@ def _reserves(element: etree._Element) -> bool:
 def _properties(element: etree._Element) -> Iterator[str]:
     for extension in extensions(element):
         if local(extension) == "properties":
-            for each in children(extension):
-                if each.get("name") == _PROPERTY:
-                    yield each.get("value") or ""
+            for property_ in children(extension):
+                if property_.get("name") == _PROPERTY:
+                    yield property_.get("value") or ""
 
 
-def _needs(element: etree._Element, found: Findings) -> Iterator[Value]:
+def _needs(element: etree._Element, findings: Findings) -> Iterator[Value]:
     written = element.get(_ATTRIBUTE)
-    for given in ([] if written is None else [written], _properties(element)):
-        for each in given:
-            yield from _read(element, each, found)
+    for texts in ([] if written is None else [written], _properties(element)):
+        for text_ in texts:
+            yield from _read(element, text_, findings)
     for extension in reserve_elements(element):
-        check_reserve(extension, found)
+        check_reserve(extension, findings)
         expression = extension.get("expression")
         if expression is not None:
-            yield from _expression(extension, expression, found)
+            yield from _expression(extension, expression, findings)
         else:
-            yield from _read(extension, _as_text(extension), found)
+            yield from _read(extension, _as_text(extension), findings)
 
 
 def _as_text(extension: etree._Element) -> str:
@@ -149,22 +149,22 @@ def _as_text(extension: etree._Element) -> str:
     return " ".join(word for word in words if word)
 
 
-def _expression(element: etree._Element, given: str, found: Findings) -> Iterator[Value]:
-    read = attempt(element, lambda: Value(expression=native.read(given)), None, found)
+def _expression(element: etree._Element, expression: str, findings: Findings) -> Iterator[Value]:
+    read = attempt(element, lambda: Value(expression=native.read(expression)), None, findings)
     if read is not None:
         yield read
 
 
-def _read(element: etree._Element, given: str, found: Findings) -> Iterator[Value]:
-    given = given.strip()
-    if given.startswith("="):
-        parts = [given]
-    elif _EXPRESSION.search(given):
-        parts = [part.strip() for part in _COMMA.split(given)]
+def _read(element: etree._Element, text_: str, findings: Findings) -> Iterator[Value]:
+    text_ = text_.strip()
+    if text_.startswith("="):
+        parts = [text_]
+    elif _EXPRESSION.search(text_):
+        parts = [part.strip() for part in _COMMA.split(text_)]
     else:
-        parts = [given]
+        parts = [text_]
     for part in parts:
-        value = attempt(element, lambda part=part: _value(part), None, found)  # type: ignore[misc]
+        value = attempt(element, lambda part=part: _value(part), None, findings)  # type: ignore[misc]
         if value is not None:
             yield value
 
@@ -195,7 +195,7 @@ def _reserving_groups(container: etree._Element) -> Iterator[etree._Element]:
 
 
 def _bounds(root: etree._Element) -> dict[str, _Bounds]:
-    found: dict[str, _Bounds] = {}
+    bounds: dict[str, _Bounds] = {}
     for shape in root.iter(f"{{{_DI}}}BPMNShape"):
         rectangle = shape.find(f"{{{_DC}}}Bounds")
         if rectangle is None:
@@ -205,8 +205,8 @@ def _bounds(root: etree._Element) -> dict[str, _Bounds]:
         except ValueError:
             continue
         name = referenced(shape.get("bpmnElement") or "")
-        found.setdefault(name, _Bounds(shape.getparent(), left, top, left + width, top + height))
-    return found
+        bounds.setdefault(name, _Bounds(shape.getparent(), left, top, left + width, top + height))
+    return bounds
 
 
 def _drawn_nodes(process: etree._Element) -> Iterator[etree._Element]:
@@ -239,11 +239,11 @@ def _members(group: etree._Element, process: etree._Element) -> frozenset[str]:
     )
 
 
-def _check_group(group: etree._Element, process: etree._Element, found: Findings) -> None:
+def _check_group(group: etree._Element, process: etree._Element, findings: Findings) -> None:
     bounds = _bounds(group.getroottree().getroot())
     around = bounds.get(group.get("id") or "")
     if around is None:
-        found.warn(
+        findings.warn(
             group,
             message(
                 "bpmn.group_not_drawn",
@@ -253,10 +253,10 @@ def _check_group(group: etree._Element, process: etree._Element, found: Findings
         return
     members = _members(group, process)
     if not any(around.contains(drawn) for name, drawn in bounds.items() if name != group.get("id")):
-        found.warn(group, message("bpmn.group_empty", "the group reserves nothing: no element is in it"))
+        findings.warn(group, message("bpmn.group_empty", "the group reserves nothing: no element is in it"))
     scopes = {_element(process, name).getparent().get("id") for name in members}
     if len(scopes) > 1:
-        found.fault(
+        findings.fault(
             group,
             message(
                 "bpmn.group_of_several_scopes",
@@ -268,7 +268,7 @@ def _check_group(group: etree._Element, process: etree._Element, found: Findings
         is_partly = drawn is not None and around.meets(drawn) and not around.contains(drawn)
         is_outer = drawn is not None and drawn.contains(around)
         if is_partly and not is_outer and node.get("attachedToRef") is None:
-            found.warn(
+            findings.warn(
                 node,
                 message(
                     "bpmn.partly_in_group",
@@ -292,4 +292,6 @@ def _category(element: etree._Element) -> str | None:
 def _element(process: etree._Element, name: str) -> etree._Element:
     """Return the element with an id; the process itself if there is none."""
     root = process.getroottree().getroot()
-    return next((each for each in root.iter(f"{{{BPMN}}}*") if each.get("id") == name), process)
+    return next(
+        (candidate for candidate in root.iter(f"{{{BPMN}}}*") if candidate.get("id") == name), process
+    )

@@ -17,17 +17,17 @@ from handover_bpmn.notation.dialects.handover_elements import extension_of
 
 def read_specification(element: etree._Element, context: Context) -> dict[str, Value] | None:
     """Return the values of `handover:specification` by field; None without it."""
-    extension = extension_of(element, "specification", context.found)
+    extension = extension_of(element, "specification", context.findings)
     if extension is None:
         return None
-    return attempt(extension, partial(_read, extension), None, context.found)
+    return attempt(extension, partial(_read, extension), None, context.findings)
 
 
 def _read(extension: etree._Element) -> dict[str, Value]:
-    given = {field: _value(text) for field in FIELDS if (text := (extension.get(field) or "").strip())}
-    if all(each.expression is None for each in given.values()):
-        Specification.of({field: each.literal for field, each in given.items()})
-    return given
+    values = {field: _value(text) for field in FIELDS if (text := (extension.get(field) or "").strip())}
+    if all(value.expression is None for value in values.values()):
+        Specification.of({field: value.literal for field, value in values.items()})
+    return values
 
 
 def _value(text: str) -> Value:

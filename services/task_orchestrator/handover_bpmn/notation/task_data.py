@@ -69,17 +69,17 @@ def read_task_data(element: etree._Element, context: Context) -> TaskData:
             variable = context.properties[referenced(child_text(association, "targetRef"))]
             outputs[names.get(source) or source or variable] = variable
             if "#{" in assigned_text(association):
-                warn_without_effect(association, context.found, "the assignment of a data output")
+                warn_without_effect(association, context.findings, "the assignment of a data output")
     return TaskData(parameters, outputs)
 
 
 def _input(association: etree._Element, context: Context) -> Value:
     source = referenced(child_text(association, "sourceRef"))
-    found = context.found
+    findings = context.findings
     if source in context.properties:
-        return attempt(association, lambda: native_variable(context.properties[source]), Value(), found)
-    given = assigned_text(association)
-    return attempt(association, lambda: context.dialects.main.value(given), Value(), found)
+        return attempt(association, lambda: native_variable(context.properties[source]), Value(), findings)
+    assigned = assigned_text(association)
+    return attempt(association, lambda: context.dialects.main.value(assigned), Value(), findings)
 
 
 def has_variable(association: etree._Element, context: Context) -> bool:

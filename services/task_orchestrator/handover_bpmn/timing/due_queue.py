@@ -48,13 +48,13 @@ class DueQueue(Generic[K]):
 
     def due(self, now: datetime) -> list[K]:
         """Return the keys whose moment is `now` or earlier, the earliest first; they stay in the queue."""
-        found: list[tuple[datetime, K]] = []
+        entries: list[tuple[datetime, K]] = []
         positions = [0]
         while positions:  # an entry of a heap is never later than those at 2n + 1 and 2n + 2
             position = positions.pop()
             if position < len(self._heap) and self._heap[position][0] <= now:
                 due, key = self._heap[position]
                 if self._dues.get(key) == due:
-                    found.append((due, key))
+                    entries.append((due, key))
                 positions += (2 * position + 1, 2 * position + 2)
-        return list(dict.fromkeys(key for _, key in sorted(found)))
+        return list(dict.fromkeys(key for _, key in sorted(entries)))

@@ -139,45 +139,45 @@ class Dialect(Protocol):
         """Return a literal time of a timer in the form of ISO 8601 or cron, any other text unchanged."""
         ...
 
-    def work(self, element: etree._Element, found: Findings) -> Work:
+    def work(self, element: etree._Element, findings: Findings) -> Work:
         """Return what an activity, or a message event, says of its Task."""
         ...
 
-    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+    def start_form(self, element: etree._Element, findings: Findings) -> StartForm:
         """Return the form of a none start event."""
         ...
 
-    def mapped(self, element: etree._Element, found: Findings) -> Mapped:
+    def mapped(self, element: etree._Element, findings: Findings) -> Mapped:
         """Return the variables that an activity or event gets and sets."""
         ...
 
-    def call(self, element: etree._Element, found: Findings) -> Call | None:
+    def call(self, element: etree._Element, findings: Findings) -> Call | None:
         """Return the process that a call activity runs; None, with a fault, if it names none."""
         ...
 
-    def evaluated(self, element: etree._Element, found: Findings) -> tuple[Assignment, ...] | None:
+    def evaluated(self, element: etree._Element, findings: Findings) -> tuple[Assignment, ...] | None:
         """Return what the expression of a task sets; None if the task is work for somebody."""
         ...
 
-    def items(self, loop: etree._Element, found: Findings) -> Items:
+    def items(self, loop: etree._Element, findings: Findings) -> Items:
         """Return what a multi-instance loop runs over."""
         ...
 
-    def script(self, element: etree._Element, found: Findings) -> Script:
+    def script(self, element: etree._Element, findings: Findings) -> Script:
         """Return what a script task does."""
         ...
 
     def occurrence(
-        self, element: etree._Element, definition: etree._Element | None, found: Findings
+        self, element: etree._Element, definition: etree._Element | None, findings: Findings
     ) -> Occurrence:
         """Return what an event says beside BPMN; `definition` is its event definition."""
         ...
 
-    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:
+    def correlation(self, declared: etree._Element, findings: Findings) -> Value | None:
         """Return the correlation key of a declared message."""
         ...
 
-    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
+    def process(self, element: etree._Element, findings: Findings) -> ProcessExtension:
         """Return what a process says."""
         ...
 
@@ -185,17 +185,19 @@ class Dialect(Protocol):
         """Return the variables that listeners set before and after an element or sequence flow."""
         ...
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report extension elements and attributes that have no effect, and those that are refused."""
         ...
 
 
-def attempt(element: etree._Element, reading: Callable[[], Read], otherwise: Read, found: Findings) -> Read:
+def attempt(
+    element: etree._Element, reading: Callable[[], Read], otherwise: Read, findings: Findings
+) -> Read:
     """Return what `reading` returns; `otherwise`, with a fault at `element`, if it raises."""
     try:
         return reading()
     except (ExpressionError, ValueError) as error:
-        found.fault(element, text_of(error))
+        findings.fault(element, text_of(error))
         return otherwise
 
 
@@ -211,16 +213,16 @@ def named_form(key: str) -> FormReference | None:
     return None
 
 
-def written_form(element: etree._Element, text: str, found: Findings) -> dict[str, Value]:
+def written_form(element: etree._Element, text: str, findings: Findings) -> dict[str, Value]:
     """Return the form that a file contains as JSON as the parameter `form`."""
     try:
         schema = orjson.loads(text)
     except orjson.JSONDecodeError as error:
-        found.fault(element, message("form.not_json", "the form is no JSON: {error}", error=str(error)))
+        findings.fault(element, message("form.not_json", "the form is no JSON: {error}", error=str(error)))
         return {}
     fault = form_fault(schema) if isinstance(schema, dict) else "a form is a JSON object"
     if fault is not None:
-        found.fault(element, fault)
+        findings.fault(element, fault)
         return {}
     return {"form": Value(schema)}
 
@@ -241,12 +243,12 @@ def variable_named(name: str) -> Value:
     return Value(expression=read_juel(f"${{execution.getVariable('{name}')}}"))
 
 
-def native_script(element: etree._Element, text: str, found: Findings) -> tuple[Assignment, ...]:
+def native_script(element: etree._Element, text: str, findings: Findings) -> tuple[Assignment, ...]:
     """Return the assignments of a script in our language; none, with a fault, if it is invalid."""
     if not text.strip():
-        found.fault(element, "a scriptTask needs a script of lines `name = expression`")
+        findings.fault(element, "a scriptTask needs a script of lines `name = expression`")
     nothing: tuple[tuple[str, Expression], ...] = ()
-    steps = attempt(element, lambda: native.read_script(text), nothing, found)
+    steps = attempt(element, lambda: native.read_script(text), nothing, findings)
     return tuple(Assignment(name, Value(expression=expression)) for name, expression in steps)
 
 
@@ -276,11 +278,11 @@ class ObjectExpression:
 
     def names(self) -> frozenset[str]:
         """Return the names of the variables that its values read."""
-        found: frozenset[str] = frozenset()
+        variables: frozenset[str] = frozenset()
         for member in self.members.values():
             if member.expression is not None:
-                found |= member.expression.names()
-        return found
+                variables |= member.expression.names()
+        return variables
 
 
 def composed(text: str, members: Mapping[str, Value], *, is_list: bool = False) -> Value:

@@ -121,7 +121,7 @@ class Camunda7:
         """Return the text unchanged: times are those of ISO 8601 and cron."""
         return text
 
-    def work(self, element: etree._Element, found: Findings) -> Work:
+    def work(self, element: etree._Element, findings: Findings) -> Work:
         """Return what attributes and extension elements say of the Task."""
         attributes = attributes_of(element, NAMESPACES)
         hints = {name: attributes[name].strip() for name in _HINTS if attributes.get(name)}
@@ -133,33 +133,39 @@ class Camunda7:
         for extension in own_extensions(element):
             match local(extension):
                 case "formData":
-                    parameters["form"] = read_form(extension, found)
+                    parameters["form"] = read_form(extension, findings)
                 case "field":
-                    parameters[extension.get("name") or ""] = self._field(extension, found)
+                    parameters[extension.get("name") or ""] = self._field(extension, findings)
                 case "properties":
-                    properties = {each.get("name") or "": each.get("value") for each in extension}
+                    properties = {
+                        property_.get("name") or "": property_.get("value") for property_ in extension
+                    }
                     parameters["properties"] = Value(properties)
                 case "failedJobRetryTimeCycle":
                     hints["retry"] = text(extension)
                 case "connector":
                     operation = hints["connector"] = own_child_text(extension, "connectorId")
-                    inputs = connector_input_output(extension, "inputParameter", found)
-                    parameters |= {each.target: each.value for each in inputs}
+                    inputs = connector_input_output(extension, "inputParameter", findings)
+                    parameters |= {assignment.target: assignment.value for assignment in inputs}
         form = self._form_reference(attributes)
         if operation and not local(element).startswith("userTask"):
             parameters["operation"] = Value(operation)
-        parameters |= {each.target: each.value for each in self._inputs(element, found)}
+        parameters |= {assignment.target: assignment.value for assignment in self._inputs(element, findings)}
         return Work(
             parameters=parameters,
-            variable=self._result_variable(element, found),
+            variable=self._result_variable(element, findings),
             hints=hints,
             form=form,
             has_implementation=bool(implementation) or "connector" in hints,
         )
 
-    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+    def start_form(self, element: etree._Element, findings: Findings) -> StartForm:
         """Return the generated or named form of a start event."""
-        written = [read_form(each, found) for each in own_extensions(element) if local(each) == "formData"]
+        written = [
+            read_form(extension, findings)
+            for extension in own_extensions(element)
+            if local(extension) == "formData"
+        ]
         reference = self._form_reference(attributes_of(element, NAMESPACES))
         return StartForm(written[0] if written else None, reference)
 
@@ -173,90 +179,94 @@ class Camunda7:
         is_bound = binding == "deployment"
         return FormReference(name, FormBinding.DEPLOYMENT if is_bound else FormBinding.LATEST)
 
-    def mapped(self, element: etree._Element, found: Findings) -> Mapped:
+    def mapped(self, element: etree._Element, findings: Findings) -> Mapped:
         """Return the variables of `inputOutput`; of an event definition those that it sends along."""
         if local(element).endswith("EventDefinition"):
-            passed, everything, _ = passed_variables(element, "in", found)
+            passed, everything, _ = passed_variables(element, "in", findings)
             if everything:
-                warn_without_effect(element, found, 'camunda:in variables="all"')
+                warn_without_effect(element, findings, 'camunda:in variables="all"')
             return Mapped(passed)
-        connectors = [each for each in own_extensions(element) if local(each) == "connector"]
+        connectors = [extension for extension in own_extensions(element) if local(extension) == "connector"]
         outputs = [
-            each for part in connectors for each in connector_input_output(part, "outputParameter", found)
+            assignment
+            for part in connectors
+            for assignment in connector_input_output(part, "outputParameter", findings)
         ]
-        outputs += input_output(element, "outputParameter", found)
-        return Mapped(tuple(self._inputs(element, found)), tuple(outputs))
+        outputs += input_output(element, "outputParameter", findings)
+        return Mapped(tuple(self._inputs(element, findings)), tuple(outputs))
 
-    def _field(self, field: etree._Element, found: Findings) -> Value:
+    def _field(self, field: etree._Element, findings: Findings) -> Value:
         """Return the value of a field of a class."""
-        given = field.get("stringValue") or field.get("expression")
-        given = given or own_child_text(field, "string") or own_child_text(field, "expression")
-        return attempt(field, lambda: self.value(given), Value(), found)
+        content = field.get("stringValue") or field.get("expression")
+        content = content or own_child_text(field, "string") or own_child_text(field, "expression")
+        return attempt(field, lambda: self.value(content), Value(), findings)
 
-    def _inputs(self, element: etree._Element, found: Findings) -> Iterator[Assignment]:
-        yield from input_output(element, "inputParameter", found)
+    def _inputs(self, element: etree._Element, findings: Findings) -> Iterator[Assignment]:
+        yield from input_output(element, "inputParameter", findings)
 
-    def call(self, element: etree._Element, found: Findings) -> Call | None:
+    def call(self, element: etree._Element, findings: Findings) -> Call | None:
         """Return the called process with its binding, `in` and `out`."""
-        return read_call(element, found)
+        return read_call(element, findings)
 
-    def evaluated(self, element: etree._Element, found: Findings) -> tuple[Assignment, ...] | None:
+    def evaluated(self, element: etree._Element, findings: Findings) -> tuple[Assignment, ...] | None:
         """Return what an `expression` sets that calls no bean: a variable, or the result variable."""
         attributes = attributes_of(element, NAMESPACES)
-        given = (attributes.get("expression") or "").strip()
-        if not given or attributes.keys() & {"class", "delegateExpression", "type", "topic"}:
+        formula = (attributes.get("expression") or "").strip()
+        if not formula or attributes.keys() & {"class", "delegateExpression", "type", "topic"}:
             return None
-        variable = self._result_variable(element, found)
-        assigned = assigned_by(given)
+        variable = self._result_variable(element, findings)
+        assigned = assigned_by(formula)
         if assigned and not variable:
             return assigned
-        if variable is None or not has_expression(given) or _PART.search(_QUOTED.sub("", given)):
+        if variable is None or not has_expression(formula) or _PART.search(_QUOTED.sub("", formula)):
             return None
         try:
-            return (Assignment(variable, self.value(given)),)
+            return (Assignment(variable, self.value(formula)),)
         except ExpressionError:
             return None
 
-    def items(self, loop: etree._Element, found: Findings) -> Items:
+    def items(self, loop: etree._Element, findings: Findings) -> Items:
         """Return `collection` and `elementVariable`."""
         attributes = attributes_of(loop, NAMESPACES)
         collection, variable = attributes.get("collection"), attributes.get("elementVariable")
         if variable is not None and not is_name(variable):
-            found.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
-        output = self._aggregated(loop, found)
+            findings.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
+        output = self._aggregated(loop, findings)
         return Items(
-            self._collection_of(loop, found)
+            self._collection_of(loop, findings)
             if not collection
-            else attempt(loop, lambda: self.collection(collection.strip()), None, found),
+            else attempt(loop, lambda: self.collection(collection.strip()), None, findings),
             variable,
             *output,
         )
 
-    def _collection_of(self, loop: etree._Element, found: Findings) -> Value | None:
+    def _collection_of(self, loop: etree._Element, findings: Findings) -> Value | None:
         """Return the collection of an extension of Flowable: a JSON list, an expression or a variable."""
         part = next(extensions_named(loop, "collection"), None)
         if part is None:
             return None
-        given = text(part) or own_child_text(part, "string") or own_child_text(part, "expression")
-        if not given:
+        listed = text(part) or own_child_text(part, "string") or own_child_text(part, "expression")
+        if not listed:
             return None
-        if given.startswith("["):
-            return attempt(loop, lambda: Value(_json_list(given)), None, found)
-        return attempt(loop, lambda: self.collection(given), None, found)
+        if listed.startswith("["):
+            return attempt(loop, lambda: Value(_json_list(listed)), None, findings)
+        return attempt(loop, lambda: self.collection(listed), None, findings)
 
-    def _aggregated(self, loop: etree._Element, found: Findings) -> tuple[str | None, Value | None]:
+    def _aggregated(self, loop: etree._Element, findings: Findings) -> tuple[str | None, Value | None]:
         """Return the list that aggregates variables of the instances in Flowable, and what an item holds."""
         for aggregation in extensions_named(loop, "variableAggregation"):
             target = aggregation.get("target") or ""
             if not is_name(target):
-                warn_without_effect(aggregation, found, "flowable:variableAggregation")
+                warn_without_effect(aggregation, findings, "flowable:variableAggregation")
                 continue
             members: dict[str, Value] = {}
             for part in aggregation.iterchildren("{*}variable"):
                 name = part.get("target") or part.get("source") or ""
                 value = self._aggregated_value(part)
                 if value is None:
-                    warn_without_effect(part, found, f'the variable "{name[:64]}" of a variableAggregation')
+                    warn_without_effect(
+                        part, findings, f'the variable "{name[:64]}" of a variableAggregation'
+                    )
                 elif name:
                     members[name] = value
             return target, composed("variableAggregation", members)
@@ -271,21 +281,21 @@ class Camunda7:
         except ExpressionError:
             return None
 
-    def script(self, element: etree._Element, found: Findings) -> Script:
+    def script(self, element: etree._Element, findings: Findings) -> Script:
         """Return a script of JUEL or of our language; any other is work for somebody."""
         format_ = (element.get("scriptFormat") or "").strip()
         source = child_text(element, "script")
-        variable = self._result_variable(element, found)
+        variable = self._result_variable(element, findings)
         resource = attributes_of(element, NAMESPACES).get("resource")
         if format_.lower() == "juel" or (not format_ and has_expression(source)):
-            return self._juel_script(element, source, variable, found)
+            return self._juel_script(element, source, variable, findings)
         if format_.lower() == "handover":
-            return Script(native_script(element, source, found))
+            return Script(native_script(element, source, findings))
         if not format_ and source and not resource:
             return script_or_work(source)
         assignments = () if variable or resource else assigned_by_script(format_, source)
         if assignments:
-            found.warn(
+            findings.warn(
                 element,
                 message(
                     "bpmn.script_read_as_juel",
@@ -298,24 +308,24 @@ class Camunda7:
         return Script(format=format_, text=source or resource or "", variable=variable)
 
     def _juel_script(
-        self, element: etree._Element, source: str, variable: str | None, found: Findings
+        self, element: etree._Element, source: str, variable: str | None, findings: Findings
     ) -> Script:
         """Return a script of JUEL, the default language of scripts."""
         assigned = assigned_by(source)
         if assigned and not variable:
             return Script(assigned)
-        value = attempt(element, lambda: self.value(source), Value(), found)
+        value = attempt(element, lambda: self.value(source), Value(), findings)
         return Script((Assignment(variable, value),) if variable else ())
 
-    def _result_variable(self, element: etree._Element, found: Findings) -> str | None:
+    def _result_variable(self, element: etree._Element, findings: Findings) -> str | None:
         attributes = attributes_of(element, NAMESPACES)
         name = attributes.get("resultVariable") or attributes.get("resultVariableName")
         if name and not is_name(name):
-            found.fault(element, f'resultVariable="{name}" cannot be the name of a variable')
+            findings.fault(element, f'resultVariable="{name}" cannot be the name of a variable')
         return name or None
 
     def occurrence(
-        self, element: etree._Element, definition: etree._Element | None, found: Findings
+        self, element: etree._Element, definition: etree._Element | None, findings: Findings
     ) -> Occurrence:
         """Return the variables for code and message of a caught error or escalation."""
         attributes = {} if definition is None else attributes_of(definition, NAMESPACES)
@@ -323,22 +333,22 @@ class Camunda7:
         text_ = attributes.get("errorMessageVariable")
         for name in (code, text_):
             if name and not is_name(name):
-                found.fault(element, f'"{name}" cannot be the name of a variable')
+                findings.fault(element, f'"{name}" cannot be the name of a variable')
         return Occurrence(code_variable=code or None, message_variable=text_ or None)
 
-    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
+    def correlation(self, declared: etree._Element, findings: Findings) -> Value | None:  # noqa: ARG002
         """Return None: messages are correlated by the business key and variables."""
         return None
 
-    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
+    def process(self, element: etree._Element, findings: Findings) -> ProcessExtension:  # noqa: ARG002
         """Return the version tag."""
         return ProcessExtension(attributes_of(element, NAMESPACES).get("versionTag") or None)
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report what has no effect, and decisions."""
         attributes = attributes_of(element, NAMESPACES)
         if local(element) == "businessRuleTask" and attributes.get("decisionRef"):
-            found.fault(
+            findings.fault(
                 element,
                 message(
                     "bpmn.not_supported",
@@ -348,7 +358,7 @@ class Camunda7:
                 ),
             )
         if local(element) == "serviceTask" and attributes.get("type") == "dmn":
-            found.fault(
+            findings.fault(
                 element,
                 message(
                     "bpmn.not_supported",
@@ -358,9 +368,9 @@ class Camunda7:
                 ),
             )
         for name in sorted(attributes.keys() - _HARMLESS):
-            warn_without_effect(element, found, f"camunda:{name}")
+            warn_without_effect(element, findings, f"camunda:{name}")
         if attributes.get("calledElementBinding") == "deployment":
-            warn_without_effect(element, found, 'camunda:calledElementBinding="deployment"')
+            warn_without_effect(element, findings, 'camunda:calledElementBinding="deployment"')
         for extension in own_extensions(element):
             name = local(extension)
             has_no_form = local(element) == "startEvent" and not is_none_start(element)
@@ -370,7 +380,7 @@ class Camunda7:
                 or name == "potentialStarter"
                 or (name in {"executionListener", "taskListener"} and not listener_assignments(extension))
             ):
-                warn_without_effect(extension, found, f"camunda:{name}")
+                warn_without_effect(extension, findings, f"camunda:{name}")
 
     def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
         """Return the variables that listeners, and the data of a process, set before and after an element."""
@@ -384,20 +394,20 @@ class Camunda7:
         return tuple(before), tuple(after)
 
 
-def _json_list(given: str) -> Json:
+def _json_list(text_: str) -> Json:
     try:
-        found = json.loads(given, parse_constant=lambda _: None)
+        items = json.loads(text_, parse_constant=lambda _: None)
     except (ValueError, RecursionError):
         raise ValueError("the collection is no JSON list") from None
-    return within_limits(found)
+    return within_limits(items)
 
 
 def _operation(implementation: Mapping[str, str]) -> str:
     """Return the name of the operation: the topic, or the last part of a class or of an expression."""
     for name in _IMPLEMENTATIONS:
         if name in implementation:
-            given = implementation[name].strip()
-            if has_expression(given):
-                return given.strip("#${} \t\r\n")
-            return given.rpartition(".")[2] if name == "class" else given
+            name_ = implementation[name].strip()
+            if has_expression(name_):
+                return name_.strip("#${} \t\r\n")
+            return name_.rpartition(".")[2] if name == "class" else name_
     return ""

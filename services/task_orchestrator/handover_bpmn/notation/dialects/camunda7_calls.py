@@ -25,13 +25,13 @@ from handover_bpmn.notation.elements import referenced
 from handover_bpmn.notation.faults import Findings
 
 
-def read_call(element: etree._Element, found: Findings) -> Call | None:
+def read_call(element: etree._Element, findings: Findings) -> Call | None:
     """Return the called process with its binding, `in` and `out`."""
     attributes = attributes_of(element, NAMESPACES)
     called = (element.get("calledElement") or "").strip()
     if not called:
         what = "callActivity with caseRef (CMMN)" if attributes.get("caseRef") else ""
-        found.fault(
+        findings.fault(
             element,
             message(
                 "bpmn.no_called_element",
@@ -48,14 +48,14 @@ def read_call(element: etree._Element, found: Findings) -> Call | None:
         return None
     if not has_expression(called):
         called = referenced(called)
-    inputs, all_inputs, key = passed_variables(element, "in", found)
-    outputs, all_outputs, _ = passed_variables(element, "out", found)
+    inputs, all_inputs, key = passed_variables(element, "in", findings)
+    outputs, all_outputs, _ = passed_variables(element, "out", findings)
     if attributes.get("inheritVariables") == "true":  # of Activiti and Flowable
         all_inputs = True
     return Call(
-        attempt(element, lambda: text_value(called), Value(), found),
-        version=_bound(element, "version", "calledElementVersion", found),
-        tag=_bound(element, "versionTag", "calledElementVersionTag", found),
+        attempt(element, lambda: text_value(called), Value(), findings),
+        version=_bound(element, "version", "calledElementVersion", findings),
+        tag=_bound(element, "versionTag", "calledElementVersionTag", findings),
         inputs=inputs,
         outputs=outputs,
         all_inputs=all_inputs,
@@ -64,39 +64,39 @@ def read_call(element: etree._Element, found: Findings) -> Call | None:
     )
 
 
-def _bound(element: etree._Element, binding: str, attribute: str, found: Findings) -> Value | None:
+def _bound(element: etree._Element, binding: str, attribute: str, findings: Findings) -> Value | None:
     attributes = attributes_of(element, NAMESPACES)
     if attributes.get("calledElementBinding") != binding:
         return None
-    given = (attributes.get(attribute) or "").strip()
-    if not given:
-        found.fault(element, f'calledElementBinding="{binding}" needs {attribute}')
+    bound = (attributes.get(attribute) or "").strip()
+    if not bound:
+        findings.fault(element, f'calledElementBinding="{binding}" needs {attribute}')
         return None
-    if binding == "version" and given.isdecimal():
-        return Value(int(given[:9]))
-    return attempt(element, lambda: text_value(given), None, found)
+    if binding == "version" and bound.isdecimal():
+        return Value(int(bound[:9]))
+    return attempt(element, lambda: text_value(bound), None, findings)
 
 
 def passed_variables(
-    element: etree._Element, direction: str, found: Findings
+    element: etree._Element, direction: str, findings: Findings
 ) -> tuple[tuple[Assignment, ...], bool, Value | None]:
     """Return the assignments, whether all variables are passed, and the business key."""
     passed: list[Assignment] = []
     everything = False
     key: Value | None = None
-    for part in (each for each in own_extensions(element) if local(each) == direction):
+    for part in (extension for extension in own_extensions(element) if local(extension) == direction):
         business_key, source = part.get("businessKey"), part.get("source", "")
         expression = part.get("sourceExpression")
         if part.get("variables") == "all":
             everything = True
             continue
         if business_key is not None:
-            key = attempt(part, partial(text_value, business_key), None, found)
+            key = attempt(part, partial(text_value, business_key), None, findings)
             continue
         target = part.get("target") or ""
         if not is_name(target):
-            found.fault(part, f'target="{target}" cannot be the name of a variable')
+            findings.fault(part, f'target="{target}" cannot be the name of a variable')
             continue
         reading = partial(text_value, expression) if expression else partial(variable_named, source or "")
-        passed.append(Assignment(target, attempt(part, reading, Value(), found)))
+        passed.append(Assignment(target, attempt(part, reading, Value(), findings)))
     return tuple(passed), everything, key

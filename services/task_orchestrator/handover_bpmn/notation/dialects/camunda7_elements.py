@@ -34,7 +34,7 @@ def own_extensions(element: etree._Element) -> Iterator[etree._Element]:
 
 def extensions_named(element: etree._Element, name: str) -> Iterator[etree._Element]:
     """Yield those extension elements of an element that have a name."""
-    return (each for each in own_extensions(element) if local(each) == name)
+    return (extension for extension in own_extensions(element) if local(extension) == name)
 
 
 def children_named(element: etree._Element, name: str) -> Iterator[etree._Element]:

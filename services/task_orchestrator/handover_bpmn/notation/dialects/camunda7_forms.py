@@ -47,36 +47,36 @@ def _constrain(schema: dict[str, Json], name: str, constraint: etree._Element, r
     return True
 
 
-def _default_of(schema: Mapping[str, Json], given: str) -> Json:
+def _default_of(schema: Mapping[str, Json], text: str) -> Json:
     """Return the default of a field; a date may be written as dd/MM/yyyy."""
-    parts = given.split("/")
+    parts = text.split("/")
     if schema.get("format") == "date" and len(parts) == 3 and all(part.isdecimal() for part in parts):
         day, month, year = parts
         return f"{year:0>4}-{month:0>2}-{day:0>2}"
-    return default_of_type(str(schema["type"]), given)
+    return default_of_type(str(schema["type"]), text)
 
 
-def read_form(form: etree._Element, found: Findings) -> Value:
+def read_form(form: etree._Element, findings: Findings) -> Value:
     """Return the JSON Schema of a generated form; default values may be expressions."""
     properties: dict[str, Value] = {}
     required: list[str] = []
-    for each in children_named(form, "formField"):
-        name = each.get("id") or ""
+    for field in children_named(form, "formField"):
+        name = field.get("id") or ""
         if not name:
-            found.fault(each, "a formField needs an id")
+            findings.fault(field, "a formField needs an id")
             continue
-        properties[name] = _form_field(each, name, required, found)
+        properties[name] = _form_field(field, name, required, findings)
     members = {"type": Value("object"), "properties": composed("formData", properties)}
     if required:
         members["required"] = Value(required)
     return composed("formData", members)
 
 
-def _form_field(field: etree._Element, name: str, required: list[str], found: Findings) -> Value:
+def _form_field(field: etree._Element, name: str, required: list[str], findings: Findings) -> Value:
     type_ = field.get("type") or "string"
     schema: dict[str, Json] = dict(_FORM_TYPES.get(type_, {"type": "string"}))
     if type_ not in _FORM_TYPES and type_ != "enum":
-        warn_without_effect(field, found, f'the type "{type_[:64]}" of a formField')
+        warn_without_effect(field, findings, f'the type "{type_[:64]}" of a formField')
     if field.get("label"):
         schema["title"] = field.get("label")
     choices = list(children_named(field, "value"))
@@ -87,11 +87,13 @@ def _form_field(field: etree._Element, name: str, required: list[str], found: Fi
     for validation in children_named(field, "validation"):
         for constraint in children_named(validation, "constraint"):
             if not _constrain(schema, name, constraint, required):
-                warn_without_effect(field, found, f'the constraint "{(constraint.get("name") or "")[:64]}"')
+                warn_without_effect(
+                    field, findings, f'the constraint "{(constraint.get("name") or "")[:64]}"'
+                )
     members = {key: Value(value) for key, value in schema.items()}
-    given = field.get("defaultValue")
-    if given is not None and has_expression(given):
-        members["default"] = attempt(field, lambda: text_value(given), Value(), found)
-    elif given is not None:
-        members["default"] = Value(_default_of(schema, given))
+    default = field.get("defaultValue")
+    if default is not None and has_expression(default):
+        members["default"] = attempt(field, lambda: text_value(default), Value(), findings)
+    elif default is not None:
+        members["default"] = Value(_default_of(schema, default))
     return composed(f"formField {name}", members)

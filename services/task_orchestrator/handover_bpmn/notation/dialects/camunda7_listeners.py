@@ -35,8 +35,8 @@ def initial_values(process: etree._Element) -> Iterator[Assignment]:
                 continue
             type_ = referenced(data.get("itemSubjectRef") or "").lower()
             default = default_of_type(_DATA_TYPES.get(type_, "string"), text(extension))
-            given = f"${{vars:getOrDefault({name}, {json.dumps(default)})}}"
-            yield Assignment(name, Value(expression=read_juel(given)))
+            initial = f"${{vars:getOrDefault({name}, {json.dumps(default)})}}"
+            yield Assignment(name, Value(expression=read_juel(initial)))
 
 
 def listener_assignments(listener: etree._Element) -> tuple[Assignment, ...]:

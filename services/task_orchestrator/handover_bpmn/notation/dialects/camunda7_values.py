@@ -24,59 +24,59 @@ from handover_bpmn.notation.document import (
 from handover_bpmn.notation.faults import Findings
 
 
-def input_output(element: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+def input_output(element: etree._Element, name: str, findings: Findings) -> Iterator[Assignment]:
     """Yield the parameters `name` of the `inputOutput` of an element."""
-    for group in (each for each in own_extensions(element) if local(each) == "inputOutput"):
-        yield from _assignments(group, name, found)
+    for group in (extension for extension in own_extensions(element) if local(extension) == "inputOutput"):
+        yield from _assignments(group, name, findings)
 
 
-def connector_input_output(connector: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+def connector_input_output(connector: etree._Element, name: str, findings: Findings) -> Iterator[Assignment]:
     """Yield the parameters `name` of the `inputOutput` of a connector."""
     for group in children_named(connector, "inputOutput"):
-        yield from _assignments(group, name, found)
+        yield from _assignments(group, name, findings)
 
 
-def _assignments(group: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+def _assignments(group: etree._Element, name: str, findings: Findings) -> Iterator[Assignment]:
     for part in children_named(group, name):
         target = part.get("name") or ""
         if not is_name(target):
-            found.fault(part, f'{name} "{target}" cannot be the name of a variable')
+            findings.fault(part, f'{name} "{target}" cannot be the name of a variable')
             continue
-        value = _content(part, f"{name} {target}", found)
+        value = _content(part, f"{name} {target}", findings)
         if value is not None:
             yield Assignment(target, value)
 
 
-def _content(part: etree._Element, what: str, found: Findings) -> Value | None:
+def _content(part: etree._Element, what: str, findings: Findings) -> Value | None:
     """Return the value of a parameter, entry or list item: text, list, map, or a script that nobody runs."""
     for inner in part.iterchildren("{*}*"):
         match local(inner):
             case "list":
-                items = [_content(each, what, found) for each in inner.iterchildren("{*}*")]
+                items = [_content(item, what, findings) for item in inner.iterchildren("{*}*")]
                 members = {str(nth): item for nth, item in enumerate(items) if item is not None}
                 return composed(what, members, is_list=True)
             case "map":
                 entries = {
-                    each.get("key") or "": _content(each, what, found)
-                    for each in children_named(inner, "entry")
+                    entry.get("key") or "": _content(entry, what, findings)
+                    for entry in children_named(inner, "entry")
                 }
                 return composed(what, {key: value for key, value in entries.items() if value is not None})
             case "script":
-                return _foreign_script(inner, what, found)
-    given = text(part)
+                return _foreign_script(inner, what, findings)
+    content = text(part)
     if local(part) == "script":
-        return _foreign_script(part, what, found)
-    if not has_expression(given):
-        return Value(given or None)
-    return attempt(part, lambda: Value(expression=read_template(given)), Value(), found)
+        return _foreign_script(part, what, findings)
+    if not has_expression(content):
+        return Value(content or None)
+    return attempt(part, lambda: Value(expression=read_template(content)), Value(), findings)
 
 
-def _foreign_script(script: etree._Element, what: str, found: Findings) -> Value | None:
+def _foreign_script(script: etree._Element, what: str, findings: Findings) -> Value | None:
     format_ = script.get("scriptFormat") or ""
-    given = text(script) or script.get("resource") or ""
+    source = text(script) or script.get("resource") or ""
     if format_.lower() == "juel":
-        return attempt(script, lambda: Value(expression=read_template(given)), Value(), found)
-    found.warn(
+        return attempt(script, lambda: Value(expression=read_template(source)), Value(), findings)
+    findings.warn(
         script,
         message(
             "bpmn.foreign_value_script",
@@ -88,18 +88,18 @@ def _foreign_script(script: etree._Element, what: str, found: Findings) -> Value
     return Value(None)
 
 
-def default_of_type(type_: str, given: str) -> Json:
+def default_of_type(type_: str, default: str) -> Json:
     """Return a default as a value of a type of JSON Schema; the text if it is none."""
     if type_ == "boolean":
-        return given.strip().lower() == "true"
+        return default.strip().lower() == "true"
     if type_ in {"integer", "number"}:
         try:
-            number = float(given)
+            number = float(default)
         except ValueError:
-            return given
+            return default
         if abs(number) <= MAX_NUMBER:
             return int(number) if number == int(number) else number
-    return given
+    return default
 
 
 def text_value(text: str) -> Value:

@@ -35,7 +35,7 @@ _EXECUTABLE_BY_DEFAULT = ("http://activiti.org/bpmn", "http://flowable.org/bpmn"
 
 _PLATFORM = "{http://camunda.org/schema/modeler/1.0}executionPlatform"
 _KNOWN = frozenset(
-    {handover_elements.NAMESPACE, *(each for namespaces, _, _ in _DIALECTS for each in namespaces)}
+    {handover_elements.NAMESPACE, *(name for namespaces, _, _ in _DIALECTS for name in namespaces)}
 )
 
 
@@ -67,19 +67,19 @@ class Dialects:
         parts = [part for part in children(element) if local(part).endswith("EventDefinition")]
         ours = any(
             namespace(extension) == handover_elements.NAMESPACE
-            for each in (element, *parts)
-            for extension in extensions(each)
+            for part in (element, *parts)
+            for extension in extensions(part)
         )
         return self.handover if ours else self.main
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report extension elements and attributes without effect, of unknown vendors too."""
-        self.handover.check(element, found)
+        self.handover.check(element, findings)
         if self.main is not self.handover:
-            self.main.check(element, found)
+            self.main.check(element, findings)
         for extension in extensions(element):
             if namespace(extension) not in _KNOWN:
-                warn_unknown_extension(extension, found)
+                warn_unknown_extension(extension, findings)
 
 
 def _declared(root: etree._Element, namespaces: set[str | None]) -> Dialect | None:
@@ -87,12 +87,10 @@ def _declared(root: etree._Element, namespaces: set[str | None]) -> Dialect | No
     languages = [root.get(name) or "" for name in _LANGUAGES]
     if any(language.startswith(_LANGUAGES_OF_JBPM) for language in languages):
         return jbpm.Jbpm()
-    found = [
-        dialect
-        for known, _, dialect in _DIALECTS
-        if dialect is not jbpm.Jbpm and namespaces.intersection(known)
+    dialects = [
+        dialect for own, _, dialect in _DIALECTS if dialect is not jbpm.Jbpm and namespaces.intersection(own)
     ]
-    return found[0]() if len(found) == 1 else None
+    return dialects[0]() if len(dialects) == 1 else None
 
 
 def _used_namespaces(root: etree._Element) -> set[str | None]:

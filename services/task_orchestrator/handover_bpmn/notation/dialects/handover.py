@@ -157,25 +157,25 @@ class Handover:
         """Return the text unchanged: times are those of ISO 8601 and cron."""
         return text
 
-    def work(self, element: etree._Element, found: Findings) -> Work:
+    def work(self, element: etree._Element, findings: Findings) -> Work:
         """Return what `handover:task` says."""
-        extension = extension_of(element, "task", found)
+        extension = extension_of(element, "task", findings)
         if extension is None:
             return Work()
         definition = extension.get("definition") or ""
         if not _NAME.fullmatch(definition) and not _DEFINITION_ID.fullmatch(definition):
-            found.fault(
+            findings.fault(
                 extension,
                 f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ . '
                 "or the id of a TaskDefinition",
             )
-        parts = parts_of(extension, _PARTS, found)
-        involved = [read_reference(part, "resource", found) for part in parts["involves"]]
-        performers = tuple(each for each in involved if passive_type(each) is None)
+        parts = parts_of(extension, _PARTS, findings)
+        involved = [read_reference(part, "resource", findings) for part in parts["involves"]]
+        performers = tuple(entity for entity in involved if passive_type(entity) is None)
         role = (extension.get("role") or "").strip() or None
         skills = tuple((extension.get("skills") or "").split())
         if performers and (role or skills):
-            found.fault(
+            findings.fault(
                 extension,
                 message(
                     "bpmn.resource_and_role",
@@ -184,116 +184,116 @@ class Handover:
             )
         return Work(
             definition=definition,
-            deadline=_deadline(extension, found),
+            deadline=_deadline(extension, findings),
             involves=performers,
-            materials=used_entities("Material", involved, parts["material"], found),
-            assets=used_entities("Asset", involved, parts["asset"], found),
+            materials=used_entities("Material", involved, parts["material"], findings),
+            assets=used_entities("Asset", involved, parts["asset"], findings),
             happens_at=tuple(
-                Place(read_reference(part, "location", found), part.get("function"))
+                Place(read_reference(part, "location", findings), part.get("function"))
                 for part in parts["happensAt"]
             ),
             parameters={
-                **{part.get("name") or "": read_value(part, found) for part in parts["parameter"]},
-                **form_in_file(parts["form"], found),
+                **{part.get("name") or "": read_value(part, findings) for part in parts["parameter"]},
+                **form_in_file(parts["form"], findings),
             },
-            form=form_reference(parts["form"], found),
-            inputs_schema=next((json_schema(part, found) for part in parts["inputSchema"]), None),
+            form=form_reference(parts["form"], findings),
+            inputs_schema=next((json_schema(part, findings) for part in parts["inputSchema"]), None),
             hints={name: text for name in HINTS if (text := (extension.get(name) or "").strip())},
-            outputs=read_outputs(parts["output"], found),
-            handles_outcomes=boolean(extension, "handlesOutcomes", found),
-            require_pin=boolean(extension, "requirePin", found),
-            performer_lost=_performer_lost(extension, found),
+            outputs=read_outputs(parts["output"], findings),
+            handles_outcomes=boolean(extension, "handlesOutcomes", findings),
+            require_pin=boolean(extension, "requirePin", findings),
+            performer_lost=_performer_lost(extension, findings),
             has_implementation=True,
             role=role,
             skills=skills,
         )
 
-    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+    def start_form(self, element: etree._Element, findings: Findings) -> StartForm:
         """Return the `handover:form` of a start event."""
-        parts = extensions_of(element, "form", found)
-        return StartForm(form_in_file(parts, found).get("form"), form_reference(parts, found))
+        parts = extensions_of(element, "form", findings)
+        return StartForm(form_in_file(parts, findings).get("form"), form_reference(parts, findings))
 
-    def mapped(self, element: etree._Element, found: Findings) -> Mapped:  # noqa: ARG002 - of the interface
+    def mapped(self, element: etree._Element, findings: Findings) -> Mapped:  # noqa: ARG002 - of the interface
         """Return nothing: an activity of our dialect sees all variables."""
         return Mapped()
 
-    def call(self, element: etree._Element, found: Findings) -> Call | None:
+    def call(self, element: etree._Element, findings: Findings) -> Call | None:
         """Return the called process, which gets all variables and returns all."""
-        given = (element.get("calledElement") or "").strip()
-        called = given if "${" in given or "#{" in given else referenced(given)
+        reference = (element.get("calledElement") or "").strip()
+        called = reference if "${" in reference or "#{" in reference else referenced(reference)
         if not called:
-            found.fault(element, _no_called_element())
+            findings.fault(element, _no_called_element())
             return None
-        process = attempt(element, lambda: self.value(called), Value(), found)
+        process = attempt(element, lambda: self.value(called), Value(), findings)
         return Call(process, all_inputs=True, all_outputs=True)
 
     def evaluated(
         self,
         element: etree._Element,  # noqa: ARG002 - of the interface
-        found: Findings,  # noqa: ARG002
+        findings: Findings,  # noqa: ARG002
     ) -> tuple[Assignment, ...] | None:
         """Return None: tasks have no expressions."""
         return None
 
-    def items(self, loop: etree._Element, found: Findings) -> Items:  # noqa: ARG002 - of the interface
+    def items(self, loop: etree._Element, findings: Findings) -> Items:  # noqa: ARG002 - of the interface
         """Return nothing: BPMN's own elements name the collection."""
         return Items()
 
-    def script(self, element: etree._Element, found: Findings) -> Script:
+    def script(self, element: etree._Element, findings: Findings) -> Script:
         """Return the assignments of a script in our language, or the text of another one."""
         source = child_text(element, "script")
         format_ = (element.get("scriptFormat") or "").strip()
         if format_.lower() == "handover" or (not format_ and not self.lenient):
-            return Script(native_script(element, source, found))
+            return Script(native_script(element, source, findings))
         return Script(format=format_, text=source) if format_ else script_or_work(source)
 
     def occurrence(
-        self, element: etree._Element, definition: etree._Element | None, found: Findings
+        self, element: etree._Element, definition: etree._Element | None, findings: Findings
     ) -> Occurrence:
         """Return the entities of `handover:on`."""
-        extension = extension_of(element, "on", found)
+        extension = extension_of(element, "on", findings)
         if extension is None and definition is not None:
-            extension = extension_of(definition, "on", found)
+            extension = extension_of(definition, "on", findings)
         if extension is None:
             return Occurrence()
         type_ = extension.get("type") or ""
         if not _TYPE.fullmatch(type_):
-            found.fault(extension, f'type="{type_}" names no entity type such as Alert or Task')
+            findings.fault(extension, f'type="{type_}" names no entity type such as Alert or Task')
         variable = extension.get("variable", "entity")
         if not is_variable_name(variable):
-            found.fault(extension, f'"{variable}" cannot be the name of a variable')
+            findings.fault(extension, f'"{variable}" cannot be the name of a variable')
         pattern = extension.get("idPattern")
         if pattern is not None:
-            attempt(extension, lambda: _pattern(pattern), None, found)
+            attempt(extension, lambda: _pattern(pattern), None, findings)
         text = extension.get("correlation")
-        correlation = None if text is None else attempt(extension, lambda: native.read(text), None, found)
+        correlation = None if text is None else attempt(extension, lambda: native.read(text), None, findings)
         if correlation is not None and correlation.names() - {variable}:
-            found.fault(extension, f'the correlation reads only "{variable}"; it has no other variables')
+            findings.fault(extension, f'the correlation reads only "{variable}"; it has no other variables')
         return Occurrence(EntityFilter(type_, pattern, extension.get("q"), variable, correlation))
 
-    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
+    def correlation(self, declared: etree._Element, findings: Findings) -> Value | None:  # noqa: ARG002
         """Return None: our dialect has no correlation of a message."""
         return None
 
-    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
+    def process(self, element: etree._Element, findings: Findings) -> ProcessExtension:
         """Return what `handover:process` says, and the translations."""
-        translations = _translations(element, found)
-        extension = extension_of(element, "process", found)
+        translations = _translations(element, findings)
+        extension = extension_of(element, "process", findings)
         if extension is None:
             return ProcessExtension(translations=translations)
         parameters: dict[str, ProcessParameter] = {}
-        for part in parts_of(extension, {"parameter"}, found)["parameter"]:
+        for part in parts_of(extension, {"parameter"}, findings)["parameter"]:
             name = part.get("name") or ""
             if not is_variable_name(name):
-                found.fault(part, f'"{name}" cannot be the name of a variable')
+                findings.fault(part, f'"{name}" cannot be the name of a variable')
             if part.get("expression") is not None:
-                found.fault(part, "a parameter of the process has a value, not an expression")
+                findings.fault(part, "a parameter of the process has a value, not an expression")
             default = part.get("value")
             parameters[name] = ProcessParameter(
                 name, default is None, None if default is None else json_or_text(default)
             )
         title = extension.get("title")
-        naming = None if title is None else attempt(extension, lambda: _naming(title.strip()), None, found)
+        naming = None if title is None else attempt(extension, lambda: _naming(title.strip()), None, findings)
         return ProcessExtension(extension.get("version"), parameters, naming, translations)
 
     def listeners(
@@ -303,13 +303,13 @@ class Handover:
         """Return nothing."""
         return (), ()
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report our extension elements that stand where they have no meaning."""
         for attribute in element.attrib:
             if attribute == f"{{{NAMESPACE}}}reserve" and local(element) in RESERVING:
                 continue
             if attribute.startswith(f"{{{NAMESPACE}}}"):
-                warn_without_effect(element, found, f"handover:{etree.QName(attribute).localname}")
+                warn_without_effect(element, findings, f"handover:{etree.QName(attribute).localname}")
         name = local(element)
         allowed = (
             {"process", "translations"} if name == "process" else {"on"} if _can_be_event(element) else set()
@@ -322,19 +322,21 @@ class Handover:
             allowed = allowed | {"reserve"}
         for extension in extensions(element):
             if namespace(extension) == NAMESPACE and local(extension) not in allowed:
-                known = " or ".join(f"handover:{each}" for each in sorted(allowed)) or "nothing of handover"
-                found.fault(
+                supported = (
+                    " or ".join(f"handover:{part}" for part in sorted(allowed)) or "nothing of handover"
+                )
+                findings.fault(
                     extension,
-                    f"handover:{local(extension)} is unknown here; {known} is what may stand here",
+                    f"handover:{local(extension)} is unknown here; {supported} is what may stand here",
                 )
 
 
-def _translations(process: etree._Element, found: Findings) -> dict[str, dict[str, str]]:
+def _translations(process: etree._Element, findings: Findings) -> dict[str, dict[str, str]]:
     groups = {
-        extension: parts_of(extension, {"translation"}, found)["translation"]
-        for extension in extensions_of(process, "translations", found)
+        extension: parts_of(extension, {"translation"}, findings)["translation"]
+        for extension in extensions_of(process, "translations", findings)
     }
-    return read_translations(groups, process, found)
+    return read_translations(groups, process, findings)
 
 
 def _can_be_event(element: etree._Element) -> bool:
@@ -371,14 +373,14 @@ def _pattern(text: str) -> None:
         raise ValueError(f'idPattern="{text[:100]}" is no regular expression') from None
 
 
-def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
+def _deadline(extension: etree._Element, findings: Findings) -> Duration | None:
     text = extension.get("deadline")
-    return None if text is None else attempt(extension, lambda: parse_duration(text.strip()), None, found)
+    return None if text is None else attempt(extension, lambda: parse_duration(text.strip()), None, findings)
 
 
-def _performer_lost(extension: etree._Element, found: Findings) -> PerformerLost:
+def _performer_lost(extension: etree._Element, findings: Findings) -> PerformerLost:
     text = extension.get("onPerformerLost", PerformerLost.ASK)
     if text in set(PerformerLost):
         return PerformerLost(text)
-    found.fault(extension, f'onPerformerLost="{text[:64]}" is none of {", ".join(PerformerLost)}')
+    findings.fault(extension, f'onPerformerLost="{text[:64]}" is none of {", ".join(PerformerLost)}')
     return PerformerLost.ASK

@@ -72,13 +72,13 @@ def reserve_elements(element: etree._Element) -> Iterator[etree._Element]:
             yield extension
 
 
-def check_reserve(extension: etree._Element, found: Findings) -> None:
+def check_reserve(extension: etree._Element, findings: Findings) -> None:
     """Report a `handover:reserve` that does not say in one way what it reserves."""
-    check_attributes(extension, found)
+    check_attributes(extension, findings)
     forms = [extension.get("resource"), extension.get("expression")]
     forms.append(extension.get("role") or extension.get("skills"))
     if sum(form is not None for form in forms) != 1:
-        found.fault(
+        findings.fault(
             extension,
             message(
                 "bpmn.reserve_one_form",
@@ -87,80 +87,82 @@ def check_reserve(extension: etree._Element, found: Findings) -> None:
         )
 
 
-def extension_of(element: etree._Element, name: str, found: Findings) -> etree._Element | None:
+def extension_of(element: etree._Element, name: str, findings: Findings) -> etree._Element | None:
     """Return our extension element `name` of an element, if it has one, and report unknown attributes."""
-    named = [each for each in extensions(element) if each.tag == f"{{{NAMESPACE}}}{name}"]
+    named = [extension for extension in extensions(element) if extension.tag == f"{{{NAMESPACE}}}{name}"]
     if len(named) > 1:
-        found.fault(named[1], f"one handover:{name} is enough")
+        findings.fault(named[1], f"one handover:{name} is enough")
     if named:
-        check_attributes(named[0], found)
+        check_attributes(named[0], findings)
     return named[0] if named else None
 
 
-def extensions_of(element: etree._Element, name: str, found: Findings) -> list[etree._Element]:
+def extensions_of(element: etree._Element, name: str, findings: Findings) -> list[etree._Element]:
     """Return our extension elements `name` of an element, and report unknown attributes."""
-    named = [each for each in extensions(element) if each.tag == f"{{{NAMESPACE}}}{name}"]
-    for each in named:
-        check_attributes(each, found)
+    named = [extension for extension in extensions(element) if extension.tag == f"{{{NAMESPACE}}}{name}"]
+    for extension in named:
+        check_attributes(extension, findings)
     return named
 
 
-def parts_of(extension: etree._Element, names: Set[str], found: Findings) -> dict[str, list[etree._Element]]:
+def parts_of(
+    extension: etree._Element, names: Set[str], findings: Findings
+) -> dict[str, list[etree._Element]]:
     """Return the parts of an extension element by name; others are faults."""
     parts: dict[str, list[etree._Element]] = {name: [] for name in names}
     for part in extension.iterchildren("{*}*"):
         if namespace(part) == NAMESPACE and local(part) in names:
-            check_attributes(part, found)
+            check_attributes(part, findings)
             parts[local(part)].append(part)
         else:
-            found.fault(part, f"{local(part)} is unknown here; known are {', '.join(sorted(names))}")
+            findings.fault(part, f"{local(part)} is unknown here; known are {', '.join(sorted(names))}")
     for name in ("parameter", "output"):
         times = Counter(part.get("name") for part in parts.get(name, []))
-        for twice in (each for each, number in times.items() if number > 1):
-            found.fault(extension, f'the {name} "{twice}" is given twice')
+        for twice in (attribute for attribute, number in times.items() if number > 1):
+            findings.fault(extension, f'the {name} "{twice}" is given twice')
     return parts
 
 
-def check_attributes(element: etree._Element, found: Findings) -> None:
+def check_attributes(element: etree._Element, findings: Findings) -> None:
     """Report attributes that an element does not have, and expressions where none may stand."""
-    known = ATTRIBUTES[local(element)]
+    allowed = ATTRIBUTES[local(element)]
     for name in element.attrib:
-        if name not in known:
-            found.fault(
+        if name not in allowed:
+            findings.fault(
                 element,
-                f'handover:{local(element)} has no attribute "{name}"; it has {", ".join(sorted(known))}',
+                f'handover:{local(element)} has no attribute "{name}"; it has {", ".join(sorted(allowed))}',
             )
         elif name != "expression" and name not in EVALUATED.get(local(element), ()):
-            _check_literal(element, name, known, found)
+            _check_literal(element, name, allowed, findings)
 
 
-def _check_literal(element: etree._Element, name: str, known: Set[str], found: Findings) -> None:
+def _check_literal(element: etree._Element, name: str, attributes: Set[str], findings: Findings) -> None:
     """Report an expression where a literal stands, which would be handed over as that text."""
-    given = str(element.get(name)).strip()
-    if given.startswith('"') or not ("${" in given or "#{" in given or given.startswith("=")):
+    written = str(element.get(name)).strip()
+    if written.startswith('"') or not ("${" in written or "#{" in written or written.startswith("=")):
         return
-    if "expression" not in known or _is_of_process(element):
+    if "expression" not in attributes or _is_of_process(element):
         text = message(
             "bpmn.expression_not_evaluated",
             '{name}="{given}" is an expression, and {name} is not evaluated; write the value itself',
             name=name,
-            given=given[:100],
+            given=written[:100],
         )
     else:
         text = message(
             "bpmn.expression_as_literal",
             '{name}="{given}" is an expression where a literal stands; write expression="{inner}" instead',
             name=name,
-            given=given[:100],
-            inner=_as_expression(given)[:100],
+            given=written[:100],
+            inner=_as_expression(written)[:100],
         )
-    found.fault_of_deployment(element, text)
+    findings.fault_of_deployment(element, text)
 
 
-def _as_expression(given: str) -> str:
+def _as_expression(text: str) -> str:
     """Return the native expression for a literal: `x` for `${x}` and `= x`, `'Turn ' + x` for `Turn ${x}`."""
-    inner = given.removeprefix("=").strip()
-    if inner != given or inner.startswith(("{", "[")):
+    inner = text.removeprefix("=").strip()
+    if inner != text or inner.startswith(("{", "[")):
         return inner
     return " + ".join(
         part[2:-1].strip() if PLACEHOLDER.fullmatch(part) else _quoted(part)

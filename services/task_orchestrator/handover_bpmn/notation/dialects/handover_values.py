@@ -27,7 +27,7 @@ from handover_bpmn.notation.faults import Findings
 from handover_bpmn.references import is_reference
 
 
-def form_reference(parts: list[etree._Element], found: Findings) -> FormReference | None:
+def form_reference(parts: list[etree._Element], findings: Findings) -> FormReference | None:
     """Return the deployed form that a `handover:form` names, if one does."""
     for part in parts:
         name, version = part.get("ref"), part.get("version")
@@ -36,65 +36,65 @@ def form_reference(parts: list[etree._Element], found: Findings) -> FormReferenc
         if version is None:
             return FormReference(name)
         if not version.isascii() or not version.isdecimal() or len(version) > 9:
-            found.fault(part, f'version="{version[:64]}" is no number')
+            findings.fault(part, f'version="{version[:64]}" is no number')
             return None
         return FormReference(name, FormBinding.VERSION, int(version))
     return None
 
 
-def form_in_file(parts: list[etree._Element], found: Findings) -> dict[str, Value]:
+def form_in_file(parts: list[etree._Element], findings: Findings) -> dict[str, Value]:
     """Return the form that is written in the file as the parameter `form`."""
     if len(parts) > 1:
-        found.fault(parts[1], "one handover:form is enough")
+        findings.fault(parts[1], "one handover:form is enough")
     if not parts or parts[0].get("ref") is not None:
         return {}
-    return {"form": Value(json_schema(parts[0], found))}
+    return {"form": Value(json_schema(parts[0], findings))}
 
 
-def json_schema(part: etree._Element, found: Findings) -> Json:
+def json_schema(part: etree._Element, findings: Findings) -> Json:
     """Return the JSON object that an element contains; None, with a fault, for others."""
     schema = json_or_text(text(part))
     if not isinstance(schema, dict):
-        found.fault(part, f"handover:{local(part)} contains a JSON object")
+        findings.fault(part, f"handover:{local(part)} contains a JSON object")
         return None
     fault = form_fault(schema)
     if fault is not None:
-        found.fault(part, fault)
+        findings.fault(part, fault)
     return schema
 
 
-def boolean(extension: etree._Element, name: str, found: Findings) -> bool:
+def boolean(extension: etree._Element, name: str, findings: Findings) -> bool:
     """Return an attribute that is true or false; without it false."""
     text = extension.get(name, "false")
     if text not in {"true", "false"}:
-        found.fault(extension, f'{name}="{text}" is neither true nor false')
+        findings.fault(extension, f'{name}="{text}" is neither true nor false')
     return bool(text == "true")
 
 
-def read_reference(part: etree._Element, attribute: str, found: Findings) -> Value:
+def read_reference(part: etree._Element, attribute: str, findings: Findings) -> Value:
     """Return the entity that a part names, by an attribute or an expression."""
     literal, expression = part.get(attribute), part.get("expression")
     if (literal is None) == (expression is None):
-        found.fault(part, f"handover:{local(part)} has either {attribute} or expression")
+        findings.fault(part, f"handover:{local(part)} has either {attribute} or expression")
         return Value()
     if expression is not None:
-        return read_expression(part, expression, found)
+        return read_expression(part, expression, findings)
     if not is_reference(literal):
-        found.fault(
+        findings.fault(
             part, f'{attribute}="{literal}" names no entity; write Type:id such as Device:glove-1, or a URN'
         )
     return Value(literal)
 
 
 def used_entities(
-    type_: str, involved: Iterable[Value], parts: Iterable[etree._Element], found: Findings
+    type_: str, involved: Iterable[Value], parts: Iterable[etree._Element], findings: Findings
 ) -> tuple[Value, ...]:
     """Return the entities of a type that a Task uses, by elements of their own or by handover:involves."""
-    used = [each for each in involved if passive_type(each) == type_]
+    used = [entity for entity in involved if passive_type(entity) == type_]
     for part in parts:
-        value = read_reference(part, "entity", found)
+        value = read_reference(part, "entity", findings)
         if value.expression is None and is_reference(value.literal) and _type_of(value) not in {type_, None}:
-            found.fault(
+            findings.fault(
                 part,
                 message(
                     "bpmn.wrong_used_type",
@@ -120,33 +120,33 @@ def _type_of(value: Value) -> str | None:
     return type_of(value.literal) if value.literal.startswith("urn:") else value.literal.partition(":")[0]
 
 
-def read_value(part: etree._Element, found: Findings) -> Value:
+def read_value(part: etree._Element, findings: Findings) -> Value:
     """Return the value of a parameter."""
     value, expression = part.get("value"), part.get("expression")
     if not part.get("name"):
-        found.fault(part, "a parameter needs a name")
+        findings.fault(part, "a parameter needs a name")
     if (value is None) == (expression is None):
-        found.fault(part, "a parameter has either value or expression")
+        findings.fault(part, "a parameter has either value or expression")
         return Value()
     return (
-        read_expression(part, expression, found)
+        read_expression(part, expression, findings)
         if expression is not None
         else Value(json_or_text(value or ""))
     )
 
 
-def read_expression(part: etree._Element, text: str, found: Findings) -> Value:
+def read_expression(part: etree._Element, text: str, findings: Findings) -> Value:
     """Return an expression of our language."""
-    return attempt(part, lambda: Value(expression=native.read(text)), Value(), found)
+    return attempt(part, lambda: Value(expression=native.read(text)), Value(), findings)
 
 
-def read_outputs(parts: list[etree._Element], found: Findings) -> dict[str, str]:
+def read_outputs(parts: list[etree._Element], findings: Findings) -> dict[str, str]:
     """Return the result that each variable gets."""
     outputs: dict[str, str] = {}
     for part in parts:
         name = part.get("name") or ""
         if not is_variable_name(name):
-            found.fault(part, f'"{name}" cannot be the name of a variable')
+            findings.fault(part, f'"{name}" cannot be the name of a variable')
         outputs[name] = part.get("from") or name
     return outputs
 

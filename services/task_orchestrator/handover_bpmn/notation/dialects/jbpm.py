@@ -88,23 +88,23 @@ class Jbpm:
 
     def time(self, text: str) -> str:
         """Return durations such as `1d2h30m` and `500ms` in the form of ISO 8601."""
-        found = _DURATION.fullmatch(text)
-        if found is None or not any(found.groups()):
+        duration = _DURATION.fullmatch(text)
+        if duration is None or not any(duration.groups()):
             return text
-        days, hours, minutes, seconds, milliseconds = (int(each or 0) for each in found.groups())
+        days, hours, minutes, seconds, milliseconds = (int(group or 0) for group in duration.groups())
         return f"P{days}DT{hours}H{minutes}M{seconds}.{milliseconds:03d}S"
 
-    def start_form(self, element: etree._Element, found: Findings) -> StartForm:  # noqa: ARG002 - of the interface
+    def start_form(self, element: etree._Element, findings: Findings) -> StartForm:  # noqa: ARG002 - of the interface
         """Return nothing: the forms of jBPM are not part of its files."""
         return StartForm()
 
-    def work(self, element: etree._Element, found: Findings) -> Work:
+    def work(self, element: etree._Element, findings: Findings) -> Work:
         """Return the work item, service or rules of an activity, and who does a human task."""
         attributes = attributes_of(element, NAMESPACES)
         hints: dict[str, str] = {}
-        for name, given in _assigned_inputs(element).items():
-            if name in _HINTS and given:
-                hints[_HINTS[name]] = given
+        for name, text_ in _assigned_inputs(element).items():
+            if name in _HINTS and text_:
+                hints[_HINTS[name]] = text_
         operation = ""
         if local(element) == "businessRuleTask":
             operation = attributes.get("ruleFlowGroup", "")
@@ -115,22 +115,22 @@ class Jbpm:
         if operation:
             hints["topic"] = operation
         parameters = (
-            {"operation": attempt(element, lambda: self.value(operation), Value(), found)}
+            {"operation": attempt(element, lambda: self.value(operation), Value(), findings)}
             if operation
             else {}
         )
         return Work(parameters=parameters, hints=hints, has_implementation=bool(operation))
 
-    def mapped(self, element: etree._Element, found: Findings) -> Mapped:  # noqa: ARG002 - of the interface
+    def mapped(self, element: etree._Element, findings: Findings) -> Mapped:  # noqa: ARG002 - of the interface
         """Return nothing: data comes and goes by data associations."""
         return Mapped()
 
-    def call(self, element: etree._Element, found: Findings) -> Call | None:
+    def call(self, element: etree._Element, findings: Findings) -> Call | None:
         """Return the called process, with the variables of its data associations."""
         attributes = attributes_of(element, NAMESPACES)
         called = (element.get("calledElement") or attributes.get("calledElementByName") or "").strip()
         if not called:
-            found.fault(
+            findings.fault(
                 element,
                 message(
                     "bpmn.no_called_element",
@@ -138,13 +138,13 @@ class Jbpm:
                 ),
             )
             return None
-        inputs, outputs = self._passed(element, found)
+        inputs, outputs = self._passed(element, findings)
         return Call(
-            attempt(element, lambda: self.value(called), Value(), found), inputs=inputs, outputs=outputs
+            attempt(element, lambda: self.value(called), Value(), findings), inputs=inputs, outputs=outputs
         )
 
     def _passed(
-        self, element: etree._Element, found: Findings
+        self, element: etree._Element, findings: Findings
     ) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
         """Return what the data associations of a call activity pass to the called process, and back."""
         names = own_data(element)
@@ -156,39 +156,39 @@ class Jbpm:
             is_input = local(association) == "dataInputAssociation"
             variable = names.get(target, target) if is_input else target
             if not is_name(variable):
-                found.fault(association, f'"{variable}" cannot be the name of a variable')
+                findings.fault(association, f'"{variable}" cannot be the name of a variable')
                 continue
             if is_input and not source:
                 reading = partial(self.value, assigned_text(association))
             else:
                 reading = partial(variable_named, source if is_input else names.get(source, source))
-            value = attempt(association, reading, Value(), found)
+            value = attempt(association, reading, Value(), findings)
             (inputs if is_input else outputs).append(Assignment(variable, value))
         return tuple(inputs), tuple(outputs)
 
     def evaluated(
         self,
         element: etree._Element,  # noqa: ARG002 - of the interface
-        found: Findings,  # noqa: ARG002
+        findings: Findings,  # noqa: ARG002
     ) -> tuple[Assignment, ...] | None:
         """Return None: tasks have no expressions."""
         return None
 
-    def items(self, loop: etree._Element, found: Findings) -> Items:  # noqa: ARG002 - of the interface
+    def items(self, loop: etree._Element, findings: Findings) -> Items:  # noqa: ARG002 - of the interface
         """Return nothing: BPMN's own elements name the collection."""
         return Items()
 
-    def script(self, element: etree._Element, found: Findings) -> Script:
+    def script(self, element: etree._Element, findings: Findings) -> Script:
         """Return the variables that a script sets; any other script is work for somebody."""
         format_ = (element.get("scriptFormat") or "").strip()
         source = child_text(element, "script")
         if format_.lower() == "handover":
-            return Script(native_script(element, source, found))
+            return Script(native_script(element, source, findings))
         similar = format_.lower() in {"", *JAVA_LIKE}
         assignments = set_variables(source) if similar and source else None
         if assignments is None:
             return Script(format=format_ or "java", text=source)
-        found.warn(
+        findings.warn(
             element,
             message(
                 "bpmn.script_read_as_juel",
@@ -202,16 +202,16 @@ class Jbpm:
         self,
         element: etree._Element,  # noqa: ARG002 - of the interface
         definition: etree._Element | None,  # noqa: ARG002
-        found: Findings,  # noqa: ARG002
+        findings: Findings,  # noqa: ARG002
     ) -> Occurrence:
         """Return nothing."""
         return Occurrence()
 
-    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
+    def correlation(self, declared: etree._Element, findings: Findings) -> Value | None:  # noqa: ARG002
         """Return None: jBPM has no correlation of a message."""
         return None
 
-    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
+    def process(self, element: etree._Element, findings: Findings) -> ProcessExtension:  # noqa: ARG002
         """Return the version."""
         return ProcessExtension(attributes_of(element, NAMESPACES).get("version") or None)
 
@@ -224,22 +224,22 @@ class Jbpm:
             (before if local(extension) == "onEntry-script" else after).extend(assigned)
         return tuple(before), tuple(after)
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report what has no effect, and decisions."""
         if local(element) == "businessRuleTask" and (element.get("implementation") or "").endswith("/dmn"):
             refuse(
                 element,
                 "businessRuleTask with a DMN decision",
                 "let a Task decide instead, with a ruleFlowGroup or without any extension",
-                found,
+                findings,
             )
         for name in sorted(attributes_of(element, NAMESPACES).keys() - _HARMLESS):
-            warn_without_effect(element, found, f"drools:{name}")
+            warn_without_effect(element, findings, f"drools:{name}")
         for extension in extensions(element):
             if namespace(extension) not in NAMESPACES or local(extension) == "metaData":
                 continue
             if local(extension) not in _SCRIPTS or set_variables(_script_of(extension)) is None:
-                warn_without_effect(extension, found, f"drools:{local(extension)}")
+                warn_without_effect(extension, findings, f"drools:{local(extension)}")
 
 
 _SCRIPTS = frozenset({"onEntry-script", "onExit-script"})
@@ -258,9 +258,9 @@ def _script_of(listener: etree._Element) -> str:
 def _assigned_inputs(element: etree._Element) -> Mapping[str, str]:
     """Return the texts that are assigned to data inputs, by the name of the data input."""
     names = own_data(element)
-    found: dict[str, str] = {}
+    inputs: dict[str, str] = {}
     for association in children(element, "dataInputAssociation"):
         target = referenced(child_text(association, "targetRef"))
         if target in names:
-            found[names[target]] = assigned_text(association)
-    return found
+            inputs[names[target]] = assigned_text(association)
+    return inputs

@@ -25,8 +25,8 @@ def set_variables(source: str) -> tuple[Assignment, ...] | None:
 
     Its statements are `execution.setVariable('name', value)`. Statements that only print are left out.
     """
-    found: list[Assignment] = []
-    for statement in (each.strip() for each in _STATEMENTS.findall(source)):
+    assignments: list[Assignment] = []
+    for statement in (part.strip() for part in _STATEMENTS.findall(source)):
         if not statement or statement.startswith("//") or _PRINT.fullmatch(statement):
             continue
         try:
@@ -35,14 +35,14 @@ def set_variables(source: str) -> tuple[Assignment, ...] | None:
             return None
         if assigned is None:
             return None
-        found.append(Assignment(assigned[0], Value(expression=assigned[1])))
-    return tuple(found)
+        assignments.append(Assignment(assigned[0], Value(expression=assigned[1])))
+    return tuple(assignments)
 
 
 def assigned_by(expression: str) -> tuple[Assignment, ...]:
     """Return the variable that an expression `${execution.setVariable('name', value)}` sets, if it is one."""
     try:
-        found = read_set_variable(expression)
+        assignment = read_set_variable(expression)
     except ExpressionError:
         return ()
-    return () if found is None else (Assignment(found[0], Value(expression=found[1])),)
+    return () if assignment is None else (Assignment(assignment[0], Value(expression=assignment[1])),)

@@ -22,7 +22,7 @@ _LANGUAGE = re.compile(r"[a-z]{2,3}(?:-[A-Za-z0-9]{2,8})*", re.ASCII)
 
 
 def read_translations(
-    groups: Mapping[etree._Element, Sequence[etree._Element]], process: etree._Element, found: Findings
+    groups: Mapping[etree._Element, Sequence[etree._Element]], process: etree._Element, findings: Findings
 ) -> dict[str, dict[str, str]]:
     """Return the translations by language (BCP 47), then by the text of the file with single spaces.
 
@@ -36,7 +36,7 @@ def read_translations(
     for group, entries in groups.items():
         language = group.get("language") or ""
         if not _LANGUAGE.fullmatch(language):
-            found.fault(
+            findings.fault(
                 group,
                 message(
                     "bpmn.wrong_language",
@@ -47,9 +47,9 @@ def read_translations(
             continue
         translated = translations.setdefault(language, {})
         for entry in entries:
-            _read(entry, translated, texts, found)
+            _read(entry, translated, texts, findings)
     if sum(map(len, translations.values())) > MAX_TRANSLATIONS:
-        found.fault(
+        findings.fault(
             next(iter(groups)),
             message(
                 "bpmn.too_many_translations",
@@ -61,10 +61,10 @@ def read_translations(
     return translations
 
 
-def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], found: Findings) -> None:
+def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], findings: Findings) -> None:
     source, translation = _plain(entry.get("source") or ""), _plain(entry.text or "")
     if not source or not translation:
-        found.fault(
+        findings.fault(
             entry,
             message(
                 "bpmn.empty_translation",
@@ -72,21 +72,21 @@ def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], fo
             ),
         )
     elif max(len(source), len(translation)) > MAX_TEXT:
-        found.fault(
+        findings.fault(
             entry,
             message(
                 "bpmn.long_translation", "a translated text has at most {limit} characters", limit=MAX_TEXT
             ),
         )
     elif translated.setdefault(source, translation) != translation:
-        found.fault(
+        findings.fault(
             entry,
             message(
                 "bpmn.translated_twice", '"{text}" has two translations in one language', text=source[:100]
             ),
         )
     elif unknown := set(PLACEHOLDER.findall(translation)) - set(PLACEHOLDER.findall(source)):
-        found.warn(
+        findings.warn(
             entry,
             message(
                 "bpmn.translation_placeholder",
@@ -97,7 +97,7 @@ def _read(entry: etree._Element, translated: dict[str, str], texts: set[str], fo
             ),
         )
     elif source not in texts:
-        found.warn(
+        findings.warn(
             entry,
             message(
                 "bpmn.translation_unused",

@@ -101,7 +101,7 @@ class Zeebe:
         """Return the text unchanged: times are those of ISO 8601 and cron."""
         return text
 
-    def work(self, element: etree._Element, found: Findings) -> Work:
+    def work(self, element: etree._Element, findings: Findings) -> Work:
         """Return what the extension elements say of the Task."""
         hints: dict[str, str] = {}
         parameters: dict[str, Value] = {}
@@ -112,29 +112,36 @@ class Zeebe:
                     hints[hint] = extension.get(attribute) or ""
             if local(extension) == "formDefinition":
                 form = _form_reference(extension)
-                parameters |= self._written_form(element, extension, found)
+                parameters |= self._written_form(element, extension, findings)
             elif local(extension) == "taskHeaders":
-                headers = {each.get("key") or "": each.get("value") for each in _parts(extension, "header")}
+                headers = {
+                    header.get("key") or "": header.get("value") for header in _parts(extension, "header")
+                }
                 parameters["headers"] = Value(headers)
             elif local(extension) == "properties":
                 properties = {
-                    each.get("name") or "": each.get("value") for each in _parts(extension, "property")
+                    property_.get("name") or "": property_.get("value")
+                    for property_ in _parts(extension, "property")
                 }
                 parameters["properties"] = Value(properties)
         if "jobType" in hints:
-            parameters["operation"] = attempt(element, lambda: self.value(hints["jobType"]), Value(), found)
-        parameters |= {each.target: each.value for each in self._io(element, "input", found)}
+            parameters["operation"] = attempt(
+                element, lambda: self.value(hints["jobType"]), Value(), findings
+            )
+        parameters |= {
+            assignment.target: assignment.value for assignment in self._io(element, "input", findings)
+        }
         return Work(parameters=parameters, hints=hints, has_implementation="jobType" in hints, form=form)
 
-    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+    def start_form(self, element: etree._Element, findings: Findings) -> StartForm:
         """Return the form of a start event."""
         for definition in _named(element, "formDefinition"):
-            written = self._written_form(element, definition, found).get("form")
+            written = self._written_form(element, definition, findings).get("form")
             return StartForm(written, _form_reference(definition))
         return StartForm()
 
     def _written_form(
-        self, element: etree._Element, definition: etree._Element, found: Findings
+        self, element: etree._Element, definition: etree._Element, findings: Findings
     ) -> dict[str, Value]:
         """Return a form that the process contains (`camunda-forms:bpmn:…`) as the parameter `form`."""
         key = definition.get("formKey") or ""
@@ -143,16 +150,16 @@ class Zeebe:
         process = next(element.iterancestors(f"{{{BPMN}}}process"), None)
         for form in () if process is None else _named(process, "userTaskForm"):
             if form.get("id") == key.removeprefix(WRITTEN_FORM):
-                return written_form(element, text(form), found)
+                return written_form(element, text(form), findings)
         return {}
 
-    def mapped(self, element: etree._Element, found: Findings) -> Mapped:
+    def mapped(self, element: etree._Element, findings: Findings) -> Mapped:
         """Return the variables of `ioMapping`; of a call activity they belong to the call."""
         if local(element) == "callActivity":
             return Mapped()
-        return Mapped(self._io(element, "input", found), self._io(element, "output", found))
+        return Mapped(self._io(element, "input", findings), self._io(element, "output", findings))
 
-    def _io(self, element: etree._Element, name: str, found: Findings) -> tuple[Assignment, ...]:
+    def _io(self, element: etree._Element, name: str, findings: Findings) -> tuple[Assignment, ...]:
         """Return the assignments of a mapping; targets such as `a.b` become an object `a`."""
         values: dict[str, Value | dict[str, object]] = {}
         for group in _named(element, "ioMapping"):
@@ -160,18 +167,18 @@ class Zeebe:
                 source, target = part.get("source") or "", (part.get("target") or "").strip()
                 path = target.split(".")
                 if len(path) > MAX_PATH or not all(is_name(step) for step in path):
-                    found.fault(part, f'target="{target[:100]}" cannot be the name of a variable')
+                    findings.fault(part, f'target="{target[:100]}" cannot be the name of a variable')
                     continue
-                value = attempt(part, partial(self.value, source), Value(), found)
+                value = attempt(part, partial(self.value, source), Value(), findings)
                 _put(values, path, value)
         return tuple(Assignment(target, _assembled(target, value)) for target, value in values.items())
 
-    def call(self, element: etree._Element, found: Findings) -> Call | None:
+    def call(self, element: etree._Element, findings: Findings) -> Call | None:
         """Return the process of `calledElement`."""
         called = next(_named(element, "calledElement"), None)
         name = "" if called is None else (called.get("processId") or "").strip()
         if called is None or not name:
-            found.fault(
+            findings.fault(
                 element,
                 message(
                     "bpmn.no_called_element",
@@ -180,11 +187,11 @@ class Zeebe:
             )
             return None
         tag = called.get("versionTag") if called.get("bindingType") == "versionTag" else None
-        outputs = self._io(element, "output", found)
+        outputs = self._io(element, "output", findings)
         return Call(
-            attempt(element, lambda: self.value(name), Value(), found),
+            attempt(element, lambda: self.value(name), Value(), findings),
             tag=None if tag is None else Value(tag),
-            inputs=self._io(element, "input", found),
+            inputs=self._io(element, "input", findings),
             outputs=outputs,
             all_inputs=flag(called, "propagateAllParentVariables", default=True),
             all_outputs=flag(called, "propagateAllChildVariables", default=True) and not outputs,
@@ -194,12 +201,12 @@ class Zeebe:
     def evaluated(
         self,
         element: etree._Element,  # noqa: ARG002 - of the interface
-        found: Findings,  # noqa: ARG002
+        findings: Findings,  # noqa: ARG002
     ) -> tuple[Assignment, ...] | None:
         """Return None: tasks have no expressions."""
         return None
 
-    def items(self, loop: etree._Element, found: Findings) -> Items:
+    def items(self, loop: etree._Element, findings: Findings) -> Items:
         """Return what `loopCharacteristics` names."""
         extension = next(_named(loop, "loopCharacteristics"), None)
         if extension is None:
@@ -208,16 +215,16 @@ class Zeebe:
         output, output_item = extension.get("outputCollection"), extension.get("outputElement")
         for name in (item, output):
             if name and not is_name(name):
-                found.fault(loop, f'"{name}" cannot be the name of a variable')
+                findings.fault(loop, f'"{name}" cannot be the name of a variable')
         return Items(
-            attempt(loop, lambda: self.collection(collection), None, found) if collection else None,
+            attempt(loop, lambda: self.collection(collection), None, findings) if collection else None,
             item or None,
             output or None,
-            attempt(loop, lambda: self.collection(output_item), None, found) if output_item else None,
+            attempt(loop, lambda: self.collection(output_item), None, findings) if output_item else None,
             first=1,
         )
 
-    def script(self, element: etree._Element, found: Findings) -> Script:
+    def script(self, element: etree._Element, findings: Findings) -> Script:
         """Return the FEEL expression of `zeebe:script`; any other script is work for somebody."""
         extension = next(_named(element, "script"), None)
         if extension is None:
@@ -225,29 +232,29 @@ class Zeebe:
             return Script(format=format_, text=child_text(element, "script"))
         variable = extension.get("resultVariable") or ""
         if not is_name(variable):
-            found.fault(element, f'resultVariable="{variable}" cannot be the name of a variable')
+            findings.fault(element, f'resultVariable="{variable}" cannot be the name of a variable')
         source = extension.get("expression") or ""
-        value = attempt(element, lambda: self.collection(source), Value(), found)
-        return Script((Assignment(variable, value), *self._io(element, "output", found)))
+        value = attempt(element, lambda: self.collection(source), Value(), findings)
+        return Script((Assignment(variable, value), *self._io(element, "output", findings)))
 
     def occurrence(
         self,
         element: etree._Element,  # noqa: ARG002 - of the interface
         definition: etree._Element | None,  # noqa: ARG002
-        found: Findings,  # noqa: ARG002
+        findings: Findings,  # noqa: ARG002
     ) -> Occurrence:
         """Return nothing: codes of caught errors are not kept."""
         return Occurrence()
 
-    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:
+    def correlation(self, declared: etree._Element, findings: Findings) -> Value | None:
         """Return the correlation key of `subscription`."""
         for subscription in _named(declared, "subscription"):
             key = subscription.get("correlationKey")
             if key:
-                return attempt(declared, partial(self.value, key), None, found)
+                return attempt(declared, partial(self.value, key), None, findings)
         return None
 
-    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
+    def process(self, element: etree._Element, findings: Findings) -> ProcessExtension:  # noqa: ARG002
         """Return the version tag."""
         return ProcessExtension(
             next((tag.get("value") or None for tag in _named(element, "versionTag")), None)
@@ -260,7 +267,7 @@ class Zeebe:
         """Return nothing."""
         return (), ()
 
-    def check(self, element: etree._Element, found: Findings) -> None:
+    def check(self, element: etree._Element, findings: Findings) -> None:
         """Report what has no effect, and decisions."""
         for extension in _ours(element):
             name = local(extension)
@@ -269,10 +276,10 @@ class Zeebe:
                     element,
                     "businessRuleTask with calledDecision (a DMN decision)",
                     "let a Task decide instead, with a taskDefinition or without any extension",
-                    found,
+                    findings,
                 )
             elif name not in _HARMLESS:
-                warn_without_effect(extension, found, f"zeebe:{name}")
+                warn_without_effect(extension, findings, f"zeebe:{name}")
 
 
 def _form_reference(definition: etree._Element) -> FormReference | None:
