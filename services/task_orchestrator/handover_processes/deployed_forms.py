@@ -44,8 +44,8 @@ class FormRegistry:
 
     def record(self, form_id: str, version: int | None = None) -> FormRecord:
         """Return a version of a form, by default the latest; raise `Problem` 404 if there is none."""
-        found = self.find(form_id, version)
-        if found is None:
+        form = self.find(form_id, version)
+        if form is None:
             raise Problem(
                 404,
                 "No such form",
@@ -55,7 +55,7 @@ class FormRegistry:
                     form=form_id,
                 ),
             )
-        return found
+        return form
 
     def find(self, form_id: str, version: int | None = None) -> FormRecord | None:
         """Return a version of a form, by default the latest; None if there is none."""
@@ -89,7 +89,10 @@ class FormRegistry:
 
         `beside` are the records of other deployments in the same step.
         """
-        versions = [*self._records.get(form.id, []), *(each for each in beside if each.id == form.id)]
+        versions = [
+            *self._records.get(form.id, []),
+            *(deployed for deployed in beside if deployed.id == form.id),
+        ]
         digest = hashlib.sha256(content).hexdigest()
         if versions and versions[-1].digest == digest and versions[-1].file == file:
             return versions[-1], False

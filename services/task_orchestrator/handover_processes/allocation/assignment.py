@@ -95,8 +95,10 @@ class AssignmentRules:
 
     def named(self, activity: Activity, variables: Variables) -> list[str]:
         """Return the URNs of those that an activity names as performers."""
-        given = [each.value(variables) for each in activity.involves]
-        return performers_of(resource_id(self._settings, str(each)) for each in given if is_reference(each))
+        references = [resource.value(variables) for resource in activity.involves]
+        return performers_of(
+            resource_id(self._settings, str(reference)) for reference in references if is_reference(reference)
+        )
 
     def assign(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str] = frozenset()
@@ -105,9 +107,13 @@ class AssignmentRules:
 
         An assignee who has `declined` it gets it no more if users or groups are named beside the assignee.
         """
-        found = self._assign(activity, variables, declined)
-        kind = self._kind(found.activity)
-        return found if kind is None else replace(found, activity=kind.completed(found.activity), kind=kind)
+        assignment = self._assign(activity, variables, declined)
+        kind = self._kind(assignment.activity)
+        return (
+            assignment
+            if kind is None
+            else replace(assignment, activity=kind.completed(assignment.activity), kind=kind)
+        )
 
     def _kind(self, activity: Activity) -> TaskKind | None:
         if not self.task_kinds:
@@ -141,7 +147,7 @@ class AssignmentRules:
         others = self._others(entry, activity, variables)
         if others and entry is not None and self._have_all_declined(entry, declined):
             names = names_of(activity, variables)
-            entry = self.mapping.find(each for each in names if each[0] is not NameKind.ASSIGNEE)
+            entry = self.mapping.find(name for name in names if name[0] is not NameKind.ASSIGNEE)
             if entry is None:
                 reason = message(
                     "allocation.assignee_declined", "people, because the assignee has declined it"
@@ -247,9 +253,9 @@ class AssignmentRules:
         for place in activity.happens_at:
             reference = place.location.value(variables)
             if is_reference(reference):
-                found = self.agents.places.get(resource_id(self._settings, str(reference)))
-                if found is not None:
-                    return found
+                position = self.agents.places.get(resource_id(self._settings, str(reference)))
+                if position is not None:
+                    return position
         return None
 
 

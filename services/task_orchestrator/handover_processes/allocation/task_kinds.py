@@ -93,6 +93,6 @@ class TaskKind:
                     "process.bad_work_parameters",
                     "the work parameters do not match {definition}: {faults}",
                     definition=self.id,
-                    faults="; ".join(f"{each.path or '-'}: {each.reason}" for each in faults),
+                    faults="; ".join(f"{fault.path or '-'}: {fault.reason}" for fault in faults),
                 )
             )

@@ -43,7 +43,7 @@ def tasklist_entry(task: TaskRecord, process_name: str) -> TasklistEntry:
     """Return a Task of people as an element of a list; `process_name` is the name of its process."""
     offer, candidates = offer_of(task), _inputs(task).get("candidates")
     lane = candidates.get("lane") if isinstance(candidates, Mapping) else None
-    given = candidates.get("groups", []) if isinstance(candidates, Mapping) else []
+    groups = candidates.get("groups", []) if isinstance(candidates, Mapping) else []
     return {
         "id": task.id,
         "process": task.process,
@@ -53,7 +53,7 @@ def tasklist_entry(task: TaskRecord, process_name: str) -> TasklistEntry:
         "status": task.status,
         "person": performer_of(task),
         "persons": list(offer.persons),
-        "groups": list(dict.fromkeys([*given, *([lane] if lane else [])])),
+        "groups": list(dict.fromkeys([*groups, *([lane] if lane else [])])),
         "claimedBy": task.claimed_by,
         "declinedBy": list(task.declined_by),
         "isClaimable": is_claimable(task),
@@ -129,12 +129,12 @@ def _inputs(task: TaskRecord) -> Mapping[str, Any]:
 
 def _used(task: TaskRecord) -> dict[str, list[str]]:
     """Return the names of the Materials and Assets that a Task uses, by type in lower case."""
-    found: dict[str, list[str]] = {}
+    paths: dict[str, list[str]] = {}
     for link in task.entity["involves"]["value"]:
         type_ = type_of(link["object"])
         if type_ in PASSIVE_TYPES:
-            found.setdefault(f"{type_.lower()}s", []).append(link["object"].rpartition(":")[2])
-    return found
+            paths.setdefault(f"{type_.lower()}s", []).append(link["object"].rpartition(":")[2])
+    return paths
 
 
 def _moment(task: TaskRecord, name: str) -> str | None:
@@ -181,7 +181,7 @@ def field_view(field: Field) -> FormField:
         "decimals": field.decimals,
         "unit": field.unit,
         "isText": field.is_text,
-        "fields": [field_view(each) for each in field.fields],
+        "fields": [field_view(inner_field) for inner_field in field.fields],
         "columns": [{"key": key, "label": label} for key, label in field.columns],
     }
 
@@ -203,7 +203,11 @@ def task_history(
 ) -> list[TaskHistoryEntry]:
     """Return what became of a Task, the earliest first; `earlier` are those that others have declined."""
     declines = {act.task: act for act in acts if act.kind is TaskActKind.DECLINE}
-    found = [entry for each in earlier for entry in _declined_by_performer(each, declines.get(each.id))]
+    entries = [
+        entry
+        for earlier_task in earlier
+        for entry in _declined_by_performer(earlier_task, declines.get(earlier_task.id))
+    ]
     offer = offer_of(task)
     offered: TaskHistoryEntry = {
         **_entry(iso(task.created_at), "offered"),
@@ -211,12 +215,12 @@ def task_history(
     }
     if task.allocated is not None:
         offered |= with_code("text", task.allocated)  # type: ignore[typeddict-item]  # a text and its code
-    found += [_entry(iso(task.created_at), "created"), offered]
+    entries += [_entry(iso(task.created_at), "created"), offered]
     later = [*map(_move_entry, moves)]
     own = [act for act in acts if act.task == task.id]
     later += [_act_entry(act) for act in own if act.kind is not TaskActKind.COMMENT]
     later.sort(key=lambda entry: (entry["at"], entry["kind"] == "status"))
-    return [*found, *later][-MAX_HISTORY:]
+    return [*entries, *later][-MAX_HISTORY:]
 
 
 def _move_entry(move: Move) -> TaskHistoryEntry:

@@ -194,8 +194,8 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> D
 def parameter_views(definition: Definition) -> list[DefinitionParameter]:
     """Return the parameters of a definition."""
     return [
-        {"name": each.name, "required": each.required, "default": each.default}
-        for each in definition.parameters.values()
+        {"name": parameter.name, "required": parameter.required, "default": parameter.default}
+        for parameter in definition.parameters.values()
     ]
 
 
@@ -265,16 +265,16 @@ def process_summary(
         "incidents": [_incident_view(incident) for incident in record.incidents],
         "unallocated": [
             {
-                "token": each.token,
-                "element": each.element,
-                "name": each.name,
-                **_known_reason(each.reason),
-                "since": iso(each.since),
+                "token": activity.token,
+                "element": activity.element,
+                "name": activity.name,
+                **_known_reason(activity.reason),
+                "since": iso(activity.since),
             }
-            for each in record.unallocated
+            for activity in record.unallocated
         ],
-        "retries": [_retry_view(each, each.due) for each in record.retries if each.due is not None],
-        "retry": next((each.task for each in record.incidents if each.task is not None), None),
+        "retries": [_retry_view(retry, retry.due) for retry in record.retries if retry.due is not None],
+        "retry": next((incident.task for incident in record.incidents if incident.task is not None), None),
     }
 
 
@@ -304,9 +304,11 @@ def process_view(
         "activities": len(activities),
         "elements": {element: _count_view(count) for element, count in counts.items()},
         "acts": [_act_view(act) for act in record.acts],
-        "reservations": [_reservation_view(each, record, allocator) for each in record.reservations],
+        "reservations": [
+            _reservation_view(reservation, record, allocator) for reservation in record.reservations
+        ],
         "tokens": [] if run is None else _token_views(run, tasks),
-        "scopes": [] if run is None else [_scope_view(each) for each in run.inner_scopes()],
+        "scopes": [] if run is None else [_scope_view(scope) for scope in run.inner_scopes()],
         "tasks": [_task_view(task, activities.get(task.element), history.get(task.id, [])) for task in tasks],
     }
 
@@ -315,47 +317,49 @@ def _token_views(run: Run, tasks: Sequence[TaskRecord]) -> list[TokenView]:
     open_tasks = {(task.token, task.visit): task.id for task in tasks if task.ended_at is None}
     return [
         {
-            "token": each.token,
-            "element": each.element,
-            "name": each.name,
-            "state": each.state,
-            "instance": each.instance,
-            "task": open_tasks.get((each.token, each.visit)),
+            "token": token.token,
+            "element": token.element,
+            "name": token.name,
+            "state": token.state,
+            "instance": token.instance,
+            "task": open_tasks.get((token.token, token.visit)),
         }
-        for each in run.tokens()
+        for token in run.tokens()
     ]
 
 
-def _scope_view(each: InnerScope) -> ScopeView:
+def _scope_view(inner_scope: InnerScope) -> ScopeView:
     return {
-        "scope": each.scope,
-        "outer": each.outer,
-        "kind": each.kind,
-        "element": each.element,
-        "name": each.name,
-        "instance": each.instance,
-        "variables": dict(each.variables),
+        "scope": inner_scope.scope,
+        "outer": inner_scope.outer,
+        "kind": inner_scope.kind,
+        "element": inner_scope.element,
+        "name": inner_scope.name,
+        "instance": inner_scope.instance,
+        "variables": dict(inner_scope.variables),
     }
 
 
 def _reservation_view(
-    each: ReservationRecord, record: ProcessRecord, allocator: Allocator
+    reservation: ReservationRecord, record: ProcessRecord, allocator: Allocator
 ) -> ReservationView:
-    reason = each.reason
-    if each.state is ReservationState.WAITING:  # who holds it changes often, so it is not stored each time
-        reason = allocator.waits_for((record.id, each.key)) or reason
+    reason = reservation.reason
+    if (
+        reservation.state is ReservationState.WAITING
+    ):  # who holds it changes often, so it is not stored each time
+        reason = allocator.waits_for((record.id, reservation.key)) or reason
     return {
-        "key": each.key,
-        "element": each.element,
-        "name": each.name,
-        "state": each.state,
+        "key": reservation.key,
+        "element": reservation.element,
+        "name": reservation.name,
+        "state": reservation.state,
         **_known_reason(reason),
-        "since": iso(each.since),
-        "askedAt": iso(each.asked_at),
-        "heldAt": _iso(each.held_at),
-        "agents": list(each.agents),
-        "uses": list(each.used),
-        "isShared": each.outer is not None,
+        "since": iso(reservation.since),
+        "askedAt": iso(reservation.asked_at),
+        "heldAt": _iso(reservation.held_at),
+        "agents": list(reservation.agents),
+        "uses": list(reservation.used),
+        "isShared": reservation.outer is not None,
     }
 
 
@@ -384,15 +388,15 @@ def _next(
 
 def _involved(settings: OrchestratorSettings, activity: Activity, variables: Mapping[str, Any]) -> list[str]:
     """Return the resources of an activity that the present variables determine."""
-    known = []
-    for given in activity.involves:
+    references = []
+    for resource in activity.involves:
         try:
-            reference = given.value(variables)
+            reference = resource.value(variables)
         except ExpressionError:
             continue
         if is_reference(reference):
-            known.append(resource_id(settings, reference))
-    return known
+            references.append(resource_id(settings, reference))
+    return references
 
 
 def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move]) -> TaskView:
@@ -473,15 +477,15 @@ def migration_view(report: MigrationReport, *, dry: bool) -> MigrationView:
         "migrated": report.is_possible and not dry,
         "findings": [
             {
-                "element": each.element,
-                "name": each.name,
-                "target": each.target,
-                "token": each.token,
-                "task": report.tasks.get(each.token or ""),
-                "obstacle": each.is_obstacle,
-                **_known_reason(each.reason),
+                "element": finding.element,
+                "name": finding.name,
+                "target": finding.target,
+                "token": finding.token,
+                "task": report.tasks.get(finding.token or ""),
+                "obstacle": finding.is_obstacle,
+                **_known_reason(finding.reason),
             }
-            for each in report.findings
+            for finding in report.findings
         ],
     }
 
@@ -513,22 +517,22 @@ def _incident_view(incident: IncidentRecord) -> IncidentView:
     }
 
 
-def _retry_view(each: Retry, due: datetime) -> RetryView:
+def _retry_view(retry: Retry, due: datetime) -> RetryView:
     return {
-        "token": each.token,
-        "element": each.element,
-        "name": each.name,
-        "task": each.task,
-        "failed": each.failed,
-        "attempts": each.attempts,
-        **_known_reason(each.reason),
+        "token": retry.token,
+        "element": retry.element,
+        "name": retry.name,
+        "task": retry.task,
+        "failed": retry.failed,
+        "attempts": retry.attempts,
+        **_known_reason(retry.reason),
         "due": iso(due),
     }
 
 
 def _moment_of(task: TaskRecord, name: str) -> str | None:
-    given = task.entity.get(name)
-    return None if given is None else str(given["value"]["@value"])
+    attribute = task.entity.get(name)
+    return None if attribute is None else str(attribute["value"]["@value"])
 
 
 def _iso(moment: datetime | None) -> str | None:
@@ -552,14 +556,14 @@ def offer_view(record: OfferRecord) -> OfferView:
         "warnings": cast("list[BpmnWarning]", as_json(record.warnings)),
         "decisions": [
             {
-                "at": iso(each.at),
-                "status": each.status,
-                "by": each.by,
-                "verified": each.verified,
-                "why": each.why,
-                "deployed": [{"name": name, "version": version} for name, version in each.deployed],
+                "at": iso(decision.at),
+                "status": decision.status,
+                "by": decision.by,
+                "verified": decision.verified,
+                "why": decision.why,
+                "deployed": [{"name": name, "version": version} for name, version in decision.deployed],
             }
-            for each in record.decisions
+            for decision in record.decisions
         ],
         "definitions": [],
         "changes": [],

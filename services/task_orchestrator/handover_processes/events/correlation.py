@@ -43,7 +43,9 @@ class WaitIndex:
         self.remove(process.record.id)
         if process.run is None:
             return frozenset()
-        names = frozenset((each.type, each.name) for each in process.run.subscriptions())
+        names = frozenset(
+            (subscription.type, subscription.name) for subscription in process.run.subscriptions()
+        )
         for name in names:
             self._waiting.setdefault(name, {})[process.record.id] = None
         if names:
@@ -89,14 +91,16 @@ def receivers(
     processes: Iterable[Process], type_: WaitType, name: str, matches: Callable[[Process, Subscription], bool]
 ) -> list[Receiver]:
     """Return the waits for `name` of `processes` whose process and key match, in the order of their start."""
-    found = [
+    matching = [
         Receiver(process, subscription)
         for process in processes
         if process.run is not None
         for subscription in process.run.subscriptions()
         if subscription.type is type_ and subscription.name == name and matches(process, subscription)
     ]
-    return sorted(found, key=lambda each: (each.process.record.started_at, each.process.record.id))
+    return sorted(
+        matching, key=lambda receiver: (receiver.process.record.started_at, receiver.process.record.id)
+    )
 
 
 def matches_key(process: Process, subscription: Subscription, key: Any) -> bool:

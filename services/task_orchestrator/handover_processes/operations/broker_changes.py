@@ -131,8 +131,8 @@ class BrokerChanges:
                 if not _is_finished(entity):
                     self.on_unowned()  # an ended Task of the orchestrator may have reappeared
                 continue
-            known = owner.tasks.get(task_id)  # none while the step that ends it is written
-            if known is None or (known.unreadable is None and _status(entity) == known.status.value):
+            record = owner.tasks.get(task_id)  # none while the step that ends it is written
+            if record is None or (record.unreadable is None and _status(entity) == record.status.value):
                 unchanged += 1
             else:
                 changed.append(entity)
@@ -180,11 +180,11 @@ class BrokerChanges:
 
         A broker without our rules accepts such a change from any program that reaches it.
         """
-        known = owner.tasks.get(seen.id)
-        if known is None or seen.status.value is not TaskStatus.COMPLETED or not requires_pin(known):
+        record = owner.tasks.get(seen.id)
+        if record is None or seen.status.value is not TaskStatus.COMPLETED or not requires_pin(record):
             return False
-        given = seen.output_parameters
-        outputs = given.value if given is not None and isinstance(given.value, Mapping) else {}
+        reported = seen.output_parameters
+        outputs = reported.value if reported is not None and isinstance(reported.value, Mapping) else {}
         try:
             person = proven_person(self._keys, seen.id, outputs)
             if outputs.get(PERFORMER_MEMBER) == person:
@@ -208,15 +208,17 @@ class BrokerChanges:
 
         A broker without our rules accepts it from any program that reaches it.
         """
-        given, keys = seen.output_parameters, self._keys.keys()
-        if keys is None or given is None or PERFORMER_MEMBER not in given.value:
+        reported, keys = seen.output_parameters, self._keys.keys()
+        if keys is None or reported is None or PERFORMER_MEMBER not in reported.value:
             return seen
         try:
-            require_proven_performer(keys, seen.id, given.value)
+            require_proven_performer(keys, seen.id, reported.value)
         except InvalidToken as error:
             log.warning("performedBy is ignored", task=seen.id, reason=str(error))
-            outputs = {name: value for name, value in given.value.items() if name != PERFORMER_MEMBER}
-            return seen.model_copy(update={"output_parameters": given.model_copy(update={"value": outputs})})
+            outputs = {name: value for name, value in reported.value.items() if name != PERFORMER_MEMBER}
+            return seen.model_copy(
+                update={"output_parameters": reported.model_copy(update={"value": outputs})}
+            )
         return seen
 
 
@@ -230,10 +232,10 @@ class _Seen:
 
     def is_news(self, owner: Process) -> bool:
         """Return whether it differs from what its process knows."""
-        known = owner.tasks.get(self.id)
-        unreadable = None if known is None else known.unreadable
+        record = owner.tasks.get(self.id)
+        unreadable = None if record is None else record.unreadable
         if self.task is None:
-            return known is not None and unreadable != self.fault
+            return record is not None and unreadable != self.fault
         return unreadable is not None or owner.is_news(self.task)
 
 

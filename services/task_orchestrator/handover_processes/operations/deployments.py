@@ -44,7 +44,7 @@ class DeploymentResult:
     @property
     def created(self) -> bool:
         """Return whether there is a new version of anything."""
-        return self.bpmn.created or any(each.created for each in self.forms)
+        return self.bpmn.created or any(form.created for form in self.forms)
 
 
 class Deployments:
@@ -83,11 +83,11 @@ class Deployments:
         def act(step: Step) -> DeploymentResult:
             now = self._state.clock()
             written = [self._deploy_form(form, content, name, step, now) for form, content, name in read]
-            found = [
+            results = [
                 deploy_into(step, self._state, file, only_if_never_seen=only_if_never_seen) for file in files
             ]
-            deployments = tuple(each for deployed in found for each in deployed.deployments)
-            warnings = tuple(each for deployed in found for each in deployed.warnings)
+            deployments = tuple(deployment for deployed in results for deployment in deployed.deployments)
+            warnings = tuple(warning for deployed in results for warning in deployed.warnings)
             return DeploymentResult(Deployed(deployments, warnings), tuple(written))
 
         return await self._writer.apply(act)
@@ -104,21 +104,23 @@ class Deployments:
     async def check(self, xml: bytes) -> dict[str, Any]:
         """Return the result that a deployment would have; raise `BadBpmn` if the file cannot be executed."""
         file = await asyncio.to_thread(read_bpmn, xml)
-        found = []
+        results = []
         for definition in file.definitions:
             record, created = self._state.registry.next_version(
                 definition, (), self._state.clock(), only_if_never_seen=False
             )
-            found.append(
+            results.append(
                 {"name": record.name, "version": record.version, "title": record.title, "created": created}
             )
         allocation = [
             line
-            for each in file.definitions
-            for line in allocation_report(self._state.allocator.rules, self._state.allocator.forms, each)
+            for read_definition in file.definitions
+            for line in allocation_report(
+                self._state.allocator.rules, self._state.allocator.forms, read_definition
+            )
         ]
         warnings = as_json(file.warnings)
-        return {**found[0], "definitions": found, "warnings": warnings, "allocation": allocation}
+        return {**results[0], "definitions": results, "warnings": warnings, "allocation": allocation}
 
     async def set_mapping(
         self,
@@ -164,9 +166,9 @@ def deploy_into(
 ) -> Deployed:
     """Deploy the processes of a file in a step; `source` is the entity of another system that it is of."""
     registry, now = state.registry, state.clock()
-    found = []
-    for each in file.definitions:
-        definition = replace(each, source=source)
+    deployments = []
+    for read_definition in file.definitions:
+        definition = replace(read_definition, source=source)
         record, created = registry.next_version(
             definition, step.definitions, now, only_if_never_seen=only_if_never_seen
         )
@@ -179,8 +181,8 @@ def deploy_into(
             if entities:
                 subject = registry.entity_id_of(record)
                 step.enqueue(f"definition {record.name}", MessageKind.DEFINE, subject, entities)
-        found.append(DeployedDefinition(record.name, record.version, created))
-    return Deployed(tuple(found), file.warnings)
+        deployments.append(DeployedDefinition(record.name, record.version, created))
+    return Deployed(tuple(deployments), file.warnings)
 
 
 def _stem(name: str | None) -> str | None:

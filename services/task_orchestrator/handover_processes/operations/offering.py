@@ -59,8 +59,8 @@ class Offering:
             present = self._require_open(step, offer, (OfferStatus.OPEN, OfferStatus.REJECTED))
             deployed: tuple[tuple[str, int], ...] = ()
             if file is not None:
-                found = deploy_into(step, self._state, file, source=present.entity)
-                deployed = tuple((each.name, each.version) for each in found.deployments)
+                results = deploy_into(step, self._state, file, source=present.entity)
+                deployed = tuple((deployment.name, deployment.version) for deployment in results.deployments)
             decision = Decision(
                 self._state.clock(), OfferStatus.ACCEPTED, by, why, deployed, step.is_verified(by)
             )
@@ -123,7 +123,7 @@ class Offering:
             return False
         read = await asyncio.to_thread(read_bpmn, candidate.file)
         registry, now = self._state.registry, self._state.clock()
-        return not any(registry.next_version(each, (), now)[1] for each in read.definitions)
+        return not any(registry.next_version(definition, (), now)[1] for definition in read.definitions)
 
 
 class OfferReader:
@@ -156,6 +156,6 @@ class OfferReader:
             )
             if is_created and new.version > 1:
                 before = registry.record(new.name, new.version - 1).xml
-                found = await asyncio.to_thread(changed_elements, before, definition.xml, new.name)
-                view["changes"] += [element_change_view(each) for each in found]
+                changes = await asyncio.to_thread(changed_elements, before, definition.xml, new.name)
+                view["changes"] += [element_change_view(change) for change in changes]
         return view

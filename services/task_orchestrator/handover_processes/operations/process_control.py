@@ -43,8 +43,8 @@ class ProcessControl:
         Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it or its form.
         """
         state, registry = self._state, self._state.registry
-        if key is not None and (known := await state.on_disk(state.store.by_key, key)) is not None:
-            return known.id, False
+        if key is not None and (running := await state.on_disk(state.store.by_key, key)) is not None:
+            return running.id, False
         process_id = None if request is None else f"{definition}-{request}"
         if process_id is not None and await state.on_disk(state.store.processes, [process_id]):
             return process_id, False

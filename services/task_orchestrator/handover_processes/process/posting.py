@@ -26,33 +26,35 @@ from handover_processes.records.step import Step
 
 def resume_waiting(process: ProcessState, run: Run) -> None:
     """Let the activities that wait for a performer wait again."""
-    for known in process.record.unallocated:
-        places = run.places(known.token)
-        if run.visit(known.token) != known.visit or process.reservations.obstacle(places) is not None:
+    for waiting in process.record.unallocated:
+        places = run.places(waiting.token)
+        if run.visit(waiting.token) != waiting.visit or process.reservations.obstacle(places) is not None:
             continue
-        open_ = run.open_activity(known.token, known.since)
+        open_ = run.open_activity(waiting.token, waiting.since)
         with suppress(ExpressionError):  # it becomes an incident when it is tried again
             assignment = _request(process, open_)
             request = assignment.waiting_request
             if request is not None:
                 within = process.reservations.within(places).holders
-                process.allocator.add_waiting(process.record.id, known.token, request, known.since, within)
+                process.allocator.add_waiting(
+                    process.record.id, waiting.token, request, waiting.since, within
+                )
     process.allocator.has_changed = True
 
 
-def can_continue(process: ProcessState, run: Run, known: Unallocated, now: datetime) -> bool:
+def can_continue(process: ProcessState, run: Run, waiting: Unallocated, now: datetime) -> bool:
     """Return whether there is news of an activity that waits for a performer."""
-    places = run.places(known.token)
-    if run.visit(known.token) != known.visit or process.reservations.obstacle(places) is not None:
+    places = run.places(waiting.token)
+    if run.visit(waiting.token) != waiting.visit or process.reservations.obstacle(places) is not None:
         return False
     try:
-        found = _choose(process, run.open_activity(known.token, known.since), places, known.since, now)
+        choice = _choose(process, run.open_activity(waiting.token, waiting.since), places, waiting.since, now)
     except ExpressionError:
         return True
-    if not isinstance(found, NoPerformer) or found.is_final:
+    if not isinstance(choice, NoPerformer) or choice.is_final:
         return True
     # The holder of a named resource changes often; `reservations` show it.
-    return found.request.resource is None and found.reason != known.reason
+    return choice.request.resource is None and choice.reason != waiting.reason
 
 
 def post_open(process: ProcessState, run: Run, step: Step, now: datetime) -> None:
@@ -66,24 +68,27 @@ def post_open(process: ProcessState, run: Run, step: Step, now: datetime) -> Non
         for waits in process.record.unallocated:
             process.allocator.remove_waiting(process.record.id, waits.token)
         return
-    since = {(each.token, each.visit): each.since for each in process.record.unallocated}
+    since = {
+        (unallocated.token, unallocated.visit): unallocated.since
+        for unallocated in process.record.unallocated
+    }
     waiting: list[Unallocated] = []
     for token, visit in list(process.open_tasks.unposted):
         if (token, visit) in postponed or run.visit(token) != visit:
             continue
         try:
             began = since.get((token, visit), now)
-            each = run.open_activity(token, began)
+            open_ = run.open_activity(token, began)
             places = run.places(token)
             obstacle = process.reservations.obstacle(places)
             if obstacle is not None:
-                waiting.append(_wait_for(process, each, obstacle, began))
+                waiting.append(_wait_for(process, open_, obstacle, began))
                 continue
-            found = _choose(process, each, places, began, now)
-            if isinstance(found, NoPerformer):
-                waiting.append(_wait(process, each, places, found, began))
+            choice = _choose(process, open_, places, began, now)
+            if isinstance(choice, NoPerformer):
+                waiting.append(_wait(process, open_, places, choice, began))
             else:
-                _post(process, each, found, step, now)
+                _post(process, open_, choice, step, now)
         except (ExpressionError, ValueError) as error:
             run.refuse(token, text_of(error), now)
     if waiting or since:
@@ -107,15 +112,17 @@ def _wait(
     process: ProcessState,
     open_: OpenActivity,
     places: Sequence[SpanPlace],
-    found: NoPerformer,
+    no_performer: NoPerformer,
     since: datetime,
 ) -> Unallocated:
     """Let an activity wait; raise `ValueError` if that would be useless."""
-    if found.is_final:
-        raise ValueError(found.reason)
+    if no_performer.is_final:
+        raise ValueError(no_performer.reason)
     within = process.reservations.within(places).holders
-    process.allocator.add_waiting(process.record.id, open_.token, found.request, since, within)
-    return Unallocated(open_.token, open_.visit, open_.element, open_.activity.name, found.reason, since)
+    process.allocator.add_waiting(process.record.id, open_.token, no_performer.request, since, within)
+    return Unallocated(
+        open_.token, open_.visit, open_.element, open_.activity.name, no_performer.reason, since
+    )
 
 
 def _wait_for(
@@ -131,10 +138,10 @@ def _wait_for(
 
 def record_waiting(process: ProcessState, waiting: Sequence[Unallocated]) -> None:
     """Record the activities that wait for a performer."""
-    tokens = {each.token for each in waiting}
-    for each in process.record.unallocated:
-        if each.token not in tokens:
-            process.allocator.remove_waiting(process.record.id, each.token)
+    tokens = {activity.token for activity in waiting}
+    for activity in process.record.unallocated:
+        if activity.token not in tokens:
+            process.allocator.remove_waiting(process.record.id, activity.token)
     process.revise(unallocated=tuple(waiting))
 
 

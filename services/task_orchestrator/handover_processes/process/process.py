@@ -48,7 +48,7 @@ NO_REASON = message("task.no_reason", "no reason given")
 
 
 @dataclass(frozen=True, slots=True)
-class StatusChange:
+class TaskChange:
     """The new status of a Task."""
 
     status: TaskStatus
@@ -142,8 +142,8 @@ class Process(ProcessState):
     def release(self) -> None:
         """Remove its Tasks and waiting activities from the allocator: it leaves the memory."""
         self.open_tasks.release()
-        for each in self.record.unallocated:
-            self.allocator.remove_waiting(self.record.id, each.token)
+        for waiting in self.record.unallocated:
+            self.allocator.remove_waiting(self.record.id, waiting.token)
         self.reservations.leave()
 
     def allocate(self, step: Step, now: datetime) -> None:
@@ -152,7 +152,7 @@ class Process(ProcessState):
         if run is None or self.record.status is TaskStatus.PAUSED:
             return
         if self.reservations.can_begin(run, now) or any(
-            posting.can_continue(self, run, known, now) for known in self.record.unallocated
+            posting.can_continue(self, run, waiting, now) for waiting in self.record.unallocated
         ):
             step.touched.add(self.record.id)
             self.update(step, now)
@@ -162,9 +162,9 @@ class Process(ProcessState):
         if not self.is_news(seen):
             return False
         step.touched.add(self.record.id)
-        given = seen.output_parameters
-        outputs = dict(given.value) if given is not None and isinstance(given.value, Mapping) else {}
-        change = StatusChange(seen.status.value, seen.status.observed_at, outputs)
+        reported = seen.output_parameters
+        outputs = dict(reported.value) if reported is not None and isinstance(reported.value, Mapping) else {}
+        change = TaskChange(seen.status.value, seen.status.observed_at, outputs)
         self.apply(self.tasks[seen.id], change, step, now)
         return True
 
@@ -191,7 +191,7 @@ class Process(ProcessState):
             }
             step.enqueue(self.tasks[task_id].stream, MessageKind.APPEND, task_id, attributes)
         for status in statuses:
-            self.apply(self.tasks[task_id], StatusChange(status, now, outputs), step, now)
+            self.apply(self.tasks[task_id], TaskChange(status, now, outputs), step, now)
 
     def tick(self, step: Step, now: datetime) -> None:
         """Process the timers that are due at `now`."""
@@ -233,7 +233,7 @@ class Process(ProcessState):
         self.update(step, now)
         return True
 
-    def apply(self, task: TaskRecord, change: StatusChange, step: Step, now: datetime) -> None:
+    def apply(self, task: TaskRecord, change: TaskChange, step: Step, now: datetime) -> None:
         """Apply the new status of a Task, with its consequences."""
         task = count_change(step, self.record, task, change.outputs, now)
         moves = task.moves + 1
@@ -264,10 +264,12 @@ class Process(ProcessState):
         if change.final and self.run is not None and self.is_current(self.run, task):
             self._continue_run(self.run, task, change, now)
         self.update(step, now)
-        if change.status is TaskStatus.FAILED and all(each.task != task.id for each in self.record.incidents):
+        if change.status is TaskStatus.FAILED and all(
+            incident.task != task.id for incident in self.record.incidents
+        ):
             alerts.clear_unshown(step, self.record, task.id)
 
-    def _continue_run(self, run: Run, task: TaskRecord, change: StatusChange, now: datetime) -> None:
+    def _continue_run(self, run: Run, task: TaskRecord, change: TaskChange, now: datetime) -> None:
         activity = run.activity(task.token)
         is_declined = change.status is TaskStatus.FAILED and change.outputs.get("declined") is True
         if is_declined and (task.chosen or attempts.offers_others(task)):
@@ -282,11 +284,11 @@ class Process(ProcessState):
         reason = message_in(change.outputs, "reason") or unhandled or NO_REASON
         if "\0" in reason or not isinstance(reason, MessageText):
             reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
-        given = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
+        error_code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
         is_unknown = is_outcome_unknown(change.outputs)
-        if given is None and is_unknown:
-            given = OUTCOME_UNKNOWN_CODE
-        code = None if given is None else str(given)
+        if error_code is None and is_unknown:
+            error_code = OUTCOME_UNKNOWN_CODE
+        code = None if error_code is None else str(error_code)
         failure = attempts.Failure(code, reason, change.outputs)
         if change.repeats:
             postponed = attempts.repeat_lost(self.record, run, task, reason, now)
@@ -321,9 +323,9 @@ class Process(ProcessState):
         if self.record.retries:
             self.revise(retries=attempts.present_retries(self.record, run))
         state_report.update_incidents(self, step)
-        known = self.record.id in step.processes or self.record.id in step.new
+        is_counted = self.record.id in step.processes or self.record.id in step.new
         self.revise(
-            revision=self.record.revision + (0 if known else 1),
+            revision=self.record.revision + (0 if is_counted else 1),
             variables=run.variables() if run is not None else self.record.variables,
             waiting=run.waiting() if run is not None else (),
             reservations=self.reservations.records,
@@ -358,7 +360,11 @@ class Process(ProcessState):
             alerts.raise_past_due(step, task, level, escalation)
         self.record_task(task.changed(escalates_at=following, escalated=level + 1), step)
         if escalation is not None and escalation.group is not None:
-            groups = [each.group for _, each in levels[: level + 1] if each is not None and each.group]
+            groups = [
+                escalated.group
+                for _, escalated in levels[: level + 1]
+                if escalated is not None and escalated.group
+            ]
             parameters = with_groups(task.entity, groups)
             if parameters is not None:
                 present = self.tasks[task.id]
@@ -387,7 +393,7 @@ class Process(ProcessState):
             "outputParameters": outputs_property(outputs, now),
         }
         step.enqueue(task.stream, MessageKind.APPEND, task.id, closing)
-        self.apply(task, StatusChange(TaskStatus.FAILED, now, outputs), step, now)
+        self.apply(task, TaskChange(TaskStatus.FAILED, now, outputs), step, now)
 
     def _fail(self, reason: str, step: Step, now: datetime) -> None:
         self.end(TaskStatus.FAILED, reason, step, now)

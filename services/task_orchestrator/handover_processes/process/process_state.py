@@ -117,23 +117,23 @@ class ProcessState:
         """Return the timers that are due at `now`, the earliest first."""
         if self.record.status is TaskStatus.PAUSED:
             return [timer for timer in self.timers() if timer.due <= now]
-        found = self.open_tasks.due_timers(now)
+        due = self.open_tasks.due_timers(now)
         event = None if self.run is None else self.run.next_due()
         if event is not None and event <= now:
-            found.append(Timer(TimerKind.EVENT, "", event))
-        found += [
+            due.append(Timer(TimerKind.EVENT, "", event))
+        due += [
             Timer(TimerKind.RETRY, retry.token, retry.due)
             for retry in self.record.retries
             if retry.due is not None and retry.due <= now
         ]
-        return sorted(found, key=lambda timer: timer.due)
+        return sorted(due, key=lambda timer: timer.due)
 
     def form_data(self, task: TaskRecord) -> dict[str, Any]:
         """Return what a form of an open Task knows: the variables and the parameters of the Task."""
-        known: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         if self.run is not None and self.is_current(self.run, task):
-            known |= self.run.open_activity(task.token).variables
-        return {**known, **task.entity["workParameters"]["value"]}
+            values |= self.run.open_activity(task.token).variables
+        return {**values, **task.entity["workParameters"]["value"]}
 
     def record_task(self, task: TaskRecord, step: Step) -> None:
         """Record a new or changed Task."""

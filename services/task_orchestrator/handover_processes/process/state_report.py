@@ -23,32 +23,37 @@ REPORTED_TASKS = 10
 
 def update_incidents(process: ProcessState, step: Step) -> None:
     """Record the incidents; raise the Alerts of new ones and clear those of others."""
-    known = {incident.token: incident for incident in process.record.incidents}
+    recorded = {incident.token: incident for incident in process.record.incidents}
     present = {}
-    for each in process.run.incidents() if process.run is not None else ():
-        before = known.get(each.token)
-        is_same = before is not None and (before.since, before.element) == (each.since, each.element)
-        present[each.token] = before if before is not None and is_same else _incident(process, each)
-    for token, incident in known.items():
+    for open_incident in process.run.incidents() if process.run is not None else ():
+        before = recorded.get(open_incident.token)
+        is_same = before is not None and (before.since, before.element) == (
+            open_incident.since,
+            open_incident.element,
+        )
+        present[open_incident.token] = (
+            before if before is not None and is_same else _incident(process, open_incident)
+        )
+    for token, incident in recorded.items():
         if present.get(token) is not incident:
             alerts.clear_incident(step, process.record, process.urn, incident)
     for token, incident in present.items():
-        if known.get(token) is not incident:
+        if recorded.get(token) is not incident:
             alerts.raise_incident(step, process.record, process.urn, incident)
     process.revise(incidents=tuple(present.values()))
 
 
-def _incident(process: ProcessState, found: OpenIncident) -> IncidentRecord:
-    failed = found.details.get("task")
-    if not failed and found.visit:
-        failed = task_id_of(process.settings, process.record.id, found.element, found.visit)
-    code = found.details.get("code")
+def _incident(process: ProcessState, incident: OpenIncident) -> IncidentRecord:
+    failed = incident.details.get("task")
+    if not failed and incident.visit:
+        failed = task_id_of(process.settings, process.record.id, incident.element, incident.visit)
+    code = incident.details.get("code")
     return IncidentRecord(
-        token=found.token,
-        element=found.element,
-        name=found.name,
-        reason=found.reason,
-        since=found.since,
+        token=incident.token,
+        element=incident.element,
+        name=incident.name,
+        reason=incident.reason,
+        since=incident.since,
         task=failed if failed in process.composed else None,
         code=None if code is None else str(code),
     )

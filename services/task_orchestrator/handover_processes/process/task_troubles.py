@@ -9,7 +9,7 @@ from handover.tasks.task_life import STARTED
 from handover_bpmn.model import PerformerLost
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process import alerts, state_report
-from handover_processes.process.process import CANCELLED, Process, StatusChange
+from handover_processes.process.process import CANCELLED, Process, TaskChange
 from handover_processes.records.entities import (
     outputs_property,
     status_property,
@@ -29,7 +29,7 @@ def reject(process: Process, task_id: str, reason: str, step: Step, now: datetim
         if not isinstance(reason, MessageText) or reason.code not in REFUSALS:
             reason = message("task.refused_by_broker", "the broker rejected the Task: {why}", why=reason)
         outputs = with_code("reason", reason)
-        process.apply(task, StatusChange(TaskStatus.FAILED, now, outputs), step, now)
+        process.apply(task, TaskChange(TaskStatus.FAILED, now, outputs), step, now)
 
 
 def performer_lost(process: Process, task_id: str, holder: str, step: Step) -> None:
@@ -96,7 +96,7 @@ def end_lost(process: Process, task_id: str, step: Step, now: datetime) -> None:
     }
     step.enqueue(task.stream, MessageKind.APPEND, task.id, failed)
     is_retried = choice is PerformerLost.RETRY
-    process.apply(task, StatusChange(TaskStatus.FAILED, now, outputs, repeats=is_retried), step, now)
+    process.apply(task, TaskChange(TaskStatus.FAILED, now, outputs, repeats=is_retried), step, now)
 
 
 def missing(process: Process, task_id: str, step: Step, now: datetime) -> None:
@@ -109,7 +109,7 @@ def missing(process: Process, task_id: str, step: Step, now: datetime) -> None:
         return
     step.touched.add(process.record.id)
     if task.cancelled_at is not None:
-        process.apply(task, StatusChange(TaskStatus.FAILED, now, {"reason": CANCELLED}), step, now)
+        process.apply(task, TaskChange(TaskStatus.FAILED, now, {"reason": CANCELLED}), step, now)
     elif task.status is TaskStatus.PENDING:
         step.enqueue(task.stream, MessageKind.CREATE, task.id, task.entity)
         state_report.report_state(process, step, now)

@@ -152,7 +152,7 @@ def resources_view(
                 "utilisation": round(worked_ms / available, 4) if available else None,
             }
         )
-    resources.sort(key=lambda each: (-each["workingMs"], each["resource"]))
+    resources.sort(key=lambda worker: (-worker["workingMs"], worker["resource"]))
     return {"since": iso(period.begins_at), "until": iso(ends), "resources": resources}
 
 

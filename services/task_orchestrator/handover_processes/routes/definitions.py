@@ -63,16 +63,16 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
             return JSONResponse(await orchestrator.deployments.check(body), 200)
         deployed = await orchestrator.deployments.deploy(body)
         views = [
-            definition_view(registry, registry.record(each.name, each.version))
-            for each in deployed.deployments
+            definition_view(registry, registry.record(deployment.name, deployment.version))
+            for deployment in deployed.deployments
         ]
         allocation = [
             line
-            for each in deployed.deployments
+            for deployment in deployed.deployments
             for line in allocation_report(
                 orchestrator.state.allocator.rules,
                 orchestrator.state.allocator.forms,
-                registry.plan_of(registry.record(each.name, each.version)).definition,
+                registry.plan_of(registry.record(deployment.name, deployment.version)).definition,
             )
         ]
         warnings = as_json(deployed.warnings)

@@ -105,9 +105,9 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
         devices = list(dict.fromkeys(body.devices))
         answers = await at.orchestrator.leases.acquire(devices, holder, body.duration_s)
         act = current_request()
-        if act is not None and not any(each.is_new for each in answers):
+        if act is not None and not any(answer.is_new for answer in answers):
             act.is_recorded = True  # a renewal changes nothing
-        return json_response({"leases": [_answer(each) for each in answers]})
+        return json_response({"leases": [_answer(answer) for answer in answers]})
 
     @app.post(
         f"{PATH}/release",

@@ -73,16 +73,18 @@ def add_forms(app: FastAPI, at: Components) -> None:
     @max_body(4 * MAX_BYTES)
     async def deploy_files(body: DeploymentRequest) -> JSONResponse:
         """Deploy BPMN files and forms together, all or none: 201 if anything is new, else 200."""
-        bpmn = [each.content.encode() for each in body.files if each.name.endswith(".bpmn")]
-        given = [(each.name, each.content.encode()) for each in body.files if each.name.endswith(".form")]
-        deployed = await deployments.deploy_files(bpmn, given)
+        bpmn = [file.content.encode() for file in body.files if file.name.endswith(".bpmn")]
+        form_files = [
+            (file.name, file.content.encode()) for file in body.files if file.name.endswith(".form")
+        ]
+        deployed = await deployments.deploy_files(bpmn, form_files)
         registry = state.registry
         content = {
             "definitions": [
-                definition_view(registry, registry.record(each.name, each.version))
-                for each in deployed.bpmn.deployments
+                definition_view(registry, registry.record(deployment.name, deployment.version))
+                for deployment in deployed.bpmn.deployments
             ],
-            "forms": [_view(each) for each in deployed.forms],
+            "forms": [_view(deployed_form) for deployed_form in deployed.forms],
             "warnings": as_json(deployed.bpmn.warnings),
             "created": deployed.created,
         }

@@ -38,8 +38,8 @@ def add_offers(app: FastAPI, at: Components) -> None:
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> Response:
         """Return definitions that other systems have written to the broker, the latest first."""
-        found = orchestrator.state.offers.listed(status, entity)[:limit]
-        return json_response([await reader.view(record) for record in found])
+        records = orchestrator.state.offers.listed(status, entity)[:limit]
+        return json_response([await reader.view(record) for record in records])
 
     @app.get("/offers/{offer}", tags=["offers"], responses=OFFER, dependencies=[require(Permission.READ)])
     async def offer(offer: str) -> Response:

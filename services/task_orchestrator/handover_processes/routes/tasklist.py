@@ -71,24 +71,24 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         mark = None if query.before is None else await tasklist.task(_urn(at, query.before))
         last = None if mark is None else tasklist_entry(mark, "")
         process = None if query.process is None else at.plain_id(query.process)
-        found = [
+        open_tasks = [
             entry
-            for each in state.active_processes.processes.values()
-            if (process is None or each.record.id == process)
-            and (query.definition is None or each.record.definition == query.definition)
-            for task in each.tasks.values()
+            for running in state.active_processes.processes.values()
+            if (process is None or running.record.id == process)
+            and (query.definition is None or running.record.definition == query.definition)
+            for task in running.tasks.values()
             if is_for_people(link["object"] for link in task.entity["involves"]["value"])
             and is_listed(
-                entry := tasklist_entry(task, process_name(state.registry, each.record)),
+                entry := tasklist_entry(task, process_name(state.registry, running.record)),
                 query,
-                each.record.key,
+                running.record.key,
             )
             and (last is None or list_order(entry) > list_order(last))
         ]
-        found.sort(key=list_order)
-        response = json_response(found[: query.limit])
-        if len(found) > query.limit:
-            following = request.url.include_query_params(before=found[query.limit - 1]["id"])
+        open_tasks.sort(key=list_order)
+        response = json_response(open_tasks[: query.limit])
+        if len(open_tasks) > query.limit:
+            following = request.url.include_query_params(before=open_tasks[query.limit - 1]["id"])
             response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
         return response
 
@@ -121,8 +121,8 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
     @max_body(MAX_PARAMETERS_BYTES)
     async def form(task_id: TaskId, body: FormData) -> Response:
         """Return the form of a Task for the values typed so far: conditions and expressions are evaluated."""
-        found = await tasklist.task(_urn(at, task_id))
-        return JSONResponse(_form(at, found, body.values))
+        task_view = await tasklist.task(_urn(at, task_id))
+        return JSONResponse(_form(at, task_view, body.values))
 
     @app.post(
         "/tasks/{task_id}/claim",
@@ -182,9 +182,9 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
 
         A Task with `requirePin` needs the `pin` of the person who is signed in or has joined the station.
         """
-        found = await tasklist.task(_urn(at, task_id))
-        if requires_pin(found):
-            await require_pin(at.guard, caller, body.pin, found.id)
+        record = await tasklist.task(_urn(at, task_id))
+        if requires_pin(record):
+            await require_pin(at.guard, caller, body.pin, record.id)
         await tasklist.complete(
             _urn(at, task_id),
             caller.acting_name(body.by),
@@ -207,9 +207,9 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
     ) -> JSONResponse:
         """Add a comment to a Task."""
-        found = await tasklist.task(_urn(at, task_id))
+        record = await tasklist.task(_urn(at, task_id))
         act = await tasklist.comment(
-            found.process, caller.acting_name(body.by), body.text.strip(), task_id=found.id, key=body.id
+            record.process, caller.acting_name(body.by), body.text.strip(), task_id=record.id, key=body.id
         )
         return JSONResponse(comment_view(act), 201)
 
@@ -268,9 +268,9 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
     activity = registry.plan_of(deployed).definition.activities().get(task.element)
     own = [act for act in acts if act.task == task.id]
     earlier = [
-        each
-        for each in tasks
-        if (each.element, each.token) == (task.element, task.token) and each.visit < task.visit
+        other
+        for other in tasks
+        if (other.element, other.token) == (task.element, task.token) and other.visit < task.visit
     ]
     return task_details(
         task,

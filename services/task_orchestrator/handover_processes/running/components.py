@@ -82,8 +82,8 @@ class Components:
             except OSError as error:
                 log.warning("BPMN file not readable", file=str(file), error=str(error))
             else:
-                for each in deployed.deployments:
-                    log.info("definition deployed", name=each.name, version=each.version)
+                for deployment in deployed.deployments:
+                    log.info("definition deployed", name=deployment.name, version=deployment.version)
 
     async def _deploy_form(self, file: Path) -> None:
         try:

@@ -102,7 +102,7 @@ def count_version(connection: Connection, definition: str, version: int, now: da
     present = open_tasks(connection, scope)
     last = _last_durations(connection, definition, version)
     elements = {}
-    for element in sorted({*present, *(each for each, _ in counted)} - {WHOLE_PROCESS}):
+    for element in sorted({*present, *(name for name, _ in counted)} - {WHOLE_PROCESS}):
         completed = counted.get((element, Counted.COMPLETED), Distribution())
         elements[element] = ElementCount(
             running=present[element].total if element in present else 0,
@@ -145,7 +145,7 @@ def count_period(connection: Connection, since: datetime, now: datetime) -> Peri
         elif result is Counted.COMPLETED:
             for sums in distribution.bins:
                 completed.setdefault(bin_of(sums.duration_ms // sums.counted), Sums()).add(sums)
-    durations = Distribution(tuple(completed[each] for each in sorted(completed)))
+    durations = Distribution(tuple(completed[duration] for duration in sorted(completed)))
     return PeriodCount(running, durations.total.counted, failed, durations.percentile_ms(0.5))
 
 
@@ -158,7 +158,7 @@ def _last_durations(connection: Connection, definition: str, version: int) -> di
         .order_by(processes.c.started_at.desc(), processes.c.id.desc())
         .limit(LATEST_PROCESSES)
     )
-    found: dict[str, int] = {}
+    processes_: dict[str, int] = {}
     ids = [row.id for row in connection.execute(latest)]
     statement = (
         select(tasks.c.element, tasks.c.status, tasks.c.took_ms)
@@ -168,5 +168,5 @@ def _last_durations(connection: Connection, definition: str, version: int) -> di
     )
     for element, status, took_ms in connection.execute(statement):
         if status == TaskStatus.COMPLETED.value:  # in the statement it would lead to all completed Tasks
-            found.setdefault(element, took_ms)
-    return found
+            processes_.setdefault(element, took_ms)
+    return processes_

@@ -64,11 +64,11 @@ def open_tasks(connection: Connection, scope: ReportScope) -> dict[str, OpenTask
             counts.setdefault(element, Counter())[status] += count
     return {
         element: OpenTaskCounts(
-            each[TaskStatus.PENDING] + each[TaskStatus.ASSIGNED],
-            each[TaskStatus.IN_PROGRESS],
-            each[TaskStatus.PAUSED],
+            count_by_status[TaskStatus.PENDING] + count_by_status[TaskStatus.ASSIGNED],
+            count_by_status[TaskStatus.IN_PROGRESS],
+            count_by_status[TaskStatus.PAUSED],
         )
-        for element, each in counts.items()
+        for element, count_by_status in counts.items()
     }
 
 
@@ -91,7 +91,7 @@ def open_incidents(connection: Connection, scope: ReportScope) -> Sequence[Cause
         .where(text("incidents <> '[]'"), *scope.conditions(processes))
         .order_by(table.started_at.desc(), table.id.desc())
     )
-    found: dict[tuple[str, int, str, str], Cause] = {}
+    causes: dict[tuple[str, int, str, str], Cause] = {}
     for process, definition, version, incidents in connection.execute(statement):
         for incident in orjson.loads(incidents):
             cause = incident.get("reasonCode") or incident["reason"]
@@ -99,14 +99,14 @@ def open_incidents(connection: Connection, scope: ReportScope) -> Sequence[Cause
             since = datetime.fromisoformat(incident["since"])
             names = ("reason", "reasonCode", "reasonParameters")
             reason = {name: incident[name] for name in names if name in incident}
-            known = found.setdefault(
+            earlier = causes.setdefault(
                 key, Cause(definition, version, incident["element"], incident["name"], reason, since)
             )
-            known.count += 1
-            known.since = min(known.since, since)
-            if process not in known.processes and len(known.processes) < MAX_PROCESSES:
-                known.processes.append(process)
-    return sorted(found.values(), key=lambda cause: (-cause.count, cause.since, cause.element))
+            earlier.count += 1
+            earlier.since = min(earlier.since, since)
+            if process not in earlier.processes and len(earlier.processes) < MAX_PROCESSES:
+                earlier.processes.append(process)
+    return sorted(causes.values(), key=lambda cause: (-cause.count, cause.since, cause.element))
 
 
 def present_work(connection: Connection, period: Period, scope: ReportScope, now: datetime) -> dict[str, int]:
@@ -125,11 +125,11 @@ def present_work(connection: Connection, period: Period, scope: ReportScope, now
             tasks.c.performer.is_not(None),
         )
     )
-    found: dict[str, int] = {}
+    worked: dict[str, int] = {}
     for definition, version, performer, since in connection.execute(statement):
         if not scope.contains(definition, version):
             continue
         begins = max(datetime.fromisoformat(since), period.begins_at)
         ends = min(now, moment_of(period.ends))
-        found[performer] = found.get(performer, 0) + elapsed_ms(begins, ends)
-    return found
+        worked[performer] = worked.get(performer, 0) + elapsed_ms(begins, ends)
+    return worked

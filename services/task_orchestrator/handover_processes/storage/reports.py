@@ -63,7 +63,7 @@ class Reports:
         """Return the statistics of the elements of a definition."""
         with self._engine.connect() as connection:
             running = running_processes(connection, scope)
-            counts = [RunningCount(*each) for each in running.values()]
+            counts = [RunningCount(*numbers) for numbers in running.values()]
             return ElementReport(
                 element_durations(connection, period, scope),
                 open_tasks(connection, scope),
@@ -77,7 +77,7 @@ class Reports:
             running = running_processes(connection, everything)
             return DefinitionReport(
                 process_durations(connection, period, everything),
-                {name: RunningCount(*each) for name, each in running.items()},
+                {name: RunningCount(*numbers) for name, numbers in running.items()},
             )
 
     def throughput(self, period: Period, scope: ReportScope, hours: int) -> dict[tuple[int, Counted], int]:
@@ -93,7 +93,7 @@ class Reports:
     def work(self, period: Period, scope: ReportScope, now: datetime) -> dict[str, int]:
         """Return the working time of resources in ms, including the work that has not ended."""
         with self._engine.connect() as connection:
-            found = work_by_resource(connection, period, scope)
+            worked = work_by_resource(connection, period, scope)
             for resource, worked_ms in present_work(connection, period, scope, now).items():
-                found[resource] = found.get(resource, 0) + worked_ms
-        return found
+                worked[resource] = worked.get(resource, 0) + worked_ms
+        return worked

@@ -46,18 +46,18 @@ class Distribution:
     def total(self) -> Sums:
         """Return the sums of all bins."""
         total = Sums()
-        for each in self.bins:
-            total.add(each)
+        for sums in self.bins:
+            total.add(sums)
         return total
 
     def percentile_ms(self, share: float) -> int | None:
         """Return the mean of the bin that contains the percentile; None without durations."""
-        rank = share * sum(each.counted for each in self.bins)
+        rank = share * sum(sums.counted for sums in self.bins)
         reached = 0
-        for each in self.bins:
-            reached += each.counted
-            if each.counted and reached >= rank:
-                return round(each.duration_ms / each.counted)
+        for sums in self.bins:
+            reached += sums.counted
+            if sums.counted and reached >= rank:
+                return round(sums.duration_ms / sums.counted)
         return None
 
     def mean_ms(self) -> int | None:
@@ -148,10 +148,10 @@ def _distributions(
     rows = _in_period(statistics, (*columns, *sums), period, scope, *conditions).subquery()
     group = (rows.c.subject, rows.c.result, rows.c.bin)
     statement = select(*group, *(func.sum(rows.c[name]).label(name) for name in _SUMS)).group_by(*group)
-    found: dict[tuple[str, Counted], list[Sums]] = {}
+    durations: dict[tuple[str, Counted], list[Sums]] = {}
     for row in connection.execute(statement.order_by(rows.c.bin)):
-        found.setdefault((row.subject, Counted(row.result)), []).append(_sums(row))
-    return {key: Distribution(tuple(bins)) for key, bins in found.items()}
+        durations.setdefault((row.subject, Counted(row.result)), []).append(_sums(row))
+    return {key: Distribution(tuple(bins)) for key, bins in durations.items()}
 
 
 def _sums(row: Row[Any]) -> Sums:

@@ -32,10 +32,10 @@ def is_retried(policy: RetryPolicy, code: str | None, outputs: Mapping[str, Any]
 def attempts_of(policy: RetryPolicy, variables: Variables) -> int:
     """Return how often an activity is tried in all; 1 if the number cannot be evaluated."""
     try:
-        found = policy.attempts.value(variables)
+        attempts = policy.attempts.value(variables)
     except ExpressionError:
         return 1
-    return int(found) if isinstance(found, int | float) and not isinstance(found, bool) else 1
+    return int(attempts) if isinstance(attempts, int | float) and not isinstance(attempts, bool) else 1
 
 
 def retry_at(policy: RetryPolicy, failed: int, now: datetime) -> datetime:
