@@ -11,8 +11,8 @@ from handover_bpmn.notation.faults import BadBpmn
 from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.report import allocation_report
 from handover_processes.definitions.offer_rules import Candidate
-from handover_processes.documents.responses import ActivityAllocation, OfferView
-from handover_processes.documents.views import changed_attributes, element_change_view, offer_view
+from handover_processes.documents.definitions import ActivityAllocation
+from handover_processes.documents.offers import OfferView, changed_attributes, element_change_view, offer_view
 from handover_processes.operations.deployments import deploy_into
 from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
 from handover_processes.records.step import Step

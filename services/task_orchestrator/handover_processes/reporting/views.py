@@ -5,7 +5,8 @@ from datetime import datetime
 
 from handover_datamodels.times import iso
 from handover_processes.allocation.agents import Agent
-from handover_processes.documents.responses import (
+from handover_processes.documents.document import document
+from handover_processes.documents.statistics import (
     CauseView,
     DefinitionTimes,
     Durations,
@@ -108,20 +109,7 @@ def throughput_view(counts: Mapping[tuple[int, Counted], int], period: Period, h
 def cause_views(causes: Sequence[Cause], titles: Names) -> list[CauseView]:
     """Return the open incidents by element and cause."""
     return [
-        {
-            "definition": cause.definition,
-            "version": cause.version,
-            "title": titles.get(cause.definition, cause.definition),
-            "element": cause.element,
-            "name": cause.name,
-            "reason": str(cause.reason["reason"]),
-            "reasonCode": cause.reason.get("reasonCode"),
-            "reasonParameters": cause.reason.get("reasonParameters"),
-            "count": cause.count,
-            "since": iso(cause.since),
-            "processes": cause.processes,
-        }
-        for cause in causes
+        document(CauseView, cause, title=titles.get(cause.definition, cause.definition)) for cause in causes
     ]
 
 
@@ -161,4 +149,4 @@ def _count(durations: Distributions, subject: str, result: Counted) -> int:
 
 
 def _durations(of: Distribution) -> Durations:
-    return {"medianMs": of.percentile_ms(0.5), "p90Ms": of.percentile_ms(0.9), "meanMs": of.mean_ms()}
+    return document(Durations, of, meanMs=of.mean_ms())

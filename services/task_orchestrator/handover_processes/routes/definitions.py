@@ -17,22 +17,18 @@ from handover_bpmn.model import Fault
 from handover_bpmn.notation.document import MAX_BYTES
 from handover_bpmn.notation.faults import BadBpmn, as_json
 from handover_processes.allocation.report import allocation_report
-from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
-from handover_processes.documents.responses import (
+from handover_processes.documents.definitions import (
     DefinitionView,
     DefinitionWithActivities,
     Deployment,
     DeploymentCheck,
-    VersionStatistics,
-    json_response,
-)
-from handover_processes.documents.tasklist_responses import TaskForm
-from handover_processes.documents.tasklist_views import form_view
-from handover_processes.documents.views import (
     activity_views,
     definition_view,
-    statistics_view,
 )
+from handover_processes.documents.document import json_response
+from handover_processes.documents.forms import TaskForm, form_view
+from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
+from handover_processes.documents.statistics import VersionStatistics, statistics_view
 from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.routes.resources import acting_name, of_definition
 from handover_processes.running.orchestrator import Orchestrator

@@ -11,8 +11,8 @@ from handover.security.audit_trail import current_request
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.tasks.device_lease import MAX_DEVICES_PER_REQUEST, PATH
+from handover_processes.documents.document import json_response
 from handover_processes.documents.requests import Plain
-from handover_processes.documents.responses import json_response
 from handover_processes.operations.device_leases import LeaseAnswer
 from handover_processes.running.components import Components
 from handover_processes.storage.device_leases import LeaseHolder, StoredLease

@@ -9,8 +9,8 @@ from handover.http.api_description import sends
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.tasks.event_log import TASK_COLUMNS, task_rows, xes_log
+from handover_processes.documents.processes import process_view
 from handover_processes.documents.requests import EventLogQuery
-from handover_processes.documents.views import process_view
 from handover_processes.routes.resources import of_definition_query
 from handover_processes.routes.tables import file_response
 from handover_processes.running.components import Components

@@ -11,11 +11,10 @@ from handover.security.permissions import Permission
 from handover_bpmn.forms.form_js import MAX_FORM_BYTES
 from handover_bpmn.notation.document import MAX_BYTES
 from handover_bpmn.notation.faults import as_json
+from handover_processes.documents.definitions import definition_view
+from handover_processes.documents.document import document, documents, json_response
+from handover_processes.documents.forms import DeployedFiles, FormView
 from handover_processes.documents.requests import MAX_VERSION, DeploymentRequest
-from handover_processes.documents.responses import json_response
-from handover_processes.documents.tasklist_responses import DeployedFiles, FormView
-from handover_processes.documents.tasklist_views import form_record_view
-from handover_processes.documents.views import definition_view
 from handover_processes.operations.deployments import DeployedForm
 from handover_processes.running.components import Components
 
@@ -51,7 +50,7 @@ def add_forms(app: FastAPI, at: Components) -> None:
     )
     async def list_forms() -> Response:
         """Return the latest version of every form."""
-        return json_response([form_record_view(record) for record in forms.latest()])
+        return json_response(documents(FormView, forms.latest()))
 
     @app.get(
         "/forms/{form_id}",
@@ -93,4 +92,4 @@ def add_forms(app: FastAPI, at: Components) -> None:
 
 def _view(deployed: DeployedForm) -> FormView:
     warnings = [str(warning) for warning in deployed.warnings]
-    return {**form_record_view(deployed.record), "created": deployed.created, "warnings": warnings}
+    return document(FormView, deployed.record, created=deployed.created, warnings=warnings)

@@ -10,8 +10,9 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
+from handover_processes.documents.document import json_response
+from handover_processes.documents.offers import OfferView
 from handover_processes.documents.requests import OfferRequest
-from handover_processes.documents.responses import OfferView, json_response
 from handover_processes.operations.offering import OfferReader
 from handover_processes.records.offers import OfferStatus
 from handover_processes.routes.resources import acting_name

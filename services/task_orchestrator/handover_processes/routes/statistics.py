@@ -12,6 +12,7 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.documents.document import json_response
 from handover_processes.documents.requests import (
     ElementsQuery,
     IncidentsQuery,
@@ -19,7 +20,7 @@ from handover_processes.documents.requests import (
     ScopedQuery,
     ThroughputQuery,
 )
-from handover_processes.documents.responses import (
+from handover_processes.documents.statistics import (
     CauseView,
     DefinitionTimes,
     ElementsView,
@@ -28,7 +29,6 @@ from handover_processes.documents.responses import (
     ResourceTimes,
     ThroughputPoint,
     ThroughputView,
-    json_response,
 )
 from handover_processes.records.definitions import DefinitionRecord
 from handover_processes.reporting.period import read_period

@@ -15,6 +15,9 @@ from handover.security.permissions import Permission
 from handover.security.pin_check import require_pin
 from handover.tasks.task_life import is_for_people
 from handover_datamodels.entities import TaskStatus
+from handover_processes.documents.document import document, documents, json_response
+from handover_processes.documents.forms import TaskForm
+from handover_processes.documents.processes import process_name
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     ClaimRequest,
@@ -25,16 +28,11 @@ from handover_processes.documents.requests import (
     ReturnRequest,
     TaskListQuery,
 )
-from handover_processes.documents.responses import json_response
-from handover_processes.documents.tasklist_responses import (
+from handover_processes.documents.tasklist import (
     TaskComment,
     TaskDetails,
-    TaskForm,
     TaskHistoryEntry,
     TasklistEntry,
-)
-from handover_processes.documents.tasklist_views import (
-    comment_view,
     is_listed,
     list_order,
     resolved_form,
@@ -42,7 +40,6 @@ from handover_processes.documents.tasklist_views import (
     task_history,
     tasklist_entry,
 )
-from handover_processes.documents.views import process_name
 from handover_processes.people_acts import requires_pin
 from handover_processes.records.tasks import TaskRecord
 from handover_processes.routes.resources import of_process, of_task
@@ -211,7 +208,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         act = await tasklist.comment(
             record.process, caller.acting_name(body.by), body.text.strip(), task_id=record.id, key=body.id
         )
-        return JSONResponse(comment_view(act), 201)
+        return JSONResponse(document(TaskComment, act), 201)
 
     @app.post(
         "/processes/{process_id}/comments",
@@ -228,7 +225,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         act = await tasklist.comment(
             at.plain_id(process_id), caller.acting_name(body.by), body.text.strip(), key=body.id
         )
-        return JSONResponse(comment_view(act), 201)
+        return JSONResponse(document(TaskComment, act), 201)
 
     @app.get(
         "/processes/{process_id}/comments",
@@ -240,7 +237,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         """Return the comments on a process and on its Tasks, the earliest first."""
         await state.require_process(at.plain_id(process_id))
         acts = await at.orchestrator.on_disk(at.orchestrator.store.task_acts, at.plain_id(process_id))
-        return json_response([comment_view(act) for act in acts if act.kind == "comment"])
+        return json_response(documents(TaskComment, (act for act in acts if act.kind == "comment")))
 
 
 def _urn(at: Components, task_id: str) -> str:

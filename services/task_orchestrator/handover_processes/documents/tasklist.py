@@ -1,26 +1,30 @@
-"""Views of Tasks of people, their forms, comments and history."""
+"""Documents of Tasks of people, their forms, comments and history."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired
+
+from typing_extensions import TypedDict
 
 from handover.messages import message_in, with_code
 from handover.tasks.task_life import PASSIVE_TYPES, type_of
 from handover_bpmn.forms import form
-from handover_bpmn.forms.fields import Field
 from handover_bpmn.forms.form_js import Resolved
 from handover_bpmn.model import Activity
+from handover_datamodels.entities import TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
-from handover_processes.deployed_forms import FormRecord, FormRegistry
+from handover_processes.deployed_forms import FormRegistry
+from handover_processes.documents.document import From, Moment, OptionalMoment, document, documents
+from handover_processes.documents.forms import TaskForm, form_view
 from handover_processes.documents.requests import TaskListQuery
-from handover_processes.documents.tasklist_responses import (
-    FormField,
-    FormView,
-    TaskComment,
-    TaskDetails,
-    TaskForm,
-    TaskHistoryEntry,
-    TasklistEntry,
+from handover_processes.documents.tasks import (
+    deadline_of,
+    description_of,
+    due_date_of,
+    follow_up_date_of,
+    inputs_of,
+    name_of,
+    priority_of,
 )
 from handover_processes.people_acts import (
     form_of,
@@ -39,29 +43,105 @@ _NO_INPUTS = frozenset(
 MAX_HISTORY = 1000
 
 
+def _groups(task: TaskRecord) -> list[str]:
+    """Return the groups that a Task is offered to, and the lane of its activity."""
+    candidates = inputs_of(task).get("candidates")
+    if not isinstance(candidates, Mapping):
+        return []
+    lane = candidates.get("lane")
+    return list(dict.fromkeys([*candidates.get("groups", []), *([lane] if lane else [])]))
+
+
+def _inputs(task: TaskRecord) -> dict[str, Any]:
+    inputs = {name: value for name, value in inputs_of(task).items() if name not in _NO_INPUTS}
+    return {**_used(task), **inputs}
+
+
+def _used(task: TaskRecord) -> dict[str, list[str]]:
+    """Return the names of the Materials and Assets that a Task uses, by type in lower case."""
+    paths: dict[str, list[str]] = {}
+    for link in task.entity["involves"]["value"]:
+        type_ = type_of(link["object"])
+        if type_ in PASSIVE_TYPES:
+            paths.setdefault(f"{type_.lower()}s", []).append(link["object"].rpartition(":")[2])
+    return paths
+
+
+class TaskComment(TypedDict):
+    """A comment on a Task or process; `verified`: `by` is the name of who was signed in."""
+
+    id: str
+    task: str | None
+    by: str
+    verified: bool
+    at: Moment
+    text: Annotated[str, From(lambda act: act.text or "")]
+
+
+class TaskHistoryEntry(TypedDict):
+    """What became of a Task: created, offered, an act of a person, or another status.
+
+    `offeredTo` are the persons and groups of an offer, `text` the reason.
+    """
+
+    at: str
+    kind: TaskActKind | Literal["created", "offered", "status"]
+    by: str | None
+    verified: bool
+    status: NotRequired[TaskStatus]
+    offeredTo: NotRequired[list[str]]
+    text: str | None
+    textCode: NotRequired[str]
+    textParameters: NotRequired[dict[str, Any]]
+
+
+class TasklistEntry(TypedDict):
+    """A Task of people as an element of a list.
+
+    `person` is the one that it was given to; `persons` and `groups` those that it is offered to.
+    `processName` is the name of its process for people.
+    """
+
+    id: str
+    process: str
+    processName: str
+    element: str
+    name: Annotated[str, From(name_of)]
+    status: TaskStatus
+    person: Annotated[str | None, From(performer_of)]
+    persons: Annotated[list[str], From(lambda task: offer_of(task).persons)]
+    groups: Annotated[list[str], From(_groups)]
+    claimedBy: str | None
+    declinedBy: list[str]
+    isClaimable: Annotated[bool, From(is_claimable)]
+    createdAt: Moment
+    dueDate: Annotated[str | None, From(due_date_of)]
+    followUpDate: Annotated[str | None, From(follow_up_date_of)]
+    priority: Annotated[int | None, From(priority_of)]
+
+
+class TaskDetails(TasklistEntry):
+    """A Task of people with all details; `inputs` are its parameters, `outputs` its result."""
+
+    processTitle: str
+    processKey: str | None
+    definition: str
+    version: int
+    description: str | None
+    deadline: Annotated[str | None, From(deadline_of)]
+    requirePin: Annotated[bool, From(requires_pin)]
+    endedAt: OptionalMoment
+    inputs: Annotated[dict[str, Any], From(_inputs)]
+    inputsSchema: dict[str, Any] | None
+    outputs: dict[str, Any] | None
+    form: TaskForm | None
+    comments: list[TaskComment]
+    history: list[TaskHistoryEntry]
+
+
 def tasklist_entry(task: TaskRecord, process_name: str) -> TasklistEntry:
     """Return a Task of people as an element of a list; `process_name` is the name of its process."""
-    offer, candidates = offer_of(task), _inputs(task).get("candidates")
-    lane = candidates.get("lane") if isinstance(candidates, Mapping) else None
-    groups = candidates.get("groups", []) if isinstance(candidates, Mapping) else []
-    return {
-        "id": task.id,
-        "process": task.process,
-        "processName": process_name,
-        "element": task.element,
-        "name": task.name or task.element,
-        "status": task.status,
-        "person": performer_of(task),
-        "persons": list(offer.persons),
-        "groups": list(dict.fromkeys([*groups, *([lane] if lane else [])])),
-        "claimedBy": task.claimed_by,
-        "declinedBy": list(task.declined_by),
-        "isClaimable": is_claimable(task),
-        "createdAt": iso(task.created_at),
-        "dueDate": _moment(task, "dueDate"),
-        "followUpDate": _moment(task, "followUpDate"),
-        "priority": task.entity.get("priority", {}).get("value"),
-    }
+    return document(TasklistEntry, task, processName=process_name)
 
 
 def list_order(entry: TasklistEntry) -> tuple[str, int, str, str]:
@@ -97,49 +177,21 @@ def task_details(
     history: Sequence[TaskHistoryEntry],
 ) -> TaskDetails:
     """Return a Task of people with all details."""
-    inputs = _inputs(task)
-    described = inputs.get("description")
-    drawn = None if activity is None else activity.description
-    return {
-        **tasklist_entry(task, process_name),
-        "processTitle": title,
-        "processKey": process.key,
-        "definition": process.definition,
-        "version": process.version,
-        "description": described if isinstance(described, str) else drawn,
-        "deadline": iso(task.deadline) if "deadline" in task.entity else None,
-        "requirePin": requires_pin(task),
-        "endedAt": None if task.ended_at is None else iso(task.ended_at),
-        "inputs": {
-            **_used(task),
-            **{name: value for name, value in inputs.items() if name not in _NO_INPUTS},
-        },
-        "inputsSchema": None if activity is None else activity.inputs_schema,
-        "outputs": None if task.outputs is None else dict(task.outputs),
-        "form": resolved,
-        "comments": [comment_view(act) for act in acts if act.kind is TaskActKind.COMMENT],
-        "history": list(history),
-    }
-
-
-def _inputs(task: TaskRecord) -> Mapping[str, Any]:
-    inputs: Mapping[str, Any] = task.entity["workParameters"]["value"]
-    return inputs
-
-
-def _used(task: TaskRecord) -> dict[str, list[str]]:
-    """Return the names of the Materials and Assets that a Task uses, by type in lower case."""
-    paths: dict[str, list[str]] = {}
-    for link in task.entity["involves"]["value"]:
-        type_ = type_of(link["object"])
-        if type_ in PASSIVE_TYPES:
-            paths.setdefault(f"{type_.lower()}s", []).append(link["object"].rpartition(":")[2])
-    return paths
-
-
-def _moment(task: TaskRecord, name: str) -> str | None:
-    attribute = task.entity.get(name)
-    return None if attribute is None else str(attribute["value"]["@value"])
+    return document(
+        TaskDetails,
+        task,
+        processName=process_name,
+        processTitle=title,
+        processKey=process.key,
+        definition=process.definition,
+        version=process.version,
+        description=description_of(task, activity),
+        inputsSchema=None if activity is None else activity.inputs_schema,
+        outputs=None if task.outputs is None else dict(task.outputs),
+        form=resolved,
+        comments=documents(TaskComment, (act for act in acts if act.kind is TaskActKind.COMMENT)),
+        history=list(history),
+    )
 
 
 def resolved_form(task: TaskRecord, forms: FormRegistry, data: Mapping[str, Any]) -> TaskForm | None:
@@ -149,53 +201,6 @@ def resolved_form(task: TaskRecord, forms: FormRegistry, data: Mapping[str, Any]
         return None
     resolved = Resolved((), is_dynamic=False) if schema is None else form.resolve(schema, data)
     return form_view(name, version, resolved)
-
-
-def form_view(name: str | None, version: int | None, resolved: Resolved) -> TaskForm:
-    """Return a form with its fields."""
-    return {
-        "id": name,
-        "version": version,
-        "isDynamic": resolved.is_dynamic,
-        "fields": [field_view(field) for field in resolved.fields],
-    }
-
-
-def field_view(field: Field) -> FormField:
-    """Return a field of a form."""
-    return {
-        "path": field.path,
-        "kind": field.kind,
-        "label": field.label,
-        "hint": field.hint,
-        "isRequired": field.is_required,
-        "isReadOnly": field.is_read_only,
-        "initial": field.initial,
-        "options": [{"value": option.value, "label": option.label} for option in field.options],
-        "minimum": field.minimum,
-        "maximum": field.maximum,
-        "minLength": field.min_length,
-        "maxLength": field.max_length,
-        "pattern": field.pattern,
-        "textFormat": field.text_format,
-        "decimals": field.decimals,
-        "unit": field.unit,
-        "isText": field.is_text,
-        "fields": [field_view(inner_field) for inner_field in field.fields],
-        "columns": [{"key": key, "label": label} for key, label in field.columns],
-    }
-
-
-def comment_view(act: TaskAct) -> TaskComment:
-    """Return a comment."""
-    return {
-        "id": act.id,
-        "task": act.task,
-        "by": act.by,
-        "verified": act.verified,
-        "at": iso(act.at),
-        "text": act.text or "",
-    }
 
 
 def task_history(
@@ -247,14 +252,3 @@ def _declined_by_performer(task: TaskRecord, decline: TaskAct | None) -> list[Ta
 
 def _entry(at: str, kind: str) -> TaskHistoryEntry:
     return {"at": at, "kind": kind, "by": None, "verified": False, "text": None}  # type: ignore[typeddict-item]
-
-
-def form_record_view(record: FormRecord) -> FormView:
-    """Return a version of a form."""
-    return {
-        "id": record.id,
-        "version": record.version,
-        "title": record.title,
-        "file": record.file,
-        "deployedAt": iso(record.deployed_at),
-    }
