@@ -17,10 +17,9 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 from benchmarks.steal_time import report_steal_time
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.run import Run
-from handover_processes.execution.state import Library
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.definitions import Definitions
+from handover_bpmn.execution.run import Run
+from handover_bpmn.notation.file import read_bpmn
 
 try:
     from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser
@@ -92,19 +91,10 @@ class Instance(Protocol):
         """Continue with the state of the snapshot."""
 
 
-class _OneDefinition(Library):
-    def __init__(self, xml: bytes) -> None:
-        self.only = Plan(read_bpmn(xml).definitions[0])
-
-    def plan(self, name: str, version: int) -> Plan:
-        del name, version
-        return self.only
-
-
 class _Ours:
-    def __init__(self, library: _OneDefinition) -> None:
+    def __init__(self, library: Definitions) -> None:
         self.library = library
-        self.run = Run.start(library.only, {"stop": False}, NOW, library)
+        self.run = Run.start(library.plans["p"], {"stop": False}, NOW, library)
 
     def step(self) -> None:
         self.run.complete(self.run.open()[0].token, {"part": 7}, NOW)
@@ -116,7 +106,7 @@ class _Ours:
         return len(self.run.snapshot())
 
     def restore(self) -> None:
-        self.run = Run.resume(self.library.only, self.run.snapshot(), self.library)
+        self.run = Run.resume(self.library.plans["p"], self.run.snapshot(), self.library)
 
 
 class _Spiff:
@@ -206,7 +196,7 @@ def measure(
 
 
 def _start_ours(xml: bytes) -> Callable[[], Instance]:
-    library = _OneDefinition(xml)
+    library = Definitions(read_bpmn(xml).definitions)
     return lambda: _Ours(library)
 
 

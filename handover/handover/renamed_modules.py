@@ -107,6 +107,16 @@ MOVED: Final = {
     "handover_cell.commands": "handover.command_line.commands",
     "handover_cell.main": "handover.command_line.main",
     "handover_cell.services": "handover.services",
+    "handover_processes.execution": "handover_bpmn.execution",
+    "handover_processes.forms": "handover_bpmn.forms",
+    "handover_processes.forms.registry": "handover_processes.deployed_forms",
+    "handover_processes.languages": "handover_bpmn.languages",
+    "handover_processes.lookahead": "handover_bpmn.lookahead",
+    "handover_processes.model": "handover_bpmn.model",
+    "handover_processes.notation": "handover_bpmn.notation",
+    "handover_processes.timing.due_queue": "handover_bpmn.timing.due_queue",
+    "handover_processes.timing.spans": "handover_bpmn.spans",
+    "handover_processes.timing.timers": "handover_bpmn.timing.timers",
     "handover_robots.contents": "handover_robots.scene.contents",
     "handover_robots.cycles": "handover_robots.driver_base.control_thread",
     "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",
@@ -184,7 +194,7 @@ def find_spec(
     parent = name.rpartition(".")[0]
     if not _is_renamed(parent):
         other = _found_by_others(name, path, target)
-        if other is not None and not _is_checkout(other):
+        if other is not None and not _is_checkout(other) and not _is_left_behind(other, parent):
             return other
         if parent and not _may_have_ours(parent):
             return None
@@ -203,10 +213,22 @@ def _is_renamed(parent: str) -> bool:
     return module is not None and new is not None and module is sys.modules.get(new)
 
 
+def _is_ours(package: str) -> bool:
+    return package == "handover" or any(name.startswith(f"{package}.") for name in MOVED)
+
+
 def _may_have_ours(parent: str) -> bool:
     """Return whether our modules are beside those of the user: in our packages, and in namespace packages."""
-    is_ours = parent == "handover" or any(name.startswith(f"{parent}.") for name in MOVED)
-    return is_ours or getattr(sys.modules.get(parent), "__file__", None) is None
+    return _is_ours(parent) or _is_namespace(parent)
+
+
+def _is_namespace(package: str) -> bool:
+    return getattr(sys.modules.get(package), "__file__", None) is None
+
+
+def _is_left_behind(spec: ModuleSpec, parent: str) -> bool:
+    """Return whether a folder of one of our packages has nothing but what an earlier checkout compiled."""
+    return spec.loader is None and _is_ours(parent) and not _is_namespace(parent)
 
 
 def _is_checkout(spec: ModuleSpec) -> bool:

@@ -10,9 +10,9 @@ from typing import Any
 import orjson
 
 from handover.errors import HandoverError, UsageError
-from handover_processes.model import Activity, Definition, Node, Scope, Value
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.model import Activity, Definition, Node, Scope, Value
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import read_bpmn
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.dry_run import DryRun, Nearest
 from handover_robots.tasks.operations import OPERATIONS

@@ -105,6 +105,19 @@ def test_the_interface_of_drivers_is_complete_by_its_old_names(tmp_path: Path) -
     assert done.returncode == 0, done.stderr
 
 
+def test_a_folder_with_compiled_files_of_an_earlier_checkout_hides_nothing(tmp_path: Path) -> None:
+    (tmp_path / "earlier" / "notation" / "__pycache__").mkdir(parents=True)
+    done = run(
+        "import handover_processes\n"
+        "handover_processes.__path__.append('earlier')\n"
+        "from handover_processes.notation.file import read_bpmn\n"
+        "import handover_bpmn.notation.file\n"
+        "assert read_bpmn is handover_bpmn.notation.file.read_bpmn\n",
+        tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_an_old_module_runs_as_a_program(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "handover.cli", "--version"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=120)

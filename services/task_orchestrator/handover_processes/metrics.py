@@ -8,7 +8,8 @@ from prometheus_client import Counter, Gauge, Histogram
 
 from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import Step, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 
 OPEN = tuple(status for status in TaskStatus if status not in FINISHED)
 

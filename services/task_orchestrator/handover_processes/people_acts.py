@@ -15,12 +15,13 @@ from handover.errors import Problem
 from handover.messages import message, with_code
 from handover.tasks.outcomes import reason_of
 from handover.tasks.task_life import is_for_people, performers_of
+from handover_bpmn.forms import form
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
-from handover_processes.forms import form
-from handover_processes.forms.registry import FormRegistry
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 
 BY_TASKLIST: Final = "tasklist"
 
@@ -36,8 +37,8 @@ class Offer:
         """Return whether a person with these groups is among them."""
         if not self.persons and not self.groups:
             return True
-        known = {group.casefold() for group in groups}
-        return is_named(person, self.persons) or any(group.casefold() in known for group in self.groups)
+        names = {group.casefold() for group in groups}
+        return is_named(person, self.persons) or any(group.casefold() in names for group in self.groups)
 
 
 def is_named(person: str, names: Collection[str]) -> bool:
@@ -60,8 +61,8 @@ def offer_of(task: TaskRecord) -> Offer:
     performer = performer_of(task)
     if performer is not None:
         return Offer((performer,), ())
-    given = task.entity["workParameters"]["value"].get("candidates")
-    candidates: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    invited = task.entity["workParameters"]["value"].get("candidates")
+    candidates: Mapping[str, Any] = invited if isinstance(invited, Mapping) else {}
     others = Offer(tuple(candidates.get("users", ())), tuple(candidates.get("groups", ())))
     assignee = candidates.get("assignee")
     has_declined = (
@@ -82,13 +83,13 @@ def requires_pin(task: TaskRecord) -> bool:
 
 def form_of(task: TaskRecord, forms: FormRegistry) -> tuple[str | None, int | None, form.Schema | None]:
     """Return id, version and JSON of the form of a Task; a form written in the BPMN file has no id."""
-    given = task.entity["workParameters"]["value"].get("form")
-    if not isinstance(given, Mapping):
+    form_ = task.entity["workParameters"]["value"].get("form")
+    if not isinstance(form_, Mapping):
         return None, None, None
-    name = given.get("id")
-    if "components" in given or "properties" in given or not isinstance(name, str):
-        return None, None, given
-    record = forms.find(name, given.get("version"))
+    name = form_.get("id")
+    if "components" in form_ or "properties" in form_ or not isinstance(name, str):
+        return None, None, form_
+    record = forms.find(name, form_.get("version"))
     return name, None if record is None else record.version, None if record is None else forms.schema(record)
 
 
@@ -193,17 +194,17 @@ class PeopleActs:
         values = dict(outputs)
         if outcome is Outcome.OK:
             values = self._checked(outputs, forms)
-        given = {**values, "outcome": outcome.value, "operator": self._by, "by": BY_TASKLIST}
+        answer = {**values, "outcome": outcome.value, "operator": self._by, "by": BY_TASKLIST}
         if performed_by is not None:
-            given["performedBy"] = performed_by
+            answer["performedBy"] = performed_by
         if note:
-            given["note"] = note
+            answer["note"] = note
         status = TaskStatus.COMPLETED
         if outcome is not Outcome.OK and inputs.get("handlesOutcomes") is not True:
             status = TaskStatus.FAILED
-            given |= with_code("reason", reason_of(outcome, note or None))
+            answer |= with_code("reason", reason_of(outcome, note or None))
         self._record(TaskActKind.COMPLETE, note or None)
-        self._process.report(self._id, [status], given, self._step, self._now)
+        self._process.report(self._id, [status], answer, self._step, self._now)
 
     def _checked(self, outputs: Mapping[str, Any], forms: FormRegistry) -> dict[str, Any]:
         _, _, schema = form_of(self._task, forms)

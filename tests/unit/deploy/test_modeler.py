@@ -7,10 +7,10 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from handover_processes.model import Activity
-from handover_processes.notation.dialects import handover
-from handover_processes.notation.file import read_bpmn
-from handover_processes.timing.spans import evaluated_needs, read_needs
+from handover_bpmn.model import Activity
+from handover_bpmn.notation.dialects import handover_elements
+from handover_bpmn.notation.file import read_bpmn
+from handover_bpmn.spans import evaluated_needs, read_needs
 
 MODELER = Path("deploy/modeler")
 RESERVE = "handover.reserve"
@@ -28,7 +28,7 @@ def test_the_descriptor_has_every_element_and_attribute_that_the_reader_knows() 
     }
     [attribute] = [each for each in types if "extends" in each]
     assert [each["name"] for each in attribute["properties"]] == ["reserve"]
-    assert described == {name: set(attributes) for name, attributes in handover._ATTRIBUTES.items()}
+    assert described == {name: set(attributes) for name, attributes in handover_elements.ATTRIBUTES.items()}
 
 
 def activity_of(template: dict[str, Any]) -> Activity:

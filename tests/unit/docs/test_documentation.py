@@ -16,7 +16,7 @@ from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
 from handover.command_line.commands import commands_of as installed_commands
 from handover.command_line.main import app
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
 
 DOCUMENTS = sorted(

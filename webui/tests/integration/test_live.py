@@ -16,7 +16,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
-from handover_processes.documents import responses
+from handover_processes.documents.definitions import DefinitionView
+from handover_processes.documents.processes import ProcessView
 from handover_web.live.live_socket import LiveSocket
 from handover_web.live.live_state import LiveState
 from handover_web.live.viewers import Viewers
@@ -71,10 +72,13 @@ def broker(cell: Any) -> Iterator[Broker]:
         yield Broker(http)
 
 
+OF_ORCHESTRATOR = {"DefinitionView": DefinitionView, "ProcessView": ProcessView}
+
+
 def check_type(topic: str, value: Any) -> None:
     """Check the value of a topic against its type."""
     schema = ORCHESTRATOR_TOPICS.get(topic.partition("/")[0] + "/")
-    type_ = type_of_topic(topic) if schema is None else getattr(responses, schema)
+    type_ = type_of_topic(topic) if schema is None else OF_ORCHESTRATOR[schema]
     TypeAdapter(type_).validate_json(orjson.dumps(value), strict=True)
 
 

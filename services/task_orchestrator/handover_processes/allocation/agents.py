@@ -73,7 +73,7 @@ class Position:
         if not self.is_geographic:
             return math.dist(_three(self.coordinates), _three(other.coordinates))
         (lon, lat), (lon_2, lat_2) = (
-            [math.radians(x) for x in each.coordinates[:2]] for each in (self, other)
+            [math.radians(x) for x in place.coordinates[:2]] for place in (self, other)
         )
         haversine = (
             math.sin((lat_2 - lat) / 2) ** 2
@@ -136,41 +136,45 @@ def read_agents(entities: Iterable[Entity]) -> Agents:
 
 def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
     targets = _linked(entity.get("isSpecifiedBy"))
-    known = [entity, *(specifications[target] for target in targets if target in specifications)]
+    entities = [entity, *(specifications[target] for target in targets if target in specifications)]
 
     def value(name: str) -> Any:
-        return next((found for each in known if (found := _value(each, name)) is not None), None)
+        return next(
+            (attribute for source in entities if (attribute := _value(source, name)) is not None), None
+        )
 
     states = (_value(entity, name) for name in ("deviceState", "connection", "state"))
     performer = _value(entity, "performer")
-    given = value("capacity")
-    is_given = isinstance(given, int) and given >= 0
+    maximum = value("capacity")
+    is_given = isinstance(maximum, int) and maximum >= 0
     is_person = entity.get("type") == "Person"
     is_station = str(value("resourceType")).lower() in STATIONS
-    capacity = given if is_given else UNLIMITED if is_station else 1
+    capacity = maximum if is_given else UNLIMITED if is_station else 1
     return Agent(
         id=str(entity.get("id")),
         is_person=is_person,
-        skills=dict(_skill(each) for each in _listed(value("skills")) if skill_name(each)),
+        skills=dict(_skill(skill) for skill in _listed(value("skills")) if skill_name(skill)),
         roles=frozenset(str(role) for role in _listed(value("roles"))),
         capacity=capacity,
         limit=UNLIMITED if is_person and not is_given else capacity,
         position=position_of(entity),
-        shifts=tuple(shift for each in _listed(value("shifts")) if (shift := read_shift(each)) is not None),
+        shifts=tuple(
+            shift for shift_ in _listed(value("shifts")) if (shift := read_shift(shift_)) is not None
+        ),
         unavailable=next((s for s in states if isinstance(s, str) and s in UNAVAILABLE), None),
         performer=performer if isinstance(performer, str) else None,
     )
 
 
-def _linked(given: Any) -> Iterator[str]:
+def _linked(links: Any) -> Iterator[str]:
     """Yield the targets of a Relationship, a list of them, or a Property whose value is such a list."""
-    if isinstance(given, list):
-        for each in given:
-            yield from _linked(each)
-    elif isinstance(given, str):
-        yield given
-    elif isinstance(given, Mapping):
-        yield from _linked(given.get("object", given.get("value")))
+    if isinstance(links, list):
+        for link in links:
+            yield from _linked(link)
+    elif isinstance(links, str):
+        yield links
+    elif isinstance(links, Mapping):
+        yield from _linked(links.get("object", links.get("value")))
 
 
 def _value(entity: Entity, name: str) -> Any:
@@ -184,30 +188,30 @@ def _listed(value: Any) -> list[Any]:
     return list(value) if isinstance(value, list) else [value]
 
 
-def skill_name(given: Any) -> str | None:
+def skill_name(skill: Any) -> str | None:
     """Return the name of a skill, which is a name or an object with one; None if it has none."""
-    name = given.get("name") if isinstance(given, Mapping) else given
+    name = skill.get("name") if isinstance(skill, Mapping) else skill
     return name if isinstance(name, str) and name else None
 
 
-def _skill(given: Any) -> tuple[str, Skill]:
-    name = str(skill_name(given))
-    if not isinstance(given, Mapping):
+def _skill(skill: Any) -> tuple[str, Skill]:
+    name = str(skill_name(skill))
+    if not isinstance(skill, Mapping):
         return name, Skill()
-    numbers = {each: given.get(each) for each in ("level", "cost", "speed")}
+    numbers = {key: skill.get(key) for key in ("level", "cost", "speed")}
     return name, Skill(
-        **{each: float(n) for each, n in numbers.items() if isinstance(n, int | float) and math.isfinite(n)}
+        **{key: float(n) for key, n in numbers.items() if isinstance(n, int | float) and math.isfinite(n)}
     )
 
 
-def read_shift(given: Any) -> Shift | None:
+def read_shift(shift: Any) -> Shift | None:
     """Return a shift; None if it cannot be read."""
-    if not isinstance(given, Mapping):
+    if not isinstance(shift, Mapping):
         return None
     try:
-        weekday = int(given["weekday"])
-        begins, ends = time.fromisoformat(given["from"]), time.fromisoformat(given["to"])
-        zone = ZoneInfo(given.get("zone", "UTC"))
+        weekday = int(shift["weekday"])
+        begins, ends = time.fromisoformat(shift["from"]), time.fromisoformat(shift["to"])
+        zone = ZoneInfo(shift.get("zone", "UTC"))
     except (KeyError, ValueError, TypeError, OSError):
         return None
     if begins.tzinfo is not None or ends.tzinfo is not None:

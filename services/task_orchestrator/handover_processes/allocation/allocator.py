@@ -15,8 +15,11 @@ from operator import itemgetter
 from typing import TypeAlias
 
 from handover.messages import Message, message
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, Value
+from handover_bpmn.spans import Need
 from handover_processes.allocation.agents import UNLIMITED, Agent
-from handover_processes.allocation.assignment import Assignment, AssignmentRules, named_request
+from handover_processes.allocation.assignment import AssignmentRules, PerformerAssignment, named_request
 from handover_processes.allocation.choice import (
     DEFAULT_PRIORITY,
     ChooseByRules,
@@ -41,12 +44,9 @@ from handover_processes.allocation.reservations import (
     held_by,
     wanted_by,
 )
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, Value
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.timing.spans import Need
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +78,12 @@ class AskedReservation:
     @property
     def order(self) -> Order:
         """Return the order in which it is served: by the highest priority of its activities."""
-        given: list[int] = []
-        for each in self.activities:
+        rights: list[int] = []
+        for activity in self.activities:
             with suppress(ExpressionError):  # a variable that an earlier activity of the span sets
-                priority = given_priority(each, self.variables)
-                given += [] if priority is None else [priority]
-        priority = max(given, default=DEFAULT_PRIORITY)
+                priority = given_priority(activity, self.variables)
+                rights += [] if priority is None else [priority]
+        priority = max(rights, default=DEFAULT_PRIORITY)
         return order_of(priority, None, self.since, self.holder)
 
 
@@ -161,9 +161,13 @@ class Allocator:
         What those before have got is no longer offered: many may wait for one robot.
         """
         waiting: list[tuple[Order, str, Request | Wanted]] = [
-            (each.order, each.key[0], each.request) for each in self._waiting.values()
+            (waiting_activity.order, waiting_activity.key[0], waiting_activity.request)
+            for waiting_activity in self._waiting.values()
         ]
-        waiting += [(each.order, each.holder[0], each.wanted) for each in self.reservations.waiting.values()]
+        waiting += [
+            (reservation.order, reservation.holder[0], reservation.wanted)
+            for reservation in self.reservations.waiting.values()
+        ]
         tried: set[str] = set()
         for _, process, needed in sorted(waiting, key=itemgetter(0)):
             if process not in tried and self._may_be_served(needed):
@@ -178,7 +182,7 @@ class Allocator:
             return False
         agents = self.rules.agents.by_id.values()
         return all(
-            any(slot.suits(each) and self._is_idle(each.id) for each in agents) for slot in needed.slots
+            any(slot.suits(agent) and self._is_idle(agent.id) for agent in agents) for slot in needed.slots
         )
 
     def _is_idle(self, agent: str) -> bool:
@@ -197,16 +201,16 @@ class Allocator:
 
     def reserve(self, asked: AskedReservation, now: datetime) -> Hold | Message:
         """Reserve what spans need; else wait, and return the reason."""
-        found = self._decide(asked, now)
-        if isinstance(found, Hold):
-            self.reservations.hold(found)
-            return found
-        return found.reason
+        decision = self._decide(asked, now)
+        if isinstance(decision, Hold):
+            self.reservations.hold(decision)
+            return decision
+        return decision.reason
 
     def why_not_reserved(self, asked: AskedReservation, now: datetime) -> Message | None:
         """Return why a reservation has to wait; None if `reserve` would succeed."""
-        found = self._decide(asked, now)
-        return None if isinstance(found, Hold) else found.reason
+        decision = self._decide(asked, now)
+        return None if isinstance(decision, Hold) else decision.reason
 
     def await_reservation(self, asked: AskedReservation, reason: str) -> None:
         """Let a reservation wait that has waited before a restart."""
@@ -219,9 +223,9 @@ class Allocator:
         """Return what is reserved for spans that share a reservation; None if they need more than it has."""
         hold = self.reservations.held[holder]
         spans: dict[str, tuple[str, ...]] = {}
-        for span, each in needs.items():
+        for span, span_needs in needs.items():
             agents: list[str] = []
-            for need in each:
+            for need in span_needs:
                 wanted = self._claim(need)
                 agent = next(
                     (a for a in sorted(hold.reserved) if a not in agents and self._meets(wanted, a)), None
@@ -242,12 +246,12 @@ class Allocator:
     def _decide(self, asked: AskedReservation, now: datetime) -> Hold | Refused:
         wanted = self._wanted(asked)
         situation = Situation(self.rules.agents.by_id, now, self.tasks_of, self._waits_before, self._rank)
-        found = self.reservations.decide(asked.holder, wanted, asked.order, situation)
-        if isinstance(found, Refused):
+        decision = self.reservations.decide(asked.holder, wanted, asked.order, situation)
+        if isinstance(decision, Refused):
             self.reservations.waiting[asked.holder] = WaitingReservation(
-                asked.holder, wanted, asked.order, found.reason, found.claimed
+                asked.holder, wanted, asked.order, decision.reason, decision.claimed
             )
-        return found
+        return decision
 
     def _rank(self, request: Request, agent: Agent) -> tuple[float | str, ...]:
         return rank(request, agent, self._load(agent.id))
@@ -273,10 +277,12 @@ class Allocator:
         return joined(held) if held else waiting.reason
 
     def _wanted(self, asked: AskedReservation) -> Wanted:
-        claims = {span: [self._claim(need) for need in each] for span, each in asked.needs.items()}
-        named = {each: span for span, them in claims.items() for each in them if isinstance(each, str)}
+        claims = {
+            span: [self._claim(need) for need in span_needs] for span, span_needs in asked.needs.items()
+        }
+        named = {claim: span for span, them in claims.items() for claim in them if isinstance(claim, str)}
         spans = {
-            span: [self._shared_name(each, span, named) or each for each in them]
+            span: [self._shared_name(claim, span, named) or claim for claim in them]
             for span, them in claims.items()
         }
         used: set[str] = set()
@@ -305,15 +311,17 @@ class Allocator:
 
     def _limit(self, agent: str) -> int:
         """Return how many Tasks that name an agent it gets at a time; one that is unknown gets all."""
-        known = self.rules.agents.by_id.get(agent)
-        return UNLIMITED if known is None else known.limit
+        known_agent = self.rules.agents.by_id.get(agent)
+        return UNLIMITED if known_agent is None else known_agent.limit
 
     def _waits_before(self, agent: str, order: Order) -> bool:
         """Return whether an activity waits for an agent before `order`, or within a reservation."""
-        known = self.rules.agents.by_id.get(agent)
-        for each in self._waiting.values():
-            is_before = bool(each.within) or each.order < order
-            if is_before and (each.request.resource == agent or (known and each.request.suits(known))):
+        known_agent = self.rules.agents.by_id.get(agent)
+        for candidate in self._waiting.values():
+            is_before = bool(candidate.within) or candidate.order < order
+            if is_before and (
+                candidate.request.resource == agent or (known_agent and candidate.request.suits(known_agent))
+            ):
                 return True
         return False
 
@@ -321,12 +329,12 @@ class Allocator:
 
     def choose(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         key: tuple[str, str],
         since: datetime,
         now: datetime,
         within: Within = OUTSIDE,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         """Return the assignment to an agent, or why the activity waits; `key` are process and token."""
         agent = self._reserved_for(assignment, within)
         if agent is not None:
@@ -344,7 +352,7 @@ class Allocator:
         mine = WaitingRequest(assignment.request, since, key, within.holders)
         return self._choose_agent(assignment, mine, now)
 
-    def _reserved_for(self, assignment: Assignment, within: Within) -> str | None:
+    def _reserved_for(self, assignment: PerformerAssignment, within: Within) -> str | None:
         """Return the reserved agent that performs an activity, by preference that of the innermost span."""
         held = self.reservations.held
         holds = [held[holder] for holder in within.holders if holder in held]
@@ -357,16 +365,16 @@ class Allocator:
             return None
         agents += [agent for hold in holds for them in hold.spans.values() for agent in them]
         suiting = replace(request, declined=frozenset())
-        return next((each for each in agents if self._suits(suiting, each)), None)
+        return next((agent for agent in agents if self._suits(suiting, agent)), None)
 
     def _choose_named(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         performers: Sequence[str],
         key: tuple[str, str],
         since: datetime,
         within: Within,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         """Let named agents perform an activity if nobody else holds them and the first has capacity."""
         mine = WaitingRequest(named_request(assignment, performers[0]), since, key, within.holders)
         for agent in performers:
@@ -378,8 +386,8 @@ class Allocator:
         if free <= 0:
             busy = message("allocation.busy", "{agent} is busy", agent=name_of(first))
             return NoPerformer(busy, mine.request)
-        known = self.rules.agents.by_id.get(first)
-        if known is not None and free < UNLIMITED and len(self._before(mine, known)) >= free:
+        named = self.rules.agents.by_id.get(first)
+        if named is not None and free < UNLIMITED and len(self._before(mine, named)) >= free:
             why = message("allocation.others_first", "others wait for {agent} before", agent=name_of(first))
             return NoPerformer(why, mine.request)
         return assignment
@@ -401,14 +409,14 @@ class Allocator:
 
     def _waits_within(self) -> dict[Holder, set[str]]:
         """Return the agents for which activities within each reservation wait."""
-        found: dict[Holder, set[str]] = {}
-        for each in self._waiting.values():
-            for holder in each.within:
-                agents = {agent for agent in self.rules.agents.by_id if self._suits(each.request, agent)}
-                if each.request.resource is not None:
-                    agents.add(each.request.resource)
-                found.setdefault(holder, set()).update(agents)
-        return found
+        claimed: dict[Holder, set[str]] = {}
+        for candidate in self._waiting.values():
+            for holder in candidate.within:
+                agents = {agent for agent in self.rules.agents.by_id if self._suits(candidate.request, agent)}
+                if candidate.request.resource is not None:
+                    agents.add(candidate.request.resource)
+                claimed.setdefault(holder, set()).update(agents)
+        return claimed
 
     def _reserved_by_others(self, agent: str, mine: WaitingRequest) -> Message | None:
         """Return why an agent is reserved, or about to be, so that an activity cannot have it."""
@@ -423,20 +431,20 @@ class Allocator:
         """Return the activities that get an agent before another one."""
         hold = self.reservations.holding(agent.id)
         return [
-            each
-            for each in self._waiting.values()
-            if each.key != mine.key
-            and each.precedence < mine.precedence
-            and (hold is None or hold.holder in each.within)
-            and each.request.suits(agent)
+            candidate
+            for candidate in self._waiting.values()
+            if candidate.key != mine.key
+            and candidate.precedence < mine.precedence
+            and (hold is None or hold.holder in candidate.within)
+            and candidate.request.suits(agent)
         ]
 
     def _choose_agent(
         self,
-        assignment: Assignment,
+        assignment: PerformerAssignment,
         mine: WaitingRequest,
         now: datetime,
-    ) -> Assignment | NoPerformer:
+    ) -> PerformerAssignment | NoPerformer:
         request = mine.request
         agents = list(self.rules.agents.by_id.values())
         loads = {agent: list(tasks) for agent, tasks in self._loads.items()}

@@ -11,6 +11,9 @@ from typing import Any
 
 from handover.messages import Message, message
 from handover.tasks.task_life import performers_of
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, Value
+from handover_bpmn.references import is_reference
 from handover_processes.allocation.agents import Agents, Position
 from handover_processes.allocation.choice import DEFAULT_PRIORITY, Request
 from handover_processes.allocation.hints import (
@@ -23,14 +26,12 @@ from handover_processes.allocation.hints import (
 )
 from handover_processes.allocation.mapping import MappingEntry, MappingTable, NameKind
 from handover_processes.allocation.task_kinds import TaskKind
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, Value
-from handover_processes.references import is_reference, resource_id
+from handover_processes.references import resource_id
 from handover_processes.settings import OrchestratorSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class PerformerAssignment:
     """Who gets an activity: `activity` is changed as the mapping says."""
 
     activity: Activity
@@ -72,7 +73,7 @@ class AssignmentRules:
 
     def request(
         self, activity: Activity, variables: Variables, declined: frozenset[str] = frozenset()
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         """Return who gets an activity, with everything that the choice of an agent depends on.
 
         Raises `ExpressionError` if a variable is missing that says who performs it.
@@ -94,19 +95,25 @@ class AssignmentRules:
 
     def named(self, activity: Activity, variables: Variables) -> list[str]:
         """Return the URNs of those that an activity names as performers."""
-        given = [each.value(variables) for each in activity.involves]
-        return performers_of(resource_id(self._settings, str(each)) for each in given if is_reference(each))
+        references = [resource.value(variables) for resource in activity.involves]
+        return performers_of(
+            resource_id(self._settings, str(reference)) for reference in references if is_reference(reference)
+        )
 
     def assign(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str] = frozenset()
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         """Return who gets an activity with the present `variables`; None: before it runs.
 
         An assignee who has `declined` it gets it no more if users or groups are named beside the assignee.
         """
-        found = self._assign(activity, variables, declined)
-        kind = self._kind(found.activity)
-        return found if kind is None else replace(found, activity=kind.completed(found.activity), kind=kind)
+        assignment = self._assign(activity, variables, declined)
+        kind = self._kind(assignment.activity)
+        return (
+            assignment
+            if kind is None
+            else replace(assignment, activity=kind.completed(assignment.activity), kind=kind)
+        )
 
     def _kind(self, activity: Activity) -> TaskKind | None:
         if not self.task_kinds:
@@ -115,15 +122,15 @@ class AssignmentRules:
 
     def _assign(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str]
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         if activity.involves:
             named = ", ".join(_described(value) for value in activity.involves)
             reason = message("allocation.by_file", "named in the process file: {resource}", resource=named)
-            return Assignment(activity, reason, named)
+            return PerformerAssignment(activity, reason, named)
         if activity.role is not None or activity.skills:
             request = Request(activity.role, activity.skills)
             reason = message("allocation.needs", "the file asks for {needed}", needed=request.described)
-            return Assignment(
+            return PerformerAssignment(
                 activity,
                 reason,
                 request.described,
@@ -135,17 +142,17 @@ class AssignmentRules:
 
     def _by_mapping(
         self, activity: Activity, variables: Variables | None, declined: frozenset[str]
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         entry = self.mapping.find(names_of(activity, variables))
         others = self._others(entry, activity, variables)
         if others and entry is not None and self._have_all_declined(entry, declined):
             names = names_of(activity, variables)
-            entry = self.mapping.find(each for each in names if each[0] is not NameKind.ASSIGNEE)
+            entry = self.mapping.find(name for name in names if name[0] is not NameKind.ASSIGNEE)
             if entry is None:
                 reason = message(
                     "allocation.assignee_declined", "people, because the assignee has declined it"
                 )
-                return Assignment(activity, reason, candidates=others)
+                return PerformerAssignment(activity, reason, candidates=others)
             others = None
         if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
             request = Request(skills=kind.skills)
@@ -155,12 +162,12 @@ class AssignmentRules:
                 definition=kind.id,
                 needed=request.described,
             )
-            return Assignment(
+            return PerformerAssignment(
                 activity, reason, request.described, request=request, warning=self.nobody_has(request)
             )
         if entry is None:
             reason = message("allocation.no_entry", "people, because the mapping has no entry for it")
-            return Assignment(activity, reason, candidates=candidates_of(activity, variables))
+            return PerformerAssignment(activity, reason, candidates=candidates_of(activity, variables))
         if not self._is_allowed(entry):
             warning = message(
                 "allocation.unconfirmed",
@@ -169,7 +176,7 @@ class AssignmentRules:
                 name=entry.name,
                 performer=performer_of(entry),
             )
-            return Assignment(
+            return PerformerAssignment(
                 activity, warning, candidates=candidates_of(activity, variables), warning=warning
             )
         return self._by_entry(activity, entry, others)
@@ -199,7 +206,7 @@ class AssignmentRules:
 
     def _by_entry(
         self, activity: Activity, entry: MappingEntry, others: Mapping[str, Any] | None
-    ) -> Assignment:
+    ) -> PerformerAssignment:
         changed = replace(
             activity,
             definition=entry.definition or activity.definition,
@@ -213,7 +220,7 @@ class AssignmentRules:
         candidates = others if request is None else None
         if entry.role is not None:
             candidates = {"groups": [entry.role]}
-        return Assignment(
+        return PerformerAssignment(
             changed,
             message(
                 "allocation.by_entry",
@@ -246,13 +253,13 @@ class AssignmentRules:
         for place in activity.happens_at:
             reference = place.location.value(variables)
             if is_reference(reference):
-                found = self.agents.places.get(resource_id(self._settings, str(reference)))
-                if found is not None:
-                    return found
+                position = self.agents.places.get(resource_id(self._settings, str(reference)))
+                if position is not None:
+                    return position
         return None
 
 
-def named_request(assignment: Assignment, agent: str) -> Request:
+def named_request(assignment: PerformerAssignment, agent: str) -> Request:
     """Return the request of an activity that names its performer."""
     return Request(priority=assignment.priority, due=assignment.due, resource=agent)
 

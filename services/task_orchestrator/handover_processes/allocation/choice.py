@@ -185,7 +185,7 @@ def _distance_m(request: Request, agent: Agent) -> float | None:
 
 def _qualities(request: Request, agent: Agent, load: int) -> Message:
     if load:
-        found = message(
+        reason = message(
             "allocation.loaded",
             "{agent}: {load} of {capacity} Tasks",
             agent=agent.name,
@@ -193,21 +193,21 @@ def _qualities(request: Request, agent: Agent, load: int) -> Message:
             capacity=agent.capacity,
         )
     else:
-        found = message("allocation.idle", "{agent}: idle", agent=agent.name)
+        reason = message("allocation.idle", "{agent}: idle", agent=agent.name)
     if request.skills:
         level = min(agent.skills[name].level for name in request.skills)
-        found = message("allocation.with_skill", "{agent}, skill {level}", agent=found, level=f"{level:g}")
+        reason = message("allocation.with_skill", "{agent}, skill {level}", agent=reason, level=f"{level:g}")
     distance = _distance_m(request, agent)
     if distance is not None:
-        found = message(
-            "allocation.at", "{agent}, {distance} m away", agent=found, distance=f"{distance:.3g}"
+        reason = message(
+            "allocation.at", "{agent}, {distance} m away", agent=reason, distance=f"{distance:.3g}"
         )
-    return found
+    return reason
 
 
 def _nobody(request: Request, *, are_known: bool) -> Choice:
     if request.declined:
-        names = ", ".join(sorted(name_of(each) for each in request.declined))
+        names = ", ".join(sorted(name_of(agent) for agent in request.declined))
         return Choice(
             None,
             message(

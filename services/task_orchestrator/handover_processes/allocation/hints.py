@@ -8,14 +8,14 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.languages.feel import read_feel
+from handover_bpmn.languages.juel import read_template
+from handover_bpmn.languages.times import read_datetime, read_duration, read_now, shift
+from handover_bpmn.model import Activity
 from handover_datamodels.numbers import MAX_INTEGER, MIN_INTEGER
 from handover_processes.allocation.choice import DEFAULT_PRIORITY
 from handover_processes.allocation.mapping import NameKind
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.languages.feel import read_feel
-from handover_processes.languages.juel import read_template
-from handover_processes.languages.times import read_datetime, read_duration, read_now, shift
-from handover_processes.model import Activity
 
 HINT_KINDS: Mapping[NameKind, tuple[str, ...]] = {
     NameKind.CLASS: ("class", "delegateExpression", "expression", "connector"),
@@ -46,12 +46,12 @@ def hint_values(activity: Activity, name: str, variables: Variables | None) -> l
         except ExpressionError as error:
             raise ExpressionError(f"{name}: {error}") from None
     if isinstance(value, list):
-        return [str(each).strip() for each in value if each is not None]
+        return [str(person).strip() for person in value if person is not None]
     if value is text and (text.startswith("=") or "${" in text or "#{" in text):
         return [text]
     is_list = name in {"candidateGroups", "candidateUsers"}
     names = str(value).split(",") if is_list else [str(value)]
-    return [each.strip() for each in names if each.strip() and value is not None]
+    return [part.strip() for part in names if part.strip() and value is not None]
 
 
 def given_priority(activity: Activity, variables: Variables) -> int | None:
@@ -65,8 +65,8 @@ def given_priority(activity: Activity, variables: Variables) -> int | None:
 
 def priority_of(activity: Activity, variables: Variables) -> int:
     """Return the priority of an activity."""
-    given = given_priority(activity, variables)
-    return DEFAULT_PRIORITY if given is None else given
+    priority = given_priority(activity, variables)
+    return DEFAULT_PRIORITY if priority is None else priority
 
 
 def due_of(activity: Activity, variables: Variables, name: str = "dueDate") -> datetime | None:
@@ -92,10 +92,10 @@ def follow_up_of(activity: Activity, variables: Variables) -> datetime | None:
 
 def candidates_of(activity: Activity, variables: Variables | None) -> dict[str, Any]:
     """Return the groups and persons that a Task of people is offered to."""
-    found: dict[str, Any] = {
+    candidates: dict[str, Any] = {
         "groups": hint_values(activity, "candidateGroups", variables),
         "users": hint_values(activity, "candidateUsers", variables),
         "assignee": next(iter(hint_values(activity, "assignee", variables)), None),
         "lane": activity.lane,
     }
-    return {name: value for name, value in found.items() if value}
+    return {name: value for name, value in candidates.items() if value}

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from handover.errors import UsageError
 from handover.formats.strict_json import StrictModel
 from handover.formats.validation import fault_lines
-from handover_processes.references import is_reference
+from handover_bpmn.references import is_reference
 
 MAX_ENTRIES = 10_000
 
@@ -58,8 +58,10 @@ class MappingEntry(StrictModel):
 
     @model_validator(mode="after")
     def _has_one_performer(self) -> "MappingEntry":
-        given = [each for each in (self.resource, self.role, self.skills) if each is not None]
-        if len(given) != 1:
+        performers = [
+            performer for performer in (self.resource, self.role, self.skills) if performer is not None
+        ]
+        if len(performers) != 1:
             raise ValueError(f'the entry for {self.kind} "{self.name}" has one of resource, role and skills')
         if self.resource is not None and not is_reference(self.resource):
             raise ValueError(f'"{self.resource}" names no entity; write Type:id such as Device:ur10-1')
@@ -115,7 +117,7 @@ class MappingTable:
 
     def find(self, names: Iterable[tuple[NameKind, str]]) -> MappingEntry | None:
         """Return the entry of the first of `names` that has one."""
-        return next((self._index[each] for each in names if each in self._index), None)
+        return next((self._index[name] for name in names if name in self._index), None)
 
     @cached_property
     def _index(self) -> Mapping[tuple[NameKind, str], MappingEntry]:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from handover.messages import Message, message, with_code
-from handover_processes.allocation.assignment import Assignment, AssignmentRules, names_of
+from handover_bpmn.model import Activity, Definition, Kind
+from handover_processes.allocation.assignment import AssignmentRules, PerformerAssignment, names_of
 from handover_processes.allocation.choice import Request
 from handover_processes.allocation.mapping import MappingEntry, NameKind
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.model import Activity, Definition, Kind
+from handover_processes.deployed_forms import FormRegistry
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ def allocation_report(
     rules: AssignmentRules, forms: FormRegistry, definition: Definition
 ) -> list[dict[str, Any]]:
     """Return for each activity of a definition who gets it and why, as JSON."""
-    found = []
+    allocations = []
     machines = {node.id for node in definition.nodes() if node.kind is Kind.SERVICE_TASK}
     for element, activity in definition.activities().items():
         assignment = rules.assign(activity, None)
@@ -49,11 +49,11 @@ def allocation_report(
             )
         if warning is not None:
             view |= with_code("warning", warning)
-        found.append(view)
-    return found
+        allocations.append(view)
+    return allocations
 
 
-def is_performed(assignment: Assignment) -> bool:
+def is_performed(assignment: PerformerAssignment) -> bool:
     """Return whether a device or person is named, or can be chosen."""
     return bool(assignment.performer or assignment.request or assignment.candidates)
 
@@ -64,7 +64,7 @@ def mapped_names(rules: AssignmentRules, definitions: Iterable[Definition]) -> l
     Activities whose performer the file names have none. The name of the TaskDefinition is listed only if
     it has an entry, or if the activity has no other name.
     """
-    found: dict[tuple[NameKind, str], list[tuple[str, str, str]]] = {}
+    elements: dict[tuple[NameKind, str], list[tuple[str, str, str]]] = {}
     for definition in definitions:
         for element, activity in definition.activities().items():
             if activity.involves or activity.role is not None or activity.skills:
@@ -74,8 +74,8 @@ def mapped_names(rules: AssignmentRules, definitions: Iterable[Definition]) -> l
             for name in names:
                 if name in others or not others or rules.mapping.find([name]) is not None:
                     place = definition.name, element, activity.name
-                    found.setdefault(name, []).append(place)
-    return [UsedName(*name, rules.mapping.find([name]), tuple(places)) for name, places in found.items()]
+                    elements.setdefault(name, []).append(place)
+    return [UsedName(*name, rules.mapping.find([name]), tuple(places)) for name, places in elements.items()]
 
 
 def nobody_has(rules: AssignmentRules, entry: MappingEntry) -> Message | None:

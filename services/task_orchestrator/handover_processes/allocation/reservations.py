@@ -37,7 +37,7 @@ class Wanted:
     @property
     def named(self) -> frozenset[str]:
         """Return the agents that are reserved by their URN."""
-        return frozenset(each for span in self.spans.values() for each in span if isinstance(each, str))
+        return frozenset(slot for span in self.spans.values() for slot in span if isinstance(slot, str))
 
 
 def wanted_by(
@@ -48,18 +48,18 @@ def wanted_by(
     Different needs of one span are different agents. A span within another one shares those of the outer.
     """
     slots: list[Request] = []
-    found: dict[str, list[str | int]] = {}
+    taken: dict[str, list[str | int]] = {}
     for span, needs in spans.items():
         mine: list[str | int] = []
         for need in needs:
             mine.append(need if isinstance(need, str) else _slot(need, slots, mine))
-        found[span] = mine
-    reserved = {need for needs in found.values() for need in needs if isinstance(need, str)}
+        taken[span] = mine
+    reserved = {need for needs in taken.values() for need in needs if isinstance(need, str)}
     return Wanted(
-        {span: tuple(dict.fromkeys(needs)) for span, needs in found.items()},
+        {span: tuple(dict.fromkeys(needs)) for span, needs in taken.items()},
         tuple(slots),
         frozenset(used) - reserved,
-        tuple(each for each in dict.fromkeys(used_slots)),
+        tuple(slot for slot in dict.fromkeys(used_slots)),
     )
 
 
@@ -76,9 +76,9 @@ def _slot(need: Request, slots: list[Request], taken: list[str | int]) -> int:
     return len(slots) - 1
 
 
-def _implies(one: Request, other: Request) -> bool:
+def _implies(request: Request, other: Request) -> bool:
     """Return whether every agent that suits `one` suits `other`."""
-    return other.role in {None, one.role} and set(other.skills) <= set(one.skills)
+    return other.role in {None, request.role} and set(other.skills) <= set(request.skills)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class Hold:
     @property
     def reserved(self) -> frozenset[str]:
         """Return the reserved agents of all spans."""
-        return frozenset(each for agents in self.spans.values() for each in agents)
+        return frozenset(agent for agents in self.spans.values() for agent in agents)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class Reservations:
 
     def claims(self, agent: str, order: Order) -> bool:
         """Return whether a waiting reservation that comes before `order` keeps its place at an agent."""
-        return any(agent in each.claimed and each.order < order for each in self.waiting.values())
+        return any(agent in wanted.claimed and wanted.order < order for wanted in self.waiting.values())
 
     def leads_to(self, start: Holder, targets: Iterable[Holder], waits: Mapping[Holder, set[str]]) -> bool:
         """Return whether `start` waits for one of `targets`, directly or by others.
@@ -185,7 +185,7 @@ class Reservations:
             if holder in seen:
                 continue
             seen.add(holder)
-            stack += [self._by_agent[each] for each in waits.get(holder, ()) if each in self._by_agent]
+            stack += [self._by_agent[agent] for agent in waits.get(holder, ()) if agent in self._by_agent]
         return False
 
     # Decisions
@@ -202,28 +202,28 @@ class Reservations:
             return why
 
         blocked = [why for agent in sorted(wanted.named) if (why := obstacle(agent)) is not None]
-        found = self._match(wanted, situation, obstacle)
-        if found is None:
+        matches = self._match(wanted, situation, obstacle)
+        if matches is None:
             suitable = [a for slot in wanted.slots for a in _suitable(slot, situation)]
             blocked += [obstacles[a.id] for a in suitable if a.id in obstacles]
             blocked = blocked or [_unattainable(wanted, situation)]
-        used, whys = self._used(wanted, holder, order, situation, found or ())
+        used, whys = self._used(wanted, holder, order, situation, matches or ())
         blocked += whys
-        if blocked or found is None:
+        if blocked or matches is None:
             claimed = frozenset() if attainable is None else wanted.named | {*attainable}
             return Refused(joined(list(dict.fromkeys(blocked))), claimed)
         spans = {
-            span: tuple(each if isinstance(each, str) else found[each] for each in needs)
+            span: tuple(need if isinstance(need, str) else matches[need] for need in needs)
             for span, needs in wanted.spans.items()
         }
-        reserved = frozenset(each for agents in spans.values() for each in agents)
+        reserved = frozenset(agent for agents in spans.values() for agent in agents)
         names = ", ".join(name_of(agent) for agent in sorted(reserved))
         reason = message("reservation.acquired", "{agents} reserved", agents=names)
         return Hold(holder, spans, used - reserved, situation.now, reason)
 
     def _obstacle(self, agent: str, holder: Holder, order: Order, situation: Situation) -> Message | None:
         """Return why an agent cannot be reserved now."""
-        others = [each for each in self._users.get(agent, ()) if each != holder]
+        others = [user for user in self._users.get(agent, ()) if user != holder]
         hold = self.holding(agent)
         if hold is None and others:
             hold = self.held[others[0]]
@@ -243,8 +243,9 @@ class Reservations:
 
     def _waits_before(self, agent: str, order: Order) -> bool:
         return any(
-            each.order < order and (agent in each.claimed or (each.claimed and agent in each.wanted.used))
-            for each in self.waiting.values()
+            wanted_.order < order
+            and (agent in wanted_.claimed or (wanted_.claimed and agent in wanted_.wanted.used))
+            for wanted_ in self.waiting.values()
         )
 
     def _used(

@@ -13,9 +13,9 @@ from jsonschema.exceptions import SchemaError
 from referencing.exceptions import Unresolvable
 
 from handover.messages import message
+from handover_bpmn.forms.json_schema import violations
+from handover_bpmn.model import Activity, Value
 from handover_datamodels.entities import TaskDefinition
-from handover_processes.forms.json_schema import violations
-from handover_processes.model import Activity, Value
 
 OF_THE_PERSON = frozenset(
     {"description", "gesture", "commandId", "handlesOutcomes", "requirePin", "candidates", "form"}
@@ -93,6 +93,6 @@ class TaskKind:
                     "process.bad_work_parameters",
                     "the work parameters do not match {definition}: {faults}",
                     definition=self.id,
-                    faults="; ".join(f"{each.path or '-'}: {each.reason}" for each in faults),
+                    faults="; ".join(f"{fault.path or '-'}: {fault.reason}" for fault in faults),
                 )
             )

@@ -75,8 +75,8 @@ def start(
     ] = None,
 ) -> None:
     """Start a process."""
-    given = dict(parse_parameter(parameter) for parameter in parameters or [])
-    answer = ask("POST", "/processes", json={"definition": definition, "parameters": given})
+    values = dict(parse_parameter(parameter) for parameter in parameters or [])
+    answer = ask("POST", "/processes", json={"definition": definition, "parameters": values})
     print(f"{answer['id']} started: {answer['name']}")
 
 
@@ -233,7 +233,7 @@ def migrate(
         "by": by,
         "why": why,
         "version": version,
-        "variables": dict(parse_parameter(each) for each in variables or []),
+        "variables": dict(parse_parameter(variable) for variable in variables or []),
         "mapping": {name: str(value) for name, value in map(parse_parameter, mapping or [])},
     }
     query = {"dry": dry}
@@ -350,8 +350,8 @@ def message(
     variables: Variables = None,
 ) -> None:
     """Send a message to the process that waits for it, or that it starts."""
-    given = dict(parse_parameter(each) for each in variables or [])
-    body = {"name": name, "key": key, "process": process, "variables": given}
+    values = dict(parse_parameter(variable) for variable in variables or [])
+    body = {"name": name, "key": key, "process": process, "variables": values}
     answer = ask("POST", "/messages", json=body)
     print(f"{answer['outcome']}{': ' + answer['process'] if answer['process'] else ''}")
 
@@ -361,8 +361,8 @@ def signal(
     name: Annotated[str, typer.Argument(help="The name of the BPMN signal.")], variables: Variables = None
 ) -> None:
     """Send a signal to all processes that wait for it."""
-    given = dict(parse_parameter(each) for each in variables or [])
-    answer = ask("POST", "/signals", json={"name": name, "variables": given})
+    values = dict(parse_parameter(variable) for variable in variables or [])
+    answer = ask("POST", "/signals", json={"name": name, "variables": values})
     print("\n".join(answer["processes"]) or "no process waits for it")
 
 
@@ -381,14 +381,14 @@ def set_mapping(
 ) -> None:
     """Replace the mapping, and confirm that its performers may get work."""
     try:
-        given = yaml.safe_load(file.read_text(encoding="utf-8"))
+        entries = yaml.safe_load(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{file} is no YAML: {error}") from None
-    if not isinstance(given, dict) or not isinstance(given.get("entries"), list):
+    if not isinstance(entries, dict) or not isinstance(entries.get("entries"), list):
         raise UsageError(f"{file} has no list `entries`; see docs/how-to/resources.md")
-    table = ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
+    table = ask("PUT", "/mapping", json={"by": by, "why": why, "entries": entries["entries"]})
     print(f"mapping version {table['version']}: {len(table['entries'])} entries")
 
 
@@ -400,15 +400,15 @@ def list_offers(
     as_json: AsJson = False,
 ) -> None:
     """List the offers of a status, the latest first."""
-    found = ask("GET", "/offers", params={"status": status})
+    listed = ask("GET", "/offers", params={"status": status})
     if as_json:
-        print_json(found)
+        print_json(listed)
         return
-    for offer in found:
+    for offer in listed:
         print(f"{offer['id']}  {offer['type']:<22} {offer['name']}")
         for fault in offer["faults"]:
             print(f"  fault: {fault['element'] or 'the file'}: {fault['message']}")
-    if not found:
+    if not listed:
         print(f"no offer is {status}")
 
 
@@ -425,8 +425,8 @@ def show_offer(offer: Offer) -> None:
     for change in view["changes"]:
         print(f"{change['change']:<8} {change['name'] or change['element']}")
     for kind in ("fault", "warning"):
-        for each in view[f"{kind}s"]:
-            print(f"{kind}: {each['element'] or 'the file'}: {each['message']}")
+        for finding in view[f"{kind}s"]:
+            print(f"{kind}: {finding['element'] or 'the file'}: {finding['message']}")
     for line in view["allocation"]:
         print(f"{line['name']}: {line['warning'] or line['reason']}")
 
@@ -448,8 +448,8 @@ def reject_offer(offer: Offer, by: By, why: Why = None) -> None:
 def _mend(
     process: str, what: str, by: str, why: str | None, variables: list[str] | None, **others: str
 ) -> None:
-    given = dict(parse_parameter(each) for each in variables or [])
-    body = {"by": by, "why": why, "variables": given, **others}
+    values = dict(parse_parameter(variable) for variable in variables or [])
+    body = {"by": by, "why": why, "variables": values, **others}
     answer = ask("POST", f"/processes/{process}/{what}", json=body)
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
 

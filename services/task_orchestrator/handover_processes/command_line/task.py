@@ -27,14 +27,14 @@ def list_tasks(
 ) -> None:
     """List the open Tasks of people, those that are due first before others."""
     query = {"process": process, "group": group, "claimed_by": claimed_by, "limit": MAX_LISTED}
-    found = ask("GET", "/tasks", params={name: value for name, value in query.items() if value is not None})
+    tasks = ask("GET", "/tasks", params={name: value for name, value in query.items() if value is not None})
     if as_json:
-        print_json(found)
+        print_json(tasks)
         return
-    for task in found:
+    for task in tasks:
         of = f"{task['name']} of {task['processName']}"
         print(f"{task['id']:<60} {task['status']:<11} {of}  ({_holder(task)})")
-    if not found:
+    if not tasks:
         print("no Task of a person is open")
 
 
@@ -69,7 +69,7 @@ def complete(
         "by": by,
         "outcome": outcome,
         "note": note,
-        "outputs": dict(parse_parameter(each) for each in outputs or []),
+        "outputs": dict(parse_parameter(output) for output in outputs or []),
     }
     completed = ask("POST", f"/tasks/{task}/complete", json=body)
     print(f"{completed['id']} is {completed['status']}")

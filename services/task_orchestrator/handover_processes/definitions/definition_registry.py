@@ -11,24 +11,24 @@ from typing import Any
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message, text_of
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.state import Library, RunFailed
-from handover_processes.languages.base import quote_names
-from handover_processes.model import Call, Definition, Fault
-from handover_processes.notation.file import read_bpmn
-from handover_processes.records.entities import definition_entities
-from handover_processes.records.records import (
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.state import Library, RunFailed
+from handover_bpmn.languages.base import quote_names
+from handover_bpmn.model import Call, Definition, Fault
+from handover_bpmn.notation.file import read_bpmn
+from handover_processes.records.definitions import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
     DeletedVersion,
     HoldKind,
 )
+from handover_processes.records.entities import definition_entities
 from handover_processes.settings import OrchestratorSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Deployment:
+class DeployedDefinition:
     """The result of a deployment; `created` is False when it changed nothing."""
 
     name: str
@@ -40,13 +40,13 @@ class Deployment:
 class Deployed:
     """The results of the deployment of a file, one a process, and the warnings about it."""
 
-    deployments: tuple[Deployment, ...]
+    deployments: tuple[DeployedDefinition, ...]
     warnings: tuple[Fault, ...]
 
     @property
     def created(self) -> bool:
         """Return whether there is a new version of any process."""
-        return any(each.created for each in self.deployments)
+        return any(deployment.created for deployment in self.deployments)
 
 
 class DefinitionRegistry(Library):
@@ -67,8 +67,8 @@ class DefinitionRegistry(Library):
 
     def add_deleted(self, deleted: Iterable[DeletedVersion]) -> None:
         """Add versions that nothing starts any more."""
-        for each in deleted:
-            self._deleted.setdefault(each.definition, {})[each.version] = each
+        for version in deleted:
+            self._deleted.setdefault(version.definition, {})[version.version] = version
 
     def deleted_versions(self, name: str) -> Mapping[int, DeletedVersion]:
         """Return the deleted versions of a definition."""
@@ -85,7 +85,7 @@ class DefinitionRegistry(Library):
 
     def holds_of(self, name: str) -> list[DefinitionHold]:
         """Return what is withheld from a definition, or from every one."""
-        keys = ((each, kind) for each in (name, EVERY_DEFINITION) for kind in HoldKind)
+        keys = ((held, kind) for held in (name, EVERY_DEFINITION) for kind in HoldKind)
         return [self.holds[key] for key in keys if key in self.holds]
 
     def is_startable(self, name: str) -> bool:
@@ -94,7 +94,7 @@ class DefinitionRegistry(Library):
 
     def require_startable(self, name: str, version: int | None = None) -> None:
         """Raise `Problem` 409 if no process of a definition, or of this version of it, may start."""
-        hold = next((each for each in self.holds_of(name) if each.kind is not HoldKind.PAUSED), None)
+        hold = next((hold_ for hold_ in self.holds_of(name) if hold_.kind is not HoldKind.PAUSED), None)
         if hold is not None:
             raise Problem(
                 409,
@@ -128,7 +128,7 @@ class DefinitionRegistry(Library):
         """Return a version of a definition, by default the latest; raise `Problem` 404 if there is none."""
         versions = self._records.get(name)
         if not versions or (version is None and self._is_deleted(name)):
-            known = quote_names((record.name for record in self.latest()), near=name)
+            names = quote_names((record.name for record in self.latest()), near=name)
             raise Problem(
                 404,
                 "No such definition",
@@ -136,7 +136,7 @@ class DefinitionRegistry(Library):
                     "bpmn.no_such_definition",
                     'there is no definition "{name}"; deployed are: {known}',
                     name=name,
-                    known=known,
+                    known=names,
                 ),
             )
         if version is None:
@@ -210,8 +210,10 @@ class DefinitionRegistry(Library):
     def tagged(self, name: str, tag: str) -> DefinitionRecord | None:
         """Return the latest version with a tag that is not deleted."""
         deleted = self.deleted_versions(name)
-        records = (each for each in reversed(self._records.get(name, [])) if each.version not in deleted)
-        return next((each for each in records if each.label == tag), None)
+        records = (
+            version for version in reversed(self._records.get(name, [])) if version.version not in deleted
+        )
+        return next((version for version in records if version.label == tag), None)
 
     def deployed_at(self, name: str, version: int) -> datetime | None:
         """Return when a version was deployed."""

@@ -18,15 +18,16 @@ from handover.errors import HandoverError
 from handover.files.content_digest import ATTRIBUTE, digest_of
 from handover.messages import message
 from handover.tasks.specification import FIELDS, Specification
+from handover_bpmn.forms.json_schema import schema_fault
+from handover_bpmn.model import Fault
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import TYPES, DataModelError, TaskDefinition
 from handover_processes.allocation.agents import position_of, read_shift, skill_name
 from handover_processes.allocation.task_kinds import TaskKind
-from handover_processes.forms.json_schema import schema_fault
-from handover_processes.model import Fault
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import read_bpmn
-from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.step import Step
 
 DEFINITIONS = ("ProcessDefinition", "TaskDefinition")
 """Types that have an effect only after an engineer has accepted them."""
@@ -69,9 +70,9 @@ def type_of_entity(entity: Entity) -> str | None:
     entity_id = entity.get("id")
     if not isinstance(entity_id, str) or not 0 < len(entity_id) <= MAX_ID_LENGTH or "\0" in entity_id:
         return None
-    given = entity.get("type")
-    types = given if isinstance(given, list) else [given]
-    return next((each for each in OFFERED_TYPES if each in types), None)
+    types_ = entity.get("type")
+    types = types_ if isinstance(types_, list) else [types_]
+    return next((type_ for type_ in OFFERED_TYPES if type_ in types), None)
 
 
 def read_candidate(entity: Entity) -> Candidate | None:
@@ -80,25 +81,30 @@ def read_candidate(entity: Entity) -> Candidate | None:
     if type_ is None:
         return None
     model = TYPES[type_]
-    known = {each.alias or name for name, each in model.model_fields.items()} - {"@context", ATTRIBUTE}
-    content = {name: value for name, value in entity.items() if name in known}
+    attributes = {field_.alias or name for name, field_ in model.model_fields.items()} - {
+        "@context",
+        ATTRIBUTE,
+    }
+    content = {name: value for name, value in entity.items() if name in attributes}
     content |= {"id": entity["id"], "type": type_}
     offer_id = digest_of(content)[:ID_LENGTH]
     name, bpmn = _text(content, "name"), _text(content, "bpmn")
-    found = Candidate(
+    candidate = Candidate(
         offer_id, entity["id"], type_, (name or entity["id"]).replace("\0", " ")[:MAX_NAME], content, bpmn
     )
     if bpmn is not None and not is_url(bpmn):
-        found = replace(found, content={name: value for name, value in content.items() if name != "bpmn"})
-    if len(orjson.dumps(found.content)) > MAX_CONTENT_BYTES:
-        return replace(found, content={"id": entity["id"], "type": type_}, faults=(_fault(_too_large()),))
+        candidate = replace(
+            candidate, content={name: value for name, value in content.items() if name != "bpmn"}
+        )
+    if len(orjson.dumps(candidate.content)) > MAX_CONTENT_BYTES:
+        return replace(candidate, content={"id": entity["id"], "type": type_}, faults=(_fault(_too_large()),))
     try:
         read = model.from_ngsild(content)
     except DataModelError as error:
-        return replace(found, faults=(_fault(str(error)),))
+        return replace(candidate, faults=(_fault(str(error)),))
     if isinstance(read, TaskDefinition):
-        return replace(found, faults=(*_schema_faults(read), *_specification_faults(read)))
-    return replace(found, warnings=tuple(_warnings_of(type_, content)))
+        return replace(candidate, faults=(*_schema_faults(read), *_specification_faults(read)))
+    return replace(candidate, warnings=tuple(_warnings_of(type_, content)))
 
 
 def is_url(bpmn: str) -> bool:
@@ -128,7 +134,7 @@ class Offers:
 
     def __init__(self, stored: Sequence[OfferRecord] = ()) -> None:
         self._records = {record.id: record for record in stored}
-        self.foreign = {each.entity for each in stored if each.status is not OfferStatus.WITHDRAWN}
+        self.foreign = {record.entity for record in stored if record.status is not OfferStatus.WITHDRAWN}
         """Definitions in the broker that other systems have written, as far as they were seen."""
 
     def find(self, offer: str) -> OfferRecord | None:
@@ -137,17 +143,17 @@ class Offers:
 
     def listed(self, status: OfferStatus | None = None, entity: str | None = None) -> list[OfferRecord]:
         """Return the offers in a status and of an entity, the latest first."""
-        found = [
+        offers = [
             record
             for record in self._records.values()
             if status in {None, record.status} and entity in {None, record.entity}
         ]
-        return sorted(found, key=lambda record: (record.found_at, record.id), reverse=True)
+        return sorted(offers, key=lambda record: (record.found_at, record.id), reverse=True)
 
     def in_force(self, entity: str) -> OfferRecord | None:
         """Return the accepted content of an entity."""
         return next(
-            (each for each in self._records.values() if each.entity == entity and each.in_force), None
+            (record for record in self._records.values() if record.entity == entity and record.in_force), None
         )
 
     def task_kinds(self) -> dict[str, TaskKind]:
@@ -170,9 +176,9 @@ class Offers:
                 yield entity
                 continue
             candidate = read_candidate(entity)
-            known = None if candidate is None else self._records.get(candidate.id)
-            is_rejected = known is not None and known.status is OfferStatus.REJECTED
-            is_accepted = known is not None and known.in_force
+            record = None if candidate is None else self._records.get(candidate.id)
+            is_rejected = record is not None and record.status is OfferStatus.REJECTED
+            is_accepted = record is not None and record.in_force
             has_faults = candidate is None or bool(candidate.faults)
             if is_accepted or not (is_rejected or has_faults or needs_acceptance):
                 yield entity
@@ -189,12 +195,12 @@ class Offers:
 
     def receive(self, step: Step, candidate: Candidate, now: datetime, *, is_deployed: bool = False) -> None:
         """Offer the present content of an entity; `is_deployed`: it would change nothing."""
-        known = self._at(step, candidate.id)
+        record = self._at(step, candidate.id)
         self._close_others(step, candidate.entity, candidate.id, OfferStatus.SUPERSEDED)
-        if known is None:
+        if record is None:
             if is_deployed:
                 return
-            known = OfferRecord(
+            record = OfferRecord(
                 candidate.id,
                 candidate.entity,
                 candidate.type,
@@ -203,20 +209,20 @@ class Offers:
                 now,
                 candidate.content,
             )
-        elif known.status is OfferStatus.REJECTED or known.in_force:
+        elif record.status is OfferStatus.REJECTED or record.in_force:
             return
-        elif known.status is not OfferStatus.OPEN:
-            known = replace(known, status=OfferStatus.OPEN, found_at=now, times=known.times + 1)
-        elif known.has_file or candidate.file is None:
+        elif record.status is not OfferStatus.OPEN:
+            record = replace(record, status=OfferStatus.OPEN, found_at=now, times=record.times + 1)
+        elif record.has_file or candidate.file is None:
             return
-        if candidate.file is not None or not known.has_file:
-            known = replace(known, faults=candidate.faults, warnings=candidate.warnings)
+        if candidate.file is not None or not record.has_file:
+            record = replace(record, faults=candidate.faults, warnings=candidate.warnings)
         in_turn = _fault(_changed_in_turn())
-        if known.times >= MANY_TIMES and in_turn not in known.warnings:
-            known = replace(known, warnings=(*known.warnings, in_turn))
-        step.offers[known.id] = replace(known, has_file=known.has_file or candidate.file is not None)
+        if record.times >= MANY_TIMES and in_turn not in record.warnings:
+            record = replace(record, warnings=(*record.warnings, in_turn))
+        step.offers[record.id] = replace(record, has_file=record.has_file or candidate.file is not None)
         if candidate.file is not None:
-            step.offer_files[known.id] = candidate.file
+            step.offer_files[record.id] = candidate.file
         self._prune(step, candidate.entity)
 
     def withdraw(self, step: Step, entity: str) -> None:
@@ -249,22 +255,22 @@ class Offers:
         return step.offers.get(offer) or self._records.get(offer)
 
     def _of(self, step: Step, entity: str) -> list[OfferRecord]:
-        return [each for each in ({**self._records, **step.offers}).values() if each.entity == entity]
+        return [record for record in ({**self._records, **step.offers}).values() if record.entity == entity]
 
     def _close_others(self, step: Step, entity: str, but: str | None, status: OfferStatus) -> None:
-        for each in self._of(step, entity):
-            if each.status is OfferStatus.OPEN and each.id != but:
-                step.offers[each.id] = replace(each, status=status)
+        for record in self._of(step, entity):
+            if record.status is OfferStatus.OPEN and record.id != but:
+                step.offers[record.id] = replace(record, status=status)
 
     def _prune(self, step: Step, entity: str) -> None:
         """Delete the oldest offers of an entity that nobody has decided about and that are not open."""
         undecided = [
-            each
-            for each in self._of(step, entity)
-            if each.status in {OfferStatus.SUPERSEDED, OfferStatus.WITHDRAWN} and not each.is_decided
+            record
+            for record in self._of(step, entity)
+            if record.status in {OfferStatus.SUPERSEDED, OfferStatus.WITHDRAWN} and not record.is_decided
         ]
-        undecided.sort(key=lambda each: each.found_at, reverse=True)
-        step.offers_deleted.update(each.id for each in undecided[MAX_UNDECIDED:])
+        undecided.sort(key=lambda record: record.found_at, reverse=True)
+        step.offers_deleted.update(record.id for record in undecided[MAX_UNDECIDED:])
 
 
 def open_entities(offers: Offers, types: Collection[str] = OFFERED_TYPES) -> set[str]:
@@ -329,14 +335,14 @@ def _warnings_of(type_: str, content: Entity) -> Iterator[Fault]:
 
 
 def _listed(content: Entity, attribute: str) -> list[Any]:
-    given = content.get(attribute)
-    value = given.get("value") if isinstance(given, Mapping) else None
+    declared = content.get(attribute)
+    value = declared.get("value") if isinstance(declared, Mapping) else None
     return value if isinstance(value, list) else []
 
 
 def _text(content: Entity, attribute: str) -> str | None:
-    given = content.get(attribute)
-    value = given.get("value") if isinstance(given, Mapping) else given
+    declared = content.get(attribute)
+    value = declared.get("value") if isinstance(declared, Mapping) else declared
     return value if isinstance(value, str) else None
 
 

@@ -17,8 +17,8 @@ async def write_definitions(broker: BrokerClient, entities: Sequence[dict[str, A
     for start in range(0, len(entities), MAX_IDS_PER_QUERY):
         some = entities[start : start + MAX_IDS_PER_QUERY]
         types = sorted({entity["type"] for entity in some})
-        found = await broker.query(type=types, id=[entity["id"] for entity in some])
-        present = {entity["id"]: entity for entity in found}
+        stored = await broker.query(type=types, id=[entity["id"] for entity in some])
+        present = {entity["id"]: entity for entity in stored}
         outdated = [entity for entity in some if _is_outdated(present.get(entity["id"]), entity)]
         if outdated:
             await broker.replace(outdated)

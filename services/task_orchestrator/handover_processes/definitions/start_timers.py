@@ -10,10 +10,10 @@ from dataclasses import replace
 from datetime import datetime
 
 from handover.telemetry import get_logger
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Definition, Kind, TimerEvent, TimerType
-from handover_processes.records.records import StartTimer
-from handover_processes.timing.timers import due_at, parse_cycle
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Definition, Kind, TimerEvent, TimerType
+from handover_bpmn.timing.timers import due_at, parse_cycle
+from handover_processes.records.timers import StartTimer
 
 log = get_logger(__name__)
 

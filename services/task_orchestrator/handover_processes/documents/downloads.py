@@ -21,7 +21,7 @@ from handover.network.http_client import (
     SendError,
 )
 from handover.network.outbound_policy import OutboundPolicy
-from handover_processes.notation.document import MAX_BYTES
+from handover_bpmn.notation.document import MAX_BYTES
 
 SCHEMES = frozenset({"http", "https"})
 MAX_REDIRECTS = 3

@@ -79,7 +79,7 @@ class ProcessQuery(BaseModel):
             key=self.key,
             search=self.search,
             resource=self.involves,
-            variables=[read_condition(each) for each in self.variable],
+            variables=[read_condition(condition) for condition in self.variable],
             started_since=self.started_since,
             started_until=self.started_until,
             ended_since=self.ended_since,

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handover.telemetry import get_logger
-from handover_processes.execution.queries import Subscription
-from handover_processes.execution.state import WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Definition, Kind, MessageEvent, SignalEvent
+from handover_bpmn.execution.queries import Subscription
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Definition, Kind, MessageEvent, SignalEvent
 from handover_processes.process.process import Process
 
 log = get_logger(__name__)
@@ -43,7 +43,9 @@ class WaitIndex:
         self.remove(process.record.id)
         if process.run is None:
             return frozenset()
-        names = frozenset((each.type, each.name) for each in process.run.subscriptions())
+        names = frozenset(
+            (subscription.type, subscription.name) for subscription in process.run.subscriptions()
+        )
         for name in names:
             self._waiting.setdefault(name, {})[process.record.id] = None
         if names:
@@ -89,14 +91,16 @@ def receivers(
     processes: Iterable[Process], type_: WaitType, name: str, matches: Callable[[Process, Subscription], bool]
 ) -> list[Receiver]:
     """Return the waits for `name` of `processes` whose process and key match, in the order of their start."""
-    found = [
+    matching = [
         Receiver(process, subscription)
         for process in processes
         if process.run is not None
         for subscription in process.run.subscriptions()
         if subscription.type is type_ and subscription.name == name and matches(process, subscription)
     ]
-    return sorted(found, key=lambda each: (each.process.record.started_at, each.process.record.id))
+    return sorted(
+        matching, key=lambda receiver: (receiver.process.record.started_at, receiver.process.record.id)
+    )
 
 
 def matches_key(process: Process, subscription: Subscription, key: Any) -> bool:

@@ -13,6 +13,17 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from handover_bpmn.execution.queries import EntityWait
+from handover_bpmn.execution.state import RunFailed, WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import (
+    ConditionalEvent,
+    Definition,
+    EntityFilter,
+    Kind,
+    MessageEvent,
+    entity_filter,
+)
 from handover_datamodels.forms import to_key_values
 from handover_processes.events.correlation import EventStart
 from handover_processes.events.entity_matching import (
@@ -23,20 +34,9 @@ from handover_processes.events.entity_matching import (
     is_correlated,
 )
 from handover_processes.events.event_delivery import EventDelivery, ProcessStarter
-from handover_processes.execution.queries import EntityWait
-from handover_processes.execution.state import RunFailed, WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import (
-    ConditionalEvent,
-    Definition,
-    EntityFilter,
-    Kind,
-    MessageEvent,
-    entity_filter,
-)
 from handover_processes.process.process import Process
 from handover_processes.records.entities import definition_id
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.settings import OrchestratorSettings
 
 log = get_logger(__name__)
@@ -118,9 +118,11 @@ class EntityDelivery:
         """Remove the filters and start events of a definition."""
         self._definitions.pop(name, None)
         for key, starts in list(self._starts.items()):
-            removed = {each.key for each in starts if each.definition.name == name}
-            self._failing = {each: why for each, why in self._failing.items() if each[0] not in removed}
-            self._starts[key] = [each for each in starts if each.definition.name != name]
+            removed = {start.key for start in starts if start.definition.name == name}
+            self._failing = {
+                failing: why for failing, why in self._failing.items() if failing[0] not in removed
+            }
+            self._starts[key] = [start for start in starts if start.definition.name != name]
 
     def user_of(self, key: str) -> tuple[str, str]:
         """Return the ProcessDefinition that uses a filter, and the name of the event as it is drawn."""
@@ -141,33 +143,35 @@ class EntityDelivery:
         A definition counts from its deployment on. So a filter is in use before a process waits for it, and
         an entity that is created just after that is no part of the baseline.
         """
-        found: dict[str, Watched] = {}
-        definitions = {id(each): each for each in self._definitions.values()}
+        filters: dict[str, Watched] = {}
+        definitions = {
+            id(known_definition): known_definition for known_definition in self._definitions.values()
+        }
         for process in self._processes.values():
             definitions[id(process.plan.definition)] = process.plan.definition
         for definition in definitions.values():
             for node in definition.entity_events():
                 on = entity_filter(node)
                 if on is not None:
-                    _add(found, on, is_condition=isinstance(node.event, ConditionalEvent))
+                    _add(filters, on, is_condition=isinstance(node.event, ConditionalEvent))
         index = self._events.entity_index
         for key, on in index.filters.items():  # those of called processes
-            if key not in found:
-                found[key] = Watched(on, messages=True, conditions=key in index.conditions)
-        return found
+            if key not in filters:
+                filters[key] = Watched(on, messages=True, conditions=key in index.conditions)
+        return filters
 
     def has_conditions(self, key: str) -> bool:
         """Return whether the condition of a process or start event is evaluated for this filter."""
-        starts = any(each.condition is not None for each in self._starts.get(key, ()))
+        starts = any(start.condition is not None for start in self._starts.get(key, ()))
         return starts or key in self._events.entity_index.conditions
 
     def business_keys(self, key: str, entities: Iterable[Entity]) -> set[str]:
         """Return the business keys of the processes that `entities` could start."""
-        found = set()
+        business_keys = set()
         for start in self._starts.get(key, ()):
             if start.on.correlation is not None:
-                found |= {_business_key(start.on, to_key_values(entity)) for entity in entities}
-        return {each for each in found if each is not None}
+                business_keys |= {_business_key(start.on, to_key_values(entity)) for entity in entities}
+        return {business_key for business_key in business_keys if business_key is not None}
 
     # Changes within a step
 
@@ -200,8 +204,8 @@ class EntityDelivery:
             simplified = to_key_values(entity)
             for process, wait in self._waits(step, key):
                 if wait.type is WaitType.CONDITION and is_correlated(process, wait, simplified):
-                    given = {wait.on.variable: simplified}
-                    self._judge(step, process, wait, now, entity=entity["id"], variables=given)
+                    variables = {wait.on.variable: simplified}
+                    self._judge(step, process, wait, now, entity=entity["id"], variables=variables)
             for start in self._starts.get(key, ()):
                 if start.condition is not None:
                     self._judge_start(step, start, simplified, taken, now)
@@ -216,7 +220,7 @@ class EntityDelivery:
 
     def forget(self, step: Step, key: str, entities: Iterable[str], now: datetime) -> None:
         """Forget entities that the filter no longer selects: their conditions no longer hold."""
-        scopes = [key, *(each.key for each in self._starts.get(key, ()) if each.condition is not None)]
+        scopes = [key, *(start.key for start in self._starts.get(key, ()) if start.condition is not None)]
         for entity in entities:
             for scope in scopes:
                 self._failing.pop((scope, entity), None)
@@ -237,9 +241,9 @@ class EntityDelivery:
                 step.entities_seen[key, entity] = None
 
     def _unused(self) -> set[str]:
-        used = {CONTACT, *(key for key, each in self.watched().items() if each.messages)}
+        used = {CONTACT, *(key for key, watch in self.watched().items() if watch.messages)}
         for starts in self._starts.values():
-            used |= {each.key for each in starts if each.condition is not None}
+            used |= {start.key for start in starts if start.condition is not None}
         return self.seen.keys() - used
 
     def news(self, key: str, entities: Sequence[Entity]) -> list[Entity]:
@@ -250,26 +254,26 @@ class EntityDelivery:
 
     def gone(self, key: str, present: Collection[str]) -> set[str]:
         """Return the entities that the filter selected before, or whose conditions hold, and not now."""
-        found = set(self.seen.gone(key, present))
+        vanished = set(self.seen.gone(key, present))
         for start in self._starts.get(key, ()):
             if start.condition is not None:
-                found |= set(self.seen.gone(start.key, present))
+                vanished |= set(self.seen.gone(start.key, present))
         for process_id in self._events.entity_index.waiting(key):
             process = self._processes.get(process_id)
             if process is not None and process.run is not None:
                 for wait in process.run.entity_waits():
                     if wait.on.key == key:
-                        found |= set(wait.holding).difference(present)
-        return found
+                        vanished |= set(wait.holding).difference(present)
+        return vanished
 
     # Receivers
 
     def _waits(self, step: Step, key: str) -> list[tuple[Process, EntityWait]]:
         """Return the waits for a filter, in the order in which their processes started."""
         self._events.update_index(step)
-        found = [self._processes.get(each) for each in self._events.entity_index.waiting(key)]
-        processes = [each for each in found if each is not None and each.run is not None]
-        processes.sort(key=lambda each: (each.record.started_at, each.record.id))
+        waiting = [self._processes.get(process_id) for process_id in self._events.entity_index.waiting(key)]
+        processes = [process for process in waiting if process is not None and process.run is not None]
+        processes.sort(key=lambda process: (process.record.started_at, process.record.id))
         return [
             (process, wait)
             for process in processes
@@ -296,7 +300,9 @@ class EntityDelivery:
     def _hand_over(
         self, step: Step, process: Process, wait: EntityWait, entity: Entity, now: datetime
     ) -> bool:
-        if process.run is None or all(each.wait != wait.wait for each in process.run.entity_waits()):
+        if process.run is None or all(
+            entity_wait.wait != wait.wait for entity_wait in process.run.entity_waits()
+        ):
             return False  # an earlier delivery has ended this wait
         try:
             process.deliver(wait.wait, {wait.on.variable: dict(entity)}, step, now)
@@ -331,7 +337,7 @@ class EntityDelivery:
         now: datetime,
     ) -> None:
         assert start.condition is not None  # noqa: S101 - only such a start is judged
-        defaults = {each.name: each.default for each in start.definition.parameters.values()}
+        defaults = {parameter.name: parameter.default for parameter in start.definition.parameters.values()}
         try:
             holds = bool(start.condition.condition.value({**defaults, start.on.variable: entity}))
             self._failing.pop((start.key, entity["id"]), None)
@@ -373,7 +379,12 @@ class EntityDelivery:
                 log.warning("entity has no business key", definition=name, entity=entity["id"])
                 return
             owner = taken.get(key) or next(
-                (each.record.definition for each in self._processes.values() if each.record.key == key), None
+                (
+                    running.record.definition
+                    for running in self._processes.values()
+                    if running.record.key == key
+                ),
+                None,
             )
             if owner == name:
                 return  # its process has started already
@@ -407,11 +418,11 @@ class EntityDelivery:
         return None
 
 
-def _add(found: dict[str, Watched], on: EntityFilter, *, is_condition: bool) -> None:
-    before = found.get(on.key)
+def _add(watched: dict[str, Watched], on: EntityFilter, *, is_condition: bool) -> None:
+    before = watched.get(on.key)
     messages = not is_condition or (before is not None and before.messages)
     conditions = is_condition or (before is not None and before.conditions)
-    found[on.key] = Watched(on, messages, conditions)
+    watched[on.key] = Watched(on, messages, conditions)
 
 
 def _name_of(event: MessageEvent) -> str | None:

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import orjson
 
-from handover_processes.execution.queries import EntityWait
-from handover_processes.execution.state import WaitType
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import KEY_LENGTH, EntityFilter
+from handover_bpmn.execution.queries import EntityWait
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import KEY_LENGTH, EntityFilter
 from handover_processes.process.process import Process
 
 SeenChanges = Mapping[tuple[str, str], str | None]
@@ -74,8 +74,8 @@ class SeenEntities:
 
     def news(self, key: str, present: Mapping[str, str]) -> list[str]:
         """Return the entities of `present` (id to digest) that are new or have changed."""
-        known = self._digests.get(key, {})
-        return [entity for entity, digest in present.items() if known.get(entity) != digest]
+        digests = self._digests.get(key, {})
+        return [entity for entity, digest in present.items() if digests.get(entity) != digest]
 
     def gone(self, key: str, present: Collection[str]) -> list[str]:
         """Return the known entities that are not `present`."""
@@ -99,7 +99,7 @@ class EntityIndex:
     def update(self, process: Process) -> None:
         """Index what a process waits for now."""
         process_id = process.record.id
-        before = {each.wait for each in self._waits.get(process_id, ())}
+        before = {wait.wait for wait in self._waits.get(process_id, ())}
         waits = () if process.run is None else process.run.entity_waits()
         if not waits and not before:
             return
@@ -107,18 +107,18 @@ class EntityIndex:
         if not waits:
             return
         self._waits[process_id] = waits
-        for each in waits:
-            self.filters[each.on.key] = each.on
-            self._waiting.setdefault(each.on.key, {})[process_id] = None
-            if each.type is WaitType.CONDITION and each.wait not in before:
-                self.new_conditions.add(each.on.key)
+        for wait in waits:
+            self.filters[wait.on.key] = wait.on
+            self._waiting.setdefault(wait.on.key, {})[process_id] = None
+            if wait.type is WaitType.CONDITION and wait.wait not in before:
+                self.new_conditions.add(wait.on.key)
         for key in _condition_keys(waits):
             self.conditions[key] = self.conditions.get(key, 0) + 1
 
     def remove(self, process_id: str) -> None:
         """Forget a process."""
         waits = self._waits.pop(process_id, ())
-        for key in {each.on.key for each in waits}:
+        for key in {wait.on.key for wait in waits}:
             waiting = self._waiting[key]
             del waiting[process_id]
             if not waiting:
@@ -134,7 +134,7 @@ class EntityIndex:
 
 
 def _condition_keys(waits: Iterable[EntityWait]) -> set[str]:
-    return {each.on.key for each in waits if each.type is WaitType.CONDITION}
+    return {wait.on.key for wait in waits if wait.type is WaitType.CONDITION}
 
 
 def is_correlated(process: Process, wait: EntityWait, entity: Mapping[str, Any]) -> bool:
@@ -160,10 +160,10 @@ def replay(evolution: Mapping[str, Any], present: Mapping[str, Any]) -> list[dic
     state |= {"id": evolution["id"], "type": evolution.get("type", present.get("type"))}
     moments: dict[datetime, dict[str, Any]] = {}
     for name, instances in changed.items():
-        for each in instances:
-            moment = _moment(each.get("modifiedAt") or each.get("observedAt"))
+        for instance in instances:
+            moment = _moment(instance.get("modifiedAt") or instance.get("observedAt"))
             if moment is not None:
-                value = {key: part for key, part in each.items() if key not in _SYSTEM}
+                value = {key: part for key, part in instance.items() if key not in _SYSTEM}
                 moments.setdefault(moment, {})[name] = value
     states = []
     for _, values in sorted(moments.items()):
@@ -176,12 +176,12 @@ _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "instanceId"})
 
 
 def _are_instances(values: Any) -> bool:
-    return isinstance(values, list) and all(isinstance(each, dict) for each in values)
+    return isinstance(values, list) and all(isinstance(part, dict) for part in values)
 
 
-def _moment(given: Any) -> datetime | None:
+def _moment(text: Any) -> datetime | None:
     try:
-        moment = datetime.fromisoformat(given)
+        moment = datetime.fromisoformat(text)
     except (TypeError, ValueError):
         return None
     return moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)

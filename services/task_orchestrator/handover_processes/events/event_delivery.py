@@ -11,6 +11,9 @@ from typing import Any, Protocol
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
+from handover_bpmn.execution.machine import ThrownMessage, ThrownSignal
+from handover_bpmn.execution.state import WaitType
+from handover_bpmn.model import Definition
 from handover_processes.events.correlation import (
     EventStart,
     Name,
@@ -22,11 +25,9 @@ from handover_processes.events.correlation import (
 )
 from handover_processes.events.entity_matching import EntityIndex
 from handover_processes.events.stored_messages import StoredMessages
-from handover_processes.execution.machine import ThrownMessage, ThrownSignal
-from handover_processes.execution.state import WaitType
-from handover_processes.model import Definition
 from handover_processes.process.process import Process
-from handover_processes.records.records import MessageOutcome, MessageRecord, Step
+from handover_processes.records.messages import MessageOutcome, MessageRecord
+from handover_processes.records.step import Step
 
 log = get_logger(__name__)
 
@@ -123,19 +124,19 @@ class EventDelivery:
         Raises `Problem` 409 if several processes wait for it.
         """
         self.update_index(step)
-        found = self._receivers(record)
-        if len({each.process.record.id for each in found}) > 1:
+        candidates = self._receivers(record)
+        if len({receiver.process.record.id for receiver in candidates}) > 1:
             raise Problem(
                 409,
                 "Several processes wait",
                 message(
                     "process.message_ambiguous",
                     '{count} processes wait for the message "{name}"; give the key or the process',
-                    count=len(found),
+                    count=len(candidates),
                     name=record.name,
                 ),
             )
-        return self._hand_over(step, record, found, now)
+        return self._hand_over(step, record, candidates, now)
 
     def broadcast(self, step: Step, name: str, variables: Mapping[str, Any], now: datetime) -> list[str]:
         """Bring a signal to everyone who waits for it; return the processes that got it or were started."""
@@ -209,20 +210,20 @@ class EventDelivery:
         step.to_index.clear()
 
     def _waiting(self, type_: WaitType, name: str) -> list[Process]:
-        found = (self._processes.get(each) for each in self.index.waiting(type_, name))
-        return [process for process in found if process is not None]
+        processes = (self._processes.get(process_id) for process_id in self.index.waiting(type_, name))
+        return [process for process in processes if process is not None]
 
     def _receivers(self, record: MessageRecord) -> list[Receiver]:
         waiting = self._waiting(WaitType.MESSAGE, record.name)
         if record.process is not None:
-            waiting = [each for each in waiting if each.record.id == record.process]
-        found = receivers(
+            waiting = [process for process in waiting if process.record.id == record.process]
+        matching = receivers(
             waiting,
             WaitType.MESSAGE,
             record.name,
             lambda process, waiting: matches_key(process, waiting, record.key),
         )
-        return sorted(found, key=lambda each: not self._are_partners(each.process, record.sender))
+        return sorted(matching, key=lambda receiver: not self._are_partners(receiver.process, record.sender))
 
     def _are_partners(self, process: Process, sender: str | None) -> bool:
         if sender is None:
@@ -233,14 +234,14 @@ class EventDelivery:
         )
 
     def _hand_over(
-        self, step: Step, record: MessageRecord, found: list[Receiver], now: datetime
+        self, step: Step, record: MessageRecord, candidates: list[Receiver], now: datetime
     ) -> tuple[MessageOutcome, str | None]:
-        if found:
-            process = found[0].process
-            process.deliver(found[0].subscription.wait, record.variables, step, now)
+        if candidates:
+            process = candidates[0].process
+            process.deliver(candidates[0].subscription.wait, record.variables, step, now)
             return MessageOutcome.DELIVERED, process.record.id
         starts = self._starts.get((WaitType.MESSAGE, record.name), {}) if record.process is None else {}
-        for start in (each for each in starts.values() if self._is_startable(each.definition)):
+        for start in (candidate for candidate in starts.values() if self._is_startable(candidate.definition)):
             started = self._start(step, start, record.variables, partner=record.sender)
             return MessageOutcome.STARTED, started
         if record.expires_at <= now:
@@ -260,10 +261,10 @@ class EventDelivery:
         for record in (*self.stored.named(names), *new):
             if record.id in step.messages_taken:
                 continue
-            found = self._receivers(record)
-            if found:
+            candidates = self._receivers(record)
+            if candidates:
                 step.messages_taken.add(record.id)
-                self._hand_over(step, record, found, now)
+                self._hand_over(step, record, candidates, now)
                 return True
         self._awaited = frozenset()
         return False

@@ -3,8 +3,8 @@
 from collections.abc import Collection, Iterable
 from datetime import datetime
 
-from handover_processes.records.records import MessageRecord
-from handover_processes.timing.due_queue import DueQueue
+from handover_bpmn.timing.due_queue import DueQueue
+from handover_processes.records.messages import MessageRecord
 
 
 class StoredMessages:
@@ -36,8 +36,8 @@ class StoredMessages:
 
     def named(self, names: Collection[str]) -> list[MessageRecord]:
         """Return the messages with one of these names, in the order of their sending."""
-        found = [record for name in names for record in self._by_name.get(name, {}).values()]
-        return sorted(found, key=lambda record: record.sent_at)
+        records = [record for name in names for record in self._by_name.get(name, {}).values()]
+        return sorted(records, key=lambda record: record.sent_at)
 
     def next_expiry(self) -> datetime | None:
         """Return when the next message expires."""

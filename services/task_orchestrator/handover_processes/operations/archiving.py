@@ -6,7 +6,8 @@ from datetime import datetime
 from typing import Any
 
 from handover_processes.records.entities import entity_of, final_attributes
-from handover_processes.records.records import MessageKind, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 from handover_processes.storage.store import EndedProcess, EndedTask
@@ -32,11 +33,11 @@ class Archiving:
         def act(step: Step) -> list[str]:
             now = self._state.clock()
             archived = []
-            for each in ended:
-                record = each.process
+            for ended_process in ended:
+                record = ended_process.process
                 if record.id not in self._state.active_processes.processes:
                     step.archived.append(replace(record, archived_at=now, revision=record.revision + 1))
-                    self._enqueue_delete(step, record.id, (*each.tasks, self._state.urn(record.id)))
+                    self._enqueue_delete(step, record.id, (*ended_process.tasks, self._state.urn(record.id)))
                     archived.append(record.id)
             return archived
 
@@ -61,11 +62,11 @@ class Archiving:
 
         def act(step: Step) -> int:
             now, before = self._state.clock(), len(step.messages)
-            for each in tasks:
-                task = each.task
+            for ended_task in tasks:
+                task = ended_task.task
                 if active_processes.owner(task.id) is not None or outbox.is_pending(task.id):
                     continue
-                if each.archived:
+                if ended_task.archived:
                     self._enqueue_delete(step, task.process, (task.id,))
                 else:
                     step.enqueue(task.process, MessageKind.APPEND, task.id, final_attributes(task))

@@ -17,8 +17,11 @@ from handover_datamodels.entities import Task, TaskStatus
 from handover_processes.allocation.agents import Agents
 from handover_processes.operations.device_leases import DeviceLeases
 from handover_processes.people_acts import requires_pin
+from handover_processes.process import task_troubles
 from handover_processes.process.process import Process
-from handover_processes.records.records import Message, MessageKind, Step, TaskRecord
+from handover_processes.records.messages import Message, MessageKind
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -82,7 +85,7 @@ class BrokerChanges:
             def act(step: Step) -> None:
                 owner = self._state.active_processes.owner(task_id)
                 if owner is not None:
-                    owner.missing(task_id, step, self._state.clock())
+                    task_troubles.missing(owner, task_id, step, self._state.clock())
 
             return act
 
@@ -93,7 +96,7 @@ class BrokerChanges:
         owner = self._state.active_processes.owner(message.subject)
         if message.kind in {MessageKind.CREATE, MessageKind.SPECIFY} and owner is not None:
             await self._writer.apply(
-                lambda step: owner.reject(message.subject, reason, step, self._state.clock())
+                lambda step: task_troubles.reject(owner, message.subject, reason, step, self._state.clock())
             )
 
     async def set_agents(self, agents: Agents) -> None:
@@ -128,8 +131,8 @@ class BrokerChanges:
                 if not _is_finished(entity):
                     self.on_unowned()  # an ended Task of the orchestrator may have reappeared
                 continue
-            known = owner.tasks.get(task_id)  # none while the step that ends it is written
-            if known is None or (known.unreadable is None and _status(entity) == known.status.value):
+            record = owner.tasks.get(task_id)  # none while the step that ends it is written
+            if record is None or (record.unreadable is None and _status(entity) == record.status.value):
                 unchanged += 1
             else:
                 changed.append(entity)
@@ -147,7 +150,7 @@ class BrokerChanges:
             if task is None:
                 self._report_unreadable(owner, seen, step)
                 continue
-            owner.readable(task.id, step)
+            task_troubles.readable(owner, task.id, step)
             if self._refuse_without_pin(owner, task, step):
                 continue
             if owner.receive(self._without_unproven_performer(task), step, now):
@@ -158,7 +161,7 @@ class BrokerChanges:
 
     def _report_unreadable(self, owner: Process, seen: "_Seen", step: Step) -> None:
         writer = self._writer_of(owner.tasks.get(seen.id))
-        if owner.unreadable(seen.id, writer, seen.fault, step):
+        if task_troubles.unreadable(owner, seen.id, writer, seen.fault, step):
             RECEIVED.labels("unreadable").inc()
             log.warning("task does not match the data model", task=seen.id, writer=writer, error=seen.fault)
 
@@ -177,11 +180,11 @@ class BrokerChanges:
 
         A broker without our rules accepts such a change from any program that reaches it.
         """
-        known = owner.tasks.get(seen.id)
-        if known is None or seen.status.value is not TaskStatus.COMPLETED or not requires_pin(known):
+        record = owner.tasks.get(seen.id)
+        if record is None or seen.status.value is not TaskStatus.COMPLETED or not requires_pin(record):
             return False
-        given = seen.output_parameters
-        outputs = given.value if given is not None and isinstance(given.value, Mapping) else {}
+        reported = seen.output_parameters
+        outputs = reported.value if reported is not None and isinstance(reported.value, Mapping) else {}
         try:
             person = proven_person(self._keys, seen.id, outputs)
             if outputs.get(PERFORMER_MEMBER) == person:
@@ -205,15 +208,17 @@ class BrokerChanges:
 
         A broker without our rules accepts it from any program that reaches it.
         """
-        given, keys = seen.output_parameters, self._keys.keys()
-        if keys is None or given is None or PERFORMER_MEMBER not in given.value:
+        reported, keys = seen.output_parameters, self._keys.keys()
+        if keys is None or reported is None or PERFORMER_MEMBER not in reported.value:
             return seen
         try:
-            require_proven_performer(keys, seen.id, given.value)
+            require_proven_performer(keys, seen.id, reported.value)
         except InvalidToken as error:
             log.warning("performedBy is ignored", task=seen.id, reason=str(error))
-            outputs = {name: value for name, value in given.value.items() if name != PERFORMER_MEMBER}
-            return seen.model_copy(update={"output_parameters": given.model_copy(update={"value": outputs})})
+            outputs = {name: value for name, value in reported.value.items() if name != PERFORMER_MEMBER}
+            return seen.model_copy(
+                update={"output_parameters": reported.model_copy(update={"value": outputs})}
+            )
         return seen
 
 
@@ -227,10 +232,10 @@ class _Seen:
 
     def is_news(self, owner: Process) -> bool:
         """Return whether it differs from what its process knows."""
-        known = owner.tasks.get(self.id)
-        unreadable = None if known is None else known.unreadable
+        record = owner.tasks.get(self.id)
+        unreadable = None if record is None else record.unreadable
         if self.task is None:
-            return known is not None and unreadable != self.fault
+            return record is not None and unreadable != self.fault
         return unreadable is not None or owner.is_news(self.task)
 
 

@@ -2,16 +2,16 @@
 
 from handover.errors import Problem
 from handover.messages import message
-from handover_processes.languages.base import quote_names
-from handover_processes.records.records import (
+from handover_bpmn.languages.base import quote_names
+from handover_processes.records.definitions import (
     EVERY_DEFINITION,
     DefinitionHold,
     DefinitionRecord,
     DeletedVersion,
     HoldKind,
-    MessageKind,
-    Step,
 )
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -76,7 +76,9 @@ class DefinitionHolds:
         def act(step: Step) -> None:
             record = registry.record(definition)
             processes = self._state.active_processes.processes.values()
-            running = sum(each.run is not None and each.record.definition == definition for each in processes)
+            running = sum(
+                process.run is not None and process.record.definition == definition for process in processes
+            )
             if running:
                 raise Problem(
                     409,
@@ -160,11 +162,11 @@ class DefinitionHolds:
     def _callers(self) -> list[DefinitionRecord]:
         """Return the versions whose processes may call others: the latest ones, and those that run."""
         registry = self._state.registry
-        found = {(record.name, record.version): record for record in registry.latest()}
+        latest = {(record.name, record.version): record for record in registry.latest()}
         for process in self._state.active_processes.processes.values():
             for key in process.run.versions() if process.run is not None else ():
-                found.setdefault(key, registry.record(*key))
-        return list(found.values())
+                latest.setdefault(key, registry.record(*key))
+        return list(latest.values())
 
     def _hold(self, definition: str, kind: HoldKind, by: str, why: str | None) -> DefinitionHold:
         return DefinitionHold(definition, kind, by, why, self._state.clock())

@@ -9,16 +9,18 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.messages import Message, message
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.forms.form_js import FormFile, read_form
+from handover_bpmn.notation.faults import as_json
+from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
 from handover_processes.allocation.report import allocation_report
-from handover_processes.definitions.definition_registry import Deployed, Deployment
+from handover_processes.definitions.definition_registry import Deployed, DeployedDefinition
 from handover_processes.definitions.start_timers import start_timers
-from handover_processes.execution.graph import Plan
-from handover_processes.forms.form_js import FormFile, read_form
-from handover_processes.forms.registry import FormRecord
-from handover_processes.notation.faults import as_json
-from handover_processes.notation.file import BpmnFile, read_bpmn
-from handover_processes.records.records import HoldKind, MessageKind, Step
+from handover_processes.deployed_forms import FormRecord
+from handover_processes.records.definitions import HoldKind
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -33,7 +35,7 @@ class DeployedForm:
 
 
 @dataclass(frozen=True, slots=True)
-class DeployedFiles:
+class DeploymentResult:
     """The results of a deployment of several files."""
 
     bpmn: Deployed
@@ -42,7 +44,7 @@ class DeployedFiles:
     @property
     def created(self) -> bool:
         """Return whether there is a new version of anything."""
-        return self.bpmn.created or any(each.created for each in self.forms)
+        return self.bpmn.created or any(form.created for form in self.forms)
 
 
 class Deployments:
@@ -67,7 +69,7 @@ class Deployments:
         forms: Sequence[tuple[str | None, bytes]],
         *,
         only_if_never_seen: bool = False,
-    ) -> DeployedFiles:
+    ) -> DeploymentResult:
         """Deploy BPMN files and forms (each with the name of its file) together: all or none.
 
         Raises `BadBpmn` or `BadForm` if one of them cannot be deployed.
@@ -78,15 +80,15 @@ class Deployments:
             for name, content in forms
         ]
 
-        def act(step: Step) -> DeployedFiles:
+        def act(step: Step) -> DeploymentResult:
             now = self._state.clock()
             written = [self._deploy_form(form, content, name, step, now) for form, content, name in read]
-            found = [
+            results = [
                 deploy_into(step, self._state, file, only_if_never_seen=only_if_never_seen) for file in files
             ]
-            deployments = tuple(each for deployed in found for each in deployed.deployments)
-            warnings = tuple(each for deployed in found for each in deployed.warnings)
-            return DeployedFiles(Deployed(deployments, warnings), tuple(written))
+            deployments = tuple(deployment for deployed in results for deployment in deployed.deployments)
+            warnings = tuple(warning for deployed in results for warning in deployed.warnings)
+            return DeploymentResult(Deployed(deployments, warnings), tuple(written))
 
         return await self._writer.apply(act)
 
@@ -102,21 +104,23 @@ class Deployments:
     async def check(self, xml: bytes) -> dict[str, Any]:
         """Return the result that a deployment would have; raise `BadBpmn` if the file cannot be executed."""
         file = await asyncio.to_thread(read_bpmn, xml)
-        found = []
+        results = []
         for definition in file.definitions:
             record, created = self._state.registry.next_version(
                 definition, (), self._state.clock(), only_if_never_seen=False
             )
-            found.append(
+            results.append(
                 {"name": record.name, "version": record.version, "title": record.title, "created": created}
             )
         allocation = [
             line
-            for each in file.definitions
-            for line in allocation_report(self._state.allocator.rules, self._state.allocator.forms, each)
+            for read_definition in file.definitions
+            for line in allocation_report(
+                self._state.allocator.rules, self._state.allocator.forms, read_definition
+            )
         ]
         warnings = as_json(file.warnings)
-        return {**found[0], "definitions": found, "warnings": warnings, "allocation": allocation}
+        return {**results[0], "definitions": results, "warnings": warnings, "allocation": allocation}
 
     async def set_mapping(
         self,
@@ -162,9 +166,9 @@ def deploy_into(
 ) -> Deployed:
     """Deploy the processes of a file in a step; `source` is the entity of another system that it is of."""
     registry, now = state.registry, state.clock()
-    found = []
-    for each in file.definitions:
-        definition = replace(each, source=source)
+    deployments = []
+    for read_definition in file.definitions:
+        definition = replace(read_definition, source=source)
         record, created = registry.next_version(
             definition, step.definitions, now, only_if_never_seen=only_if_never_seen
         )
@@ -177,8 +181,8 @@ def deploy_into(
             if entities:
                 subject = registry.entity_id_of(record)
                 step.enqueue(f"definition {record.name}", MessageKind.DEFINE, subject, entities)
-        found.append(Deployment(record.name, record.version, created))
-    return Deployed(tuple(found), file.warnings)
+        deployments.append(DeployedDefinition(record.name, record.version, created))
+    return Deployed(tuple(deployments), file.warnings)
 
 
 def _stem(name: str | None) -> str | None:

@@ -85,14 +85,14 @@ class DeviceLeases:
         async with self._turn:
             answers: list[LeaseAnswer] = await self._write(self._acquire, devices, holder, duration_s)
             end_s = self._clock() + duration_s
-            for each in answers:
-                if each.is_granted:
-                    self._note(each.lease, end_s)
-                if each.is_new:
+            for answer in answers:
+                if answer.is_granted:
+                    self._note(answer.lease, end_s)
+                if answer.is_new:
                     log.info(
                         "device leased",
-                        device=each.lease.device,
-                        number=each.lease.number,
+                        device=answer.lease.device,
+                        number=answer.lease.number,
                         performer=holder.performer,
                         pid=holder.pid,
                         host=holder.host,
@@ -124,9 +124,9 @@ class DeviceLeases:
 
     def _note(self, lease: StoredLease, ends_s: float | None = None) -> None:
         """Remember a lease; one that is not known counts from now."""
-        known = self._known.get(lease.device)
-        if known is not None and known.number != lease.number:
-            self._ends_s.pop((lease.device, known.number), None)
+        holder = self._known.get(lease.device)
+        if holder is not None and holder.number != lease.number:
+            self._ends_s.pop((lease.device, holder.number), None)
         key = lease.device, lease.number
         now_s = self._clock()
         if ends_s is not None:

@@ -8,7 +8,7 @@ from handover.telemetry import get_logger
 from handover_processes.definitions.start_timers import next_timer
 from handover_processes.events.correlation import EventStart
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 

@@ -16,7 +16,9 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.entities import TaskStatus
 from handover_processes.operations.device_leases import DeviceLeases
-from handover_processes.records.records import Step, TaskRecord
+from handover_processes.process import task_troubles
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -91,7 +93,7 @@ class LostPerformers:
         def act(step: Step) -> None:
             owner = self._state.active_processes.owner(task_id)
             if owner is not None:
-                owner.performer_lost(task_id, holder, step)
+                task_troubles.performer_lost(owner, task_id, holder, step)
 
         return act
 
@@ -99,7 +101,7 @@ class LostPerformers:
         def act(step: Step) -> None:
             owner = self._state.active_processes.owner(task_id)
             if owner is not None:
-                owner.performer_found(task_id, step)
+                task_troubles.performer_found(owner, task_id, step)
 
         return act
 
@@ -107,6 +109,6 @@ class LostPerformers:
         def act(step: Step) -> None:
             owner = self._state.active_processes.owner(task_id)
             if owner is not None:
-                owner.end_lost(task_id, step, self._state.clock())
+                task_troubles.end_lost(owner, task_id, step, self._state.clock())
 
         return act

@@ -6,15 +6,16 @@ from typing import cast
 
 from handover.errors import Problem
 from handover.messages import message
+from handover_bpmn.notation.comparison import changed_elements
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import BpmnFile, read_bpmn
 from handover_processes.allocation.report import allocation_report
 from handover_processes.definitions.offer_rules import Candidate
-from handover_processes.documents.responses import ActivityAllocation, OfferView
-from handover_processes.documents.views import changed_attributes, element_change_view, offer_view
-from handover_processes.notation.comparison import changed_elements
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import BpmnFile, read_bpmn
+from handover_processes.documents.definitions import ActivityAllocation
+from handover_processes.documents.offers import OfferView, changed_attributes, element_change_view, offer_view
 from handover_processes.operations.deployments import deploy_into
-from handover_processes.records.records import Decision, OfferRecord, OfferStatus, Step
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -58,8 +59,8 @@ class Offering:
             present = self._require_open(step, offer, (OfferStatus.OPEN, OfferStatus.REJECTED))
             deployed: tuple[tuple[str, int], ...] = ()
             if file is not None:
-                found = deploy_into(step, self._state, file, source=present.entity)
-                deployed = tuple((each.name, each.version) for each in found.deployments)
+                results = deploy_into(step, self._state, file, source=present.entity)
+                deployed = tuple((deployment.name, deployment.version) for deployment in results.deployments)
             decision = Decision(
                 self._state.clock(), OfferStatus.ACCEPTED, by, why, deployed, step.is_verified(by)
             )
@@ -122,7 +123,7 @@ class Offering:
             return False
         read = await asyncio.to_thread(read_bpmn, candidate.file)
         registry, now = self._state.registry, self._state.clock()
-        return not any(registry.next_version(each, (), now)[1] for each in read.definitions)
+        return not any(registry.next_version(definition, (), now)[1] for definition in read.definitions)
 
 
 class OfferReader:
@@ -155,6 +156,6 @@ class OfferReader:
             )
             if is_created and new.version > 1:
                 before = registry.record(new.name, new.version - 1).xml
-                found = await asyncio.to_thread(changed_elements, before, definition.xml, new.name)
-                view["changes"] += [element_change_view(each) for each in found]
+                changes = await asyncio.to_thread(changed_elements, before, definition.xml, new.name)
+                view["changes"] += [element_change_view(change) for change in changes]
         return view

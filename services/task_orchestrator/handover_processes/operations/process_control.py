@@ -9,13 +9,15 @@ import orjson
 
 from handover.errors import Problem
 from handover.messages import message, text_of
-from handover_processes.execution.graph import Plan
-from handover_processes.languages.native import is_name
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.languages.native import is_name
 from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind, MessageOutcome, Step
+from handover_processes.records.messages import MessageOutcome
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -41,8 +43,8 @@ class ProcessControl:
         Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it or its form.
         """
         state, registry = self._state, self._state.registry
-        if key is not None and (known := await state.on_disk(state.store.by_key, key)) is not None:
-            return known.id, False
+        if key is not None and (running := await state.on_disk(state.store.by_key, key)) is not None:
+            return running.id, False
         process_id = None if request is None else f"{definition}-{request}"
         if process_id is not None and await state.on_disk(state.store.processes, [process_id]):
             return process_id, False

@@ -6,11 +6,11 @@ from typing import Any
 
 from handover.errors import Problem
 from handover.messages import message, with_code
-from handover_processes.forms import form
-from handover_processes.forms.form_js import Resolved
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Definition
+from handover_bpmn.forms import form
+from handover_bpmn.forms.form_js import Resolved
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Definition
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.process.task_creation import form_version
 
 
@@ -28,14 +28,14 @@ class FormOfStart:
         self.version: int | None = None
         self.schema: form.Schema | None = None
         self._definition = definition
-        given = definition.start_form
-        if given.reference is not None:
-            self.id, version = form_version(given.reference, forms, deployed_at, now)
+        form_ = definition.start_form
+        if form_.reference is not None:
+            self.id, version = form_version(form_.reference, forms, deployed_at, now)
             record = forms.find(self.id, version) if version is not None else None
             if record is not None:
                 self.version, self.schema = record.version, forms.schema(record)
-        elif given.written is not None:
-            self.schema = _evaluated(given.written.value)
+        elif form_.written is not None:
+            self.schema = _evaluated(form_.written.value)
 
     def resolve(self, variables: Mapping[str, Any]) -> Resolved | None:
         """Return the fields for the variables typed so far; None if the definition has no form."""
@@ -45,14 +45,14 @@ class FormOfStart:
             return Resolved((), is_dynamic=False)
         return form.resolve(self.schema, variables)
 
-    def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def arguments(self, variables: Mapping[str, Any]) -> dict[str, Any]:
         """Return the initial variables of a process; the form sets read-only and computed ones.
 
         Raises `Problem` 422 with the faults by field if they do not fit the form or the parameters.
         """
         if self.schema is None:
-            return self._definition.arguments(given)
-        values, faults = form.check(self.schema, {}, given)
+            return self._definition.arguments(variables)
+        values, faults = form.check(self.schema, {}, variables)
         if faults:
             fields = ", ".join(fault.path or "-" for fault in faults)
             raise Problem(
@@ -65,15 +65,15 @@ class FormOfStart:
                     fields=fields,
                 ),
                 "urn:handover:bad-result",
-                {"faults": [{"field": each.path, **with_code("reason", each.reason)} for each in faults]},
+                {"faults": [{"field": fault.path, **with_code("reason", fault.reason)} for fault in faults]},
             )
-        return self._definition.arguments({**given, **values}, values.keys() | given.keys())
+        return self._definition.arguments({**variables, **values}, values.keys() | variables.keys())
 
 
 def _evaluated(value: Any) -> form.Schema | None:
     """Return a written form; expressions of default values have no variables yet."""
     try:
-        found = value({})
+        written = value({})
     except ExpressionError:
         return None
-    return found if isinstance(found, Mapping) else None
+    return written if isinstance(written, Mapping) else None

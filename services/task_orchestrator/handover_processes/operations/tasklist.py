@@ -13,7 +13,8 @@ from handover_datamodels.states import Outcome
 from handover_processes.operations.broker_changes import BrokerChanges
 from handover_processes.people_acts import PeopleActs, performer_of
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step, TaskAct, TaskActKind, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 from handover_processes.steps.step_writer import StepWriter
 from handover_processes.steps.working_state import WorkingState
 
@@ -89,9 +90,9 @@ class Tasklist:
         """
         await self._state.require_process(process_id)
         acts: list[TaskAct] = await self._state.on_disk(self._state.store.task_acts, process_id)
-        known = next((act for act in acts if act.id == key), None)
-        if known is not None:
-            return known
+        earlier = next((act for act in acts if act.id == key), None)
+        if earlier is not None:
+            return earlier
         stored = sum(act.kind is TaskActKind.COMMENT for act in acts)
 
         def record(step: Step) -> TaskAct:
@@ -133,5 +134,5 @@ def _is_done(task: TaskRecord, by: str, outcome: Outcome, outputs: Mapping[str, 
     """Return whether a person has completed a Task with this result already."""
     if task.status is not TaskStatus.COMPLETED or task.claimed_by != by or task.outputs is None:
         return False
-    given = {"outcome": outcome.value, **outputs}
-    return all(task.outputs.get(name) == value for name, value in given.items())
+    answer = {"outcome": outcome.value, **outputs}
+    return all(task.outputs.get(name) == value for name, value in answer.items())

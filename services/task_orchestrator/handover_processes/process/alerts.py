@@ -14,8 +14,11 @@ from handover.alerts.catalogue import (
     AlertType,
 )
 from handover.messages import message, with_code
-from handover_processes.model import Escalation
-from handover_processes.records.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
+from handover_bpmn.model import Escalation
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import IncidentRecord, ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 
 
 def raise_overdue(step: Step, task: TaskRecord) -> None:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
-from handover_processes.execution.queries import OpenActivity
-from handover_processes.execution.run import Run
-from handover_processes.records.records import ProcessRecord, Retry, TaskRecord
+from handover_bpmn.execution.queries import OpenActivity
+from handover_bpmn.execution.run import Run
+from handover_processes.records.processes import ProcessRecord, Retry
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.timing.retries import attempts_of, is_retried, retry_at
 
 MAX_LOST_ATTEMPTS = 3
@@ -46,7 +47,7 @@ def postpone(
 
 
 def _failed(record: ProcessRecord, task: TaskRecord) -> int:
-    return next((each.failed for each in record.retries if each.token == task.token), 0)
+    return next((retry.failed for retry in record.retries if retry.token == task.token), 0)
 
 
 def _next_attempt(
@@ -66,7 +67,7 @@ def _next_attempt(
         reason=reason,
         due=due,
     )
-    return replace(record, retries=(*(each for each in record.retries if each.token != task.token), retry))
+    return replace(record, retries=(*(other for other in record.retries if other.token != task.token), retry))
 
 
 def repeat_lost(
@@ -91,26 +92,26 @@ def repeat(record: ProcessRecord, run: Run, token: str, now: datetime) -> Proces
 
 def is_postponed(record: ProcessRecord, token: str) -> bool:
     """Return whether the activity of a token waits for its next attempt."""
-    return any(each.token == token and each.due is not None for each in record.retries)
+    return any(retry.token == token and retry.due is not None for retry in record.retries)
 
 
 def present_retries(record: ProcessRecord, run: Run | None) -> tuple[Retry, ...]:
     """Return the retries of the activities that are still open, with their present visits."""
-    visits = {each.token: None if run is None else run.visit(each.token) for each in record.retries}
+    visits = {retry.token: None if run is None else run.visit(retry.token) for retry in record.retries}
     return tuple(
-        replace(each, visit=visit)  # another agent may have been asked
-        for each in record.retries
-        if (visit := visits[each.token]) is not None and (each.due is None or visit == each.visit)
+        replace(retry, visit=visit)  # another agent may have been asked
+        for retry in record.retries
+        if (visit := visits[retry.token]) is not None and (retry.due is None or visit == retry.visit)
     )
 
 
 def offers_others(task: TaskRecord) -> bool:
     """Return whether users or groups are offered a Task that its assignee declines."""
-    given = task.entity["workParameters"]["value"].get("candidates")
+    candidates = task.entity["workParameters"]["value"].get("candidates")
     return (
         bool(task.performer)
-        and isinstance(given, Mapping)
-        and bool(given.get("users") or given.get("groups"))
+        and isinstance(candidates, Mapping)
+        and bool(candidates.get("users") or candidates.get("groups"))
     )
 
 
@@ -128,7 +129,7 @@ def forget_declined(record: ProcessRecord, token: str, element: str) -> ProcessR
     key = declined_key(token, element)
     if key not in record.declined:
         return record
-    others = {each: agents for each, agents in record.declined.items() if each != key}
+    others = {other: agents for other, agents in record.declined.items() if other != key}
     return replace(record, declined=others)
 
 

@@ -9,15 +9,17 @@ from datetime import datetime
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.migration import Finding
+from handover_bpmn.execution.run import Run
+from handover_bpmn.execution.state import RunFailed
 from handover_datamodels.entities import RequestedStatus, TaskStatus
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.migration import Finding
-from handover_processes.execution.run import Run
-from handover_processes.execution.state import RunFailed
 from handover_processes.process import attempts
 from handover_processes.process.process import CANCELLED, Process
 from handover_processes.records.entities import execution_properties, status_request
-from handover_processes.records.records import Act, ActKind, MessageKind, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +139,8 @@ def mend(
             )
         act = replace(act, element=element)
     if scope is not None:
-        found = next((each for each in run.inner_scopes() if each.scope == scope), None)
-        act = replace(act, element=None if found is None else found.element)
+        inner_scope = next((inner for inner in run.inner_scopes() if inner.scope == scope), None)
+        act = replace(act, element=None if inner_scope is None else inner_scope.element)
     step.touched.add(process.record.id)
     if act.act is ActKind.RETRY and token is not None:
         process.record = attempts.forget_declined(
@@ -212,17 +214,17 @@ def _rename_elements(process: Process, run: Run, step: Step) -> None:
                 process.revise(declined=declined)
             name = run.activity(task.token).name
             process.record_task(task.changed(element=element, name=name), step)
-    found = {each.token: each for each in run.incidents()}
+    incidents = {incident.token: incident for incident in run.incidents()}
     process.revise(
         incidents=tuple(
-            replace(each, element=found[each.token].element, name=found[each.token].name)
-            if each.token in found
-            else each
-            for each in process.record.incidents
+            replace(incident, element=incidents[incident.token].element, name=incidents[incident.token].name)
+            if incident.token in incidents
+            else incident
+            for incident in process.record.incidents
         ),
         retries=tuple(
-            replace(each, element=run.element(each.token) or "", name=run.activity(each.token).name)
-            for each in process.record.retries
+            replace(retry, element=run.element(retry.token) or "", name=run.activity(retry.token).name)
+            for retry in process.record.retries
         ),
     )
 

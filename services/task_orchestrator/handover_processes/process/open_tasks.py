@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
+from handover_bpmn.execution.run import Run
+from handover_bpmn.timing.due_queue import DueQueue
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.execution.run import Run
-from handover_processes.records.records import TaskRecord, Timer, TimerKind
+from handover_processes.records.tasks import TaskRecord
+from handover_processes.records.timers import Timer, TimerKind
 from handover_processes.settings import OrchestratorSettings
-from handover_processes.timing.due_queue import DueQueue
 
 
 class OpenTasks:
@@ -57,16 +58,16 @@ class OpenTasks:
             self._compared = run
             self.unposted.clear()
             opened, left = tuple(run.open_visits().items()), tuple(self._by_visit)
-        found = []
-        for each in left:
-            self.unposted.pop(each, None)
-            task = self.records.get(self._by_visit.get(each, ""))
-            if task is not None and run.visit(each[0]) != each[1]:
-                found.append(task)
-        for each in opened:
-            if each not in self._by_visit:
-                self.unposted[each] = None
-        return found
+        abandoned = []
+        for visit in left:
+            self.unposted.pop(visit, None)
+            task = self.records.get(self._by_visit.get(visit, ""))
+            if task is not None and run.visit(visit[0]) != visit[1]:
+                abandoned.append(task)
+        for visit in opened:
+            if visit not in self._by_visit:
+                self.unposted[visit] = None
+        return abandoned
 
     def timers_of(self, task: TaskRecord) -> Iterator[Timer]:
         """Yield the timers of a Task while its process is not paused."""
@@ -87,7 +88,7 @@ class OpenTasks:
     def due_timers(self, now: datetime) -> list[Timer]:
         """Return the timers that are due at `now`."""
         tasks = [self.records[task] for task in self._dues.due(now)]
-        return [each for task in tasks for each in self.timers_of(task) if each.due <= now]
+        return [timer for task in tasks for timer in self.timers_of(task) if timer.due <= now]
 
 
 def _can_be_overdue(task: TaskRecord) -> bool:

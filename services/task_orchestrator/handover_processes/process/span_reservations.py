@@ -11,13 +11,13 @@ from datetime import datetime
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover_bpmn.execution.run import Run
+from handover_bpmn.execution.span_places import ActiveSpan, SpanPlace
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.spans import Need, evaluated_needs
 from handover_processes.allocation.allocator import Allocator, AskedReservation, Within
 from handover_processes.allocation.reservations import Hold
-from handover_processes.execution.run import Run
-from handover_processes.execution.span_places import ActiveSpan, SpanPlace
-from handover_processes.languages.base import ExpressionError
-from handover_processes.records.records import ReservationRecord, ReservationState
-from handover_processes.timing.spans import Need, evaluated_needs
+from handover_processes.records.processes import ReservationRecord, ReservationState
 
 MAX_ENDED = 50
 """Ended reservations that a process keeps for its history."""
@@ -41,17 +41,17 @@ class SpanReservations:
     @property
     def live(self) -> dict[str, ReservationRecord]:
         """Return those that have not ended, by key."""
-        return {each.key: each for each in self.records if each.state in _LIVE}
+        return {record.key: record for record in self.records if record.state in _LIVE}
 
     def resume(self, run: Run | None) -> None:
         """Bring the stored reservations into the allocator."""
-        for each in self.live.values():
-            if each.state is ReservationState.HELD:
-                self._register(each)
+        for record in self.live.values():
+            if record.state is ReservationState.HELD:
+                self._register(record)
         for span in run.active_spans() if run is not None else ():
-            known = self.live.get(span.key)
-            if run is not None and known is not None and known.state is ReservationState.WAITING:
-                self._await(run, span, known)
+            present = self.live.get(span.key)
+            if run is not None and present is not None and present.state is ReservationState.WAITING:
+                self._await(run, span, present)
 
     def leave(self) -> None:
         """Remove all from the allocator: the process leaves the memory."""
@@ -61,9 +61,9 @@ class SpanReservations:
 
     def pause(self) -> None:
         """Let those that wait give up their place until the process is resumed."""
-        for each in self.live.values():
-            if each.state is ReservationState.WAITING:
-                self._unregister(each.key)
+        for record in self.live.values():
+            if record.state is ReservationState.WAITING:
+                self._unregister(record.key)
 
     def update(self, run: Run | None, open_tokens: Iterable[str], now: datetime, *, reserves: bool) -> None:
         """End and begin reservations as the tokens are; `open_tokens` need a performer.
@@ -73,26 +73,26 @@ class SpanReservations:
         if not self.records and (run is None or not run.has_spans):
             return
         active = {span.key: span for span in run.active_spans()} if run is not None else {}
-        for key, known in self.live.items():
+        for key, record in self.live.items():
             if key not in active:
                 self._unregister(key)
-                self._record(replace(known, state=ReservationState.ENDED, since=now))
+                self._record(replace(record, state=ReservationState.ENDED, since=now))
         if run is None or not reserves:
             return
         asked = {place.key for token in open_tokens for place in run.places(token) if place.is_member}
         for span in active.values():
-            found = self.live.get(span.key)
-            if found is None:
+            present = self.live.get(span.key)
+            if present is None:
                 if span.is_entered:
                     self._reserve(run, span, None, now)
-            elif found.state is ReservationState.WAITING or (
-                found.state in _ASKS_AGAIN and span.key in asked
+            elif present.state is ReservationState.WAITING or (
+                present.state in _ASKS_AGAIN and span.key in asked
             ):
-                self._reserve(run, span, found, now)
+                self._reserve(run, span, present, now)
 
     def can_begin(self, run: Run, now: datetime) -> bool:
         """Return whether one of those that wait can begin now, or cannot be had any more."""
-        waiting = {key for key, each in self.live.items() if each.state is ReservationState.WAITING}
+        waiting = {key for key, record in self.live.items() if record.state is ReservationState.WAITING}
         if not waiting:
             return False
         for span in run.active_spans():
@@ -111,7 +111,7 @@ class SpanReservations:
         live = self.live
         held = {place.key: live[place.key] for place in places if self._is_held(live.get(place.key))}
         return Within(
-            tuple(dict.fromkeys((self.process, each.outer or key) for key, each in held.items())),
+            tuple(dict.fromkeys((self.process, record.outer or key) for key, record in held.items())),
             tuple(span for place in places if place.key in held for span in place.spans),
             tuple(span for place in places if place.key in held for span in place.lanes),
         )
@@ -120,15 +120,15 @@ class SpanReservations:
         """Return the reservation that an activity has to wait for, or that is impossible."""
         live = self.live
         for place in places:
-            found = live.get(place.key)
-            if place.is_member and found is not None and found.state is not ReservationState.HELD:
-                return found
+            record = live.get(place.key)
+            if place.is_member and record is not None and record.state is not ReservationState.HELD:
+                return record
         return None
 
     def release(self, key: str, now: datetime, by: str) -> ReservationRecord:
         """Release a reservation that is held; raise `Problem` 404 or 409 if there is none."""
-        found = next((each for each in reversed(self.records) if each.key == key), None)
-        if found is None:
+        record = next((candidate for candidate in reversed(self.records) if candidate.key == key), None)
+        if record is None:
             raise Problem(
                 404,
                 "No such reservation",
@@ -139,29 +139,31 @@ class SpanReservations:
                     key=key,
                 ),
             )
-        if found.state is not ReservationState.HELD or found.outer is not None:
+        if record.state is not ReservationState.HELD or record.outer is not None:
             raise Problem(
                 409,
                 "Not held",
                 message(
-                    "reservation.not_held", '"{name}" holds nothing that could be released', name=found.name
+                    "reservation.not_held", '"{name}" holds nothing that could be released', name=record.name
                 ),
             )
         self._unregister(key)
         reason = message("reservation.released", "released by {by}", by=by)
         released = replace(
-            found, state=ReservationState.RELEASED, since=now, reason=reason, spans={}, used=()
+            record, state=ReservationState.RELEASED, since=now, reason=reason, spans={}, used=()
         )
         self._record(released)
-        for each in [each for each in self.live.values() if each.outer == key]:
-            self._record(replace(each, state=ReservationState.RELEASED, since=now, reason=reason, outer=None))
-        return found
+        for inner in [record for record in self.live.values() if record.outer == key]:
+            self._record(
+                replace(inner, state=ReservationState.RELEASED, since=now, reason=reason, outer=None)
+            )
+        return record
 
     # One reservation
 
-    def _reserve(self, run: Run, span: ActiveSpan, known: ReservationRecord | None, now: datetime) -> None:
-        asks_again = known is not None and known.state in _ASKS_AGAIN
-        asked_at = now if known is None or asks_again else known.asked_at
+    def _reserve(self, run: Run, span: ActiveSpan, present: ReservationRecord | None, now: datetime) -> None:
+        asks_again = present is not None and present.state in _ASKS_AGAIN
+        asked_at = now if present is None or asks_again else present.asked_at
         record = ReservationRecord(
             span.key, span.element, span.union.spans[0].name, ReservationState.WAITING, asked_at, asked_at, ""
         )
@@ -170,26 +172,26 @@ class SpanReservations:
             if span.outer:
                 self._record(self._covered(span, needs, record, now))
                 return
-            found = self.allocator.reserve(self._asked(run, span, needs, asked_at), now)
+            decision = self.allocator.reserve(self._asked(run, span, needs, asked_at), now)
         except (ExpressionError, ValueError) as error:
             self._unregister(span.key)
             self._record(replace(record, state=ReservationState.IMPOSSIBLE, since=now, reason=text_of(error)))
             return
         self._registered.add(span.key)
-        if isinstance(found, Hold):
+        if isinstance(decision, Hold):
             self._record(
                 replace(
                     record,
                     state=ReservationState.HELD,
                     since=now,
                     held_at=now,
-                    reason=found.reason,
-                    spans=found.spans,
-                    used=tuple(sorted(found.used)),
+                    reason=decision.reason,
+                    spans=decision.spans,
+                    used=tuple(sorted(decision.used)),
                 )
             )
-        elif known is None or known.state is not ReservationState.WAITING:
-            self._record(replace(record, reason=found))
+        elif present is None or present.state is not ReservationState.WAITING:
+            self._record(replace(record, reason=decision))
 
     def _asked(
         self, run: Run, span: ActiveSpan, needs: Mapping[str, Sequence[Need]], asked_at: datetime
@@ -199,7 +201,7 @@ class SpanReservations:
 
     def _needs(self, run: Run, span: ActiveSpan) -> dict[str, tuple[Need, ...]]:
         variables = run.span_variables(span.key)
-        return {each.id: evaluated_needs(each, variables) for each in span.union.spans}
+        return {need_span.id: evaluated_needs(need_span, variables) for need_span in span.union.spans}
 
     def _covered(
         self, span: ActiveSpan, needs: Mapping[str, Sequence[Need]], record: ReservationRecord, now: datetime
@@ -233,23 +235,25 @@ class SpanReservations:
             outer=outer.outer or outer.key,
         )
 
-    def _await(self, run: Run, span: ActiveSpan, known: ReservationRecord) -> None:
+    def _await(self, run: Run, span: ActiveSpan, record: ReservationRecord) -> None:
         try:
             needs = self._needs(run, span)
         except (ExpressionError, ValueError):
             return  # it becomes an incident when it is tried again
         if not span.outer:
-            asked = self._asked(run, span, needs, known.asked_at)
-            self.allocator.await_reservation(asked, known.reason)
+            asked = self._asked(run, span, needs, record.asked_at)
+            self.allocator.await_reservation(asked, record.reason)
             self._registered.add(span.key)
 
-    def _register(self, each: ReservationRecord) -> None:
-        if each.outer is None:
-            held_at = each.held_at or each.since
-            self.allocator.hold(Hold((self.process, each.key), each.spans, frozenset(each.used), held_at))
-            self._registered.add(each.key)
+    def _register(self, record: ReservationRecord) -> None:
+        if record.outer is None:
+            held_at = record.held_at or record.since
+            self.allocator.hold(
+                Hold((self.process, record.key), record.spans, frozenset(record.used), held_at)
+            )
+            self._registered.add(record.key)
         else:
-            self.allocator.share((self.process, each.outer), each.spans)
+            self.allocator.share((self.process, record.outer), record.spans)
 
     def _unregister(self, key: str) -> None:
         if key in self._registered:
@@ -258,11 +262,13 @@ class SpanReservations:
 
     def _record(self, changed: ReservationRecord) -> None:
         others = [
-            each for each in self.records if each.key != changed.key or each.state is ReservationState.ENDED
+            record
+            for record in self.records
+            if record.key != changed.key or record.state is ReservationState.ENDED
         ]
-        ended = [each for each in others if each.state is ReservationState.ENDED]
+        ended = [record for record in others if record.state is ReservationState.ENDED]
         dropped = set(map(id, ended[: max(0, len(ended) - MAX_ENDED)]))
-        self.records = (*(each for each in others if id(each) not in dropped), changed)
+        self.records = (*(record for record in others if id(record) not in dropped), changed)
 
-    def _is_held(self, each: ReservationRecord | None) -> bool:
-        return each is not None and each.state is ReservationState.HELD
+    def _is_held(self, record: ReservationRecord | None) -> bool:
+        return record is not None and record.state is ReservationState.HELD

@@ -6,7 +6,9 @@ from typing import Any
 
 from handover.tasks.task_life import FINISHED
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import ProcessRecord, Step, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.tally import Counted, Sums, Version, elapsed_ms
 
 

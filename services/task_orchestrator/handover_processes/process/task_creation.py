@@ -6,16 +6,17 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from handover.tasks.specification import Specification
+from handover_bpmn.execution.queries import OpenActivity
+from handover_bpmn.execution.state import Library
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import Activity, FormBinding, FormReference, Value
+from handover_bpmn.notation.names import in_urn
 from handover_datamodels.entities import TaskStatus
-from handover_processes.allocation.assignment import Assignment
-from handover_processes.execution.queries import OpenActivity
-from handover_processes.execution.state import Library
-from handover_processes.forms.registry import FormRegistry
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import Activity, FormBinding, FormReference, Value
-from handover_processes.notation.names import in_urn
+from handover_processes.allocation.assignment import PerformerAssignment
+from handover_processes.deployed_forms import FormRegistry
 from handover_processes.records.entities import task_entity
-from handover_processes.records.records import SPECIFICATION, ProcessRecord, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import SPECIFICATION, TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.timing.escalations import escalation_times
 
@@ -32,7 +33,7 @@ def create_task(
     settings: OrchestratorSettings,
     process: ProcessRecord,
     open_: OpenActivity,
-    assignment: Assignment,
+    assignment: PerformerAssignment,
     *,
     activity: Activity,
     now: datetime,
@@ -95,11 +96,16 @@ def _with_texts(activity: Activity, open_: OpenActivity) -> Activity:
         with suppress(ExpressionError):
             texts[name] = str(expression.value(open_.variables)).replace("\0", "").strip()[:MAX_TEXT]
     parameters = dict(activity.parameters)
-    given = parameters.get("description")
-    if given is None and "description" in texts:
+    description = parameters.get("description")
+    if description is None and "description" in texts:
         parameters["description"] = Value(texts["description"])
-    elif given is not None and given.expression is None and isinstance(given.literal, str) and open_.instance:
-        parameters["description"] = Value(f"{given.literal} ({open_.instance})")
+    elif (
+        description is not None
+        and description.expression is None
+        and isinstance(description.literal, str)
+        and open_.instance
+    ):
+        parameters["description"] = Value(f"{description.literal} ({open_.instance})")
     name = texts.get("name") or activity.name
     if open_.instance and "name" not in activity.texts:
         name = f"{name} ({open_.instance})"
@@ -111,11 +117,13 @@ def _row(activity: Activity, task_id: str, variables: Variables) -> dict[str, An
 
     A constant one has the id of the TaskDefinition, one with expressions that of the Task.
     """
-    given = activity.specification
-    if given is None:
+    specification = activity.specification
+    if specification is None:
         return None
-    is_constant = all(value.expression is None for value in given.values())
-    values = Specification.of({field: value.value(variables) for field, value in given.items()}).as_values()
+    is_constant = all(value.expression is None for value in specification.values())
+    values = Specification.of(
+        {field: value.value(variables) for field, value in specification.items()}
+    ).as_values()
     return {"id": activity.definition if is_constant else task_id, "values": values}
 
 
@@ -142,5 +150,5 @@ def form_version(
     if reference.version is not None:
         return name, reference.version
     is_bound = reference.binding is FormBinding.DEPLOYMENT
-    found = forms.deployed_by(name, deployed_at if is_bound and deployed_at is not None else now)
-    return name, None if found is None else found.version
+    form = forms.deployed_by(name, deployed_at if is_bound and deployed_at is not None else now)
+    return name, None if form is None else form.version

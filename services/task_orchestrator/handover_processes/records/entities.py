@@ -9,12 +9,14 @@ from handover.messages import message, with_code
 from handover.settings import Settings
 from handover.tasks.specification import MAX_COMMAND_ID
 from handover.tasks.task_life import is_for_people, type_of
+from handover_bpmn.model import Activity, Definition
+from handover_bpmn.references import is_reference
 from handover_datamodels.entities import RequestedStatus, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.hints import due_of, follow_up_of, given_priority
-from handover_processes.model import Activity, Definition
-from handover_processes.records.records import ProcessRecord, TaskRecord
-from handover_processes.references import is_reference, resource_id
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import TaskRecord
+from handover_processes.references import resource_id
 
 Entity = dict[str, Any]
 MAX_LISTED_TASKS = 200
@@ -46,13 +48,13 @@ def definition_entities(settings: Settings, definition: Definition, version: int
         if activity.definition.startswith("urn:"):
             continue  # it names the TaskDefinition of another system
         entity = _task_definition(settings, activity, process_definition)
-        known = tasks.setdefault(entity["id"], entity)
+        copy = tasks.setdefault(entity["id"], entity)
         if (
             not activity.handles_outcomes
         ):  # one activity that does not handle outcomes decides for the whole TaskDefinition
-            known.pop("handlesOutcomes", None)
+            copy.pop("handlesOutcomes", None)
         if activity.require_pin:  # one that demands it decides as well
-            known["requirePin"] = _property(True)
+            copy["requirePin"] = _property(True)
     ours = tasks.values() if definition.source is not None else (process, *tasks.values())
     return [with_digest(entity) for entity in ours]
 
@@ -67,9 +69,9 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
     if activity.description:
         entity["description"] = _property(activity.description)
     for name in ("gesture", "commandId"):
-        given = activity.parameters.get(name)
-        if given is not None and given.expression is None and not _is_too_large(given.literal):
-            entity[name] = _property(given.literal)
+        parameter = activity.parameters.get(name)
+        if parameter is not None and parameter.expression is None and not _is_too_large(parameter.literal):
+            entity[name] = _property(parameter.literal)
     if activity.skills:
         entity["requiredSkills"] = _property(list(activity.skills))
     if activity.handles_outcomes:
@@ -164,18 +166,18 @@ def task_entity(
 
 def _involved(settings: Settings, activity: Activity, variables: Mapping[str, Any]) -> list[Entity]:
     """Return the performers of a Task, then the Materials and Assets that it uses, each once."""
-    links = [_link(settings, given.value(variables), activity) for given in activity.involves]
+    links = [_link(settings, resource.value(variables), activity) for resource in activity.involves]
     for type_, values in (("Material", activity.materials), ("Asset", activity.assets)):
         for value in values:
-            given = value.value(variables)
-            listed = given if isinstance(given, list) else [given]
-            links += [_used(settings, each, type_, activity) for each in listed]
+            used = value.value(variables)
+            listed = used if isinstance(used, list) else [used]
+            links += [_used(settings, reference, type_, activity) for reference in listed]
     return list({link["object"]: link for link in links}.values())
 
 
-def _used(settings: Settings, given: Any, type_: str, activity: Activity) -> Entity:
+def _used(settings: Settings, reference: Any, type_: str, activity: Activity) -> Entity:
     """Return the link to an entity of a type; it is a reference, or an entity as a variable has it."""
-    link = _link(settings, given.get("id") if isinstance(given, Mapping) else given, activity)
+    link = _link(settings, reference.get("id") if isinstance(reference, Mapping) else reference, activity)
     if type_of(link["object"]) not in {type_, None}:
         raise ValueError(
             message(
@@ -213,7 +215,7 @@ def _schedule(activity: Activity, variables: Mapping[str, Any]) -> Entity:
 
 
 def _work_parameters(activity: Activity, variables: Mapping[str, Any]) -> dict[str, Any]:
-    parameters = {name: given.value(variables) for name, given in activity.parameters.items()}
+    parameters = {name: parameter.value(variables) for name, parameter in activity.parameters.items()}
     if activity.handles_outcomes:
         parameters["handlesOutcomes"] = True
     if activity.require_pin:

@@ -5,7 +5,8 @@ from datetime import datetime
 
 from handover_datamodels.times import iso
 from handover_processes.allocation.agents import Agent
-from handover_processes.documents.responses import (
+from handover_processes.documents.document import document
+from handover_processes.documents.statistics import (
     CauseView,
     DefinitionTimes,
     Durations,
@@ -17,7 +18,7 @@ from handover_processes.documents.responses import (
     ThroughputView,
 )
 from handover_processes.reporting.calendar import available_ms
-from handover_processes.storage.open_work import Cause, OpenTasks
+from handover_processes.storage.open_work import Cause, OpenTaskCounts
 from handover_processes.storage.reports import DefinitionReport, ElementReport, RunningCount
 from handover_processes.storage.rollups import Distribution, Distributions
 from handover_processes.tally import WHOLE_PROCESS, Counted, Period, moment_of
@@ -45,7 +46,7 @@ def elements_view(
 
 def _element(report: ElementReport, element: str, name: str) -> ElementTimes:
     completed = report.durations.get((element, Counted.COMPLETED), _NOTHING)
-    open_ = report.open_tasks.get(element, OpenTasks())
+    open_ = report.open_tasks.get(element, OpenTaskCounts())
     sums = completed.total
 
     def mean(total_ms: int) -> int | None:
@@ -108,20 +109,7 @@ def throughput_view(counts: Mapping[tuple[int, Counted], int], period: Period, h
 def cause_views(causes: Sequence[Cause], titles: Names) -> list[CauseView]:
     """Return the open incidents by element and cause."""
     return [
-        {
-            "definition": cause.definition,
-            "version": cause.version,
-            "title": titles.get(cause.definition, cause.definition),
-            "element": cause.element,
-            "name": cause.name,
-            "reason": str(cause.reason["reason"]),
-            "reasonCode": cause.reason.get("reasonCode"),
-            "reasonParameters": cause.reason.get("reasonParameters"),
-            "count": cause.count,
-            "since": iso(cause.since),
-            "processes": cause.processes,
-        }
-        for cause in causes
+        document(CauseView, cause, title=titles.get(cause.definition, cause.definition)) for cause in causes
     ]
 
 
@@ -152,7 +140,7 @@ def resources_view(
                 "utilisation": round(worked_ms / available, 4) if available else None,
             }
         )
-    resources.sort(key=lambda each: (-each["workingMs"], each["resource"]))
+    resources.sort(key=lambda worker: (-worker["workingMs"], worker["resource"]))
     return {"since": iso(period.begins_at), "until": iso(ends), "resources": resources}
 
 
@@ -161,4 +149,4 @@ def _count(durations: Distributions, subject: str, result: Counted) -> int:
 
 
 def _durations(of: Distribution) -> Durations:
-    return {"medianMs": of.percentile_ms(0.5), "p90Ms": of.percentile_ms(0.9), "meanMs": of.mean_ms()}
+    return document(Durations, of, meanMs=of.mean_ms())

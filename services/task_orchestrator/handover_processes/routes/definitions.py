@@ -13,26 +13,22 @@ from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.serving.service import XML_TYPES, accepts
+from handover_bpmn.model import Fault
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import BadBpmn, as_json
 from handover_processes.allocation.report import allocation_report
-from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
-from handover_processes.documents.responses import (
+from handover_processes.documents.definitions import (
     DefinitionView,
     DefinitionWithActivities,
     Deployment,
     DeploymentCheck,
-    VersionStatistics,
-    json_response,
-)
-from handover_processes.documents.tasklist_responses import TaskForm
-from handover_processes.documents.tasklist_views import form_view
-from handover_processes.documents.views import (
     activity_views,
     definition_view,
-    statistics_view,
 )
-from handover_processes.model import Fault
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import BadBpmn, as_json
+from handover_processes.documents.document import json_response
+from handover_processes.documents.forms import TaskForm, form_view
+from handover_processes.documents.requests import MAX_VERSION, DefinitionVersion, FormData, Name, PauseRequest
+from handover_processes.documents.statistics import VersionStatistics, statistics_view
 from handover_processes.operations.start_forms import FormOfStart
 from handover_processes.routes.resources import acting_name, of_definition
 from handover_processes.running.orchestrator import Orchestrator
@@ -63,16 +59,16 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
             return JSONResponse(await orchestrator.deployments.check(body), 200)
         deployed = await orchestrator.deployments.deploy(body)
         views = [
-            definition_view(registry, registry.record(each.name, each.version))
-            for each in deployed.deployments
+            definition_view(registry, registry.record(deployment.name, deployment.version))
+            for deployment in deployed.deployments
         ]
         allocation = [
             line
-            for each in deployed.deployments
+            for deployment in deployed.deployments
             for line in allocation_report(
                 orchestrator.state.allocator.rules,
                 orchestrator.state.allocator.forms,
-                registry.plan_of(registry.record(each.name, each.version)).definition,
+                registry.plan_of(registry.record(deployment.name, deployment.version)).definition,
             )
         ]
         warnings = as_json(deployed.warnings)

@@ -11,8 +11,8 @@ from handover.security.audit_trail import current_request
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.tasks.device_lease import MAX_DEVICES_PER_REQUEST, PATH
+from handover_processes.documents.document import json_response
 from handover_processes.documents.requests import Plain
-from handover_processes.documents.responses import json_response
 from handover_processes.operations.device_leases import LeaseAnswer
 from handover_processes.running.components import Components
 from handover_processes.storage.device_leases import LeaseHolder, StoredLease
@@ -105,9 +105,9 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
         devices = list(dict.fromkeys(body.devices))
         answers = await at.orchestrator.leases.acquire(devices, holder, body.duration_s)
         act = current_request()
-        if act is not None and not any(each.is_new for each in answers):
+        if act is not None and not any(answer.is_new for answer in answers):
             act.is_recorded = True  # a renewal changes nothing
-        return json_response({"leases": [_answer(each) for each in answers]})
+        return json_response({"leases": [_answer(answer) for answer in answers]})
 
     @app.post(
         f"{PATH}/release",

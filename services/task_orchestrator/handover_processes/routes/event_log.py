@@ -9,8 +9,8 @@ from handover.http.api_description import sends
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.tasks.event_log import TASK_COLUMNS, task_rows, xes_log
+from handover_processes.documents.processes import process_view
 from handover_processes.documents.requests import EventLogQuery
-from handover_processes.documents.views import process_view
 from handover_processes.routes.resources import of_definition_query
 from handover_processes.routes.tables import file_response
 from handover_processes.running.components import Components
@@ -33,12 +33,14 @@ def add_event_log(app: FastAPI, at: Components) -> None:
 
         The filter is that of `GET /processes`; without one it has the processes that started last.
         """
-        found = await orchestrator.read(orchestrator.store.histories, query.read(), query.limit)
-        for record, _, _ in found:
+        histories = await orchestrator.read(orchestrator.store.histories, query.read(), query.limit)
+        for record, _, _ in histories:
             await registry.prepare(registry.record(record.definition, record.version))
 
         def write() -> bytes:
-            views = [process_view(at.settings, registry, *each, allocator=allocator) for each in found]
+            views = [
+                process_view(at.settings, registry, *history, allocator=allocator) for history in histories
+            ]
             if query.format == "csv":
                 return csv_table(TASK_COLUMNS, (row for view in views for row in task_rows(view)))
             return xes_log(query.definition or "Handover", views)

@@ -11,15 +11,12 @@ from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
+from handover_processes.documents.document import json_response
+from handover_processes.documents.events import SentMessage, SentSignal
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     MessageRequest,
     SignalRequest,
-)
-from handover_processes.documents.responses import (
-    SentMessage,
-    SentSignal,
-    json_response,
 )
 from handover_processes.operations.process_control import check_variables
 from handover_processes.routes.resources import process_resource

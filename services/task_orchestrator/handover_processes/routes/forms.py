@@ -8,14 +8,13 @@ from starlette.responses import JSONResponse
 from handover.http.body_limit import max_body
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover_bpmn.forms.form_js import MAX_FORM_BYTES
+from handover_bpmn.notation.document import MAX_BYTES
+from handover_bpmn.notation.faults import as_json
+from handover_processes.documents.definitions import definition_view
+from handover_processes.documents.document import document, documents, json_response
+from handover_processes.documents.forms import DeployedFiles, FormView
 from handover_processes.documents.requests import MAX_VERSION, DeploymentRequest
-from handover_processes.documents.responses import json_response
-from handover_processes.documents.tasklist_responses import DeployedFiles, FormView
-from handover_processes.documents.tasklist_views import form_record_view
-from handover_processes.documents.views import definition_view
-from handover_processes.forms.form_js import MAX_FORM_BYTES
-from handover_processes.notation.document import MAX_BYTES
-from handover_processes.notation.faults import as_json
 from handover_processes.operations.deployments import DeployedForm
 from handover_processes.running.components import Components
 
@@ -51,7 +50,7 @@ def add_forms(app: FastAPI, at: Components) -> None:
     )
     async def list_forms() -> Response:
         """Return the latest version of every form."""
-        return json_response([form_record_view(record) for record in forms.latest()])
+        return json_response(documents(FormView, forms.latest()))
 
     @app.get(
         "/forms/{form_id}",
@@ -73,16 +72,18 @@ def add_forms(app: FastAPI, at: Components) -> None:
     @max_body(4 * MAX_BYTES)
     async def deploy_files(body: DeploymentRequest) -> JSONResponse:
         """Deploy BPMN files and forms together, all or none: 201 if anything is new, else 200."""
-        bpmn = [each.content.encode() for each in body.files if each.name.endswith(".bpmn")]
-        given = [(each.name, each.content.encode()) for each in body.files if each.name.endswith(".form")]
-        deployed = await deployments.deploy_files(bpmn, given)
+        bpmn = [file.content.encode() for file in body.files if file.name.endswith(".bpmn")]
+        form_files = [
+            (file.name, file.content.encode()) for file in body.files if file.name.endswith(".form")
+        ]
+        deployed = await deployments.deploy_files(bpmn, form_files)
         registry = state.registry
         content = {
             "definitions": [
-                definition_view(registry, registry.record(each.name, each.version))
-                for each in deployed.bpmn.deployments
+                definition_view(registry, registry.record(deployment.name, deployment.version))
+                for deployment in deployed.bpmn.deployments
             ],
-            "forms": [_view(each) for each in deployed.forms],
+            "forms": [_view(deployed_form) for deployed_form in deployed.forms],
             "warnings": as_json(deployed.bpmn.warnings),
             "created": deployed.created,
         }
@@ -91,4 +92,4 @@ def add_forms(app: FastAPI, at: Components) -> None:
 
 def _view(deployed: DeployedForm) -> FormView:
     warnings = [str(warning) for warning in deployed.warnings]
-    return {**form_record_view(deployed.record), "created": deployed.created, "warnings": warnings}
+    return document(FormView, deployed.record, created=deployed.created, warnings=warnings)

@@ -6,6 +6,8 @@ from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover_processes.documents.document import json_response
+from handover_processes.documents.events import PausedProcesses
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     MendRequest,
@@ -13,12 +15,8 @@ from handover_processes.documents.requests import (
     PauseRequest,
     VariablesRequest,
 )
-from handover_processes.documents.responses import (
-    PausedProcesses,
-    json_response,
-)
 from handover_processes.operations.process_control import check_variables
-from handover_processes.records.records import ActKind
+from handover_processes.records.processes import ActKind
 from handover_processes.routes.process_response import PROCESS, changed_process_response
 from handover_processes.routes.resources import acting_name, of_definition_query, of_process
 from handover_processes.running.components import Components

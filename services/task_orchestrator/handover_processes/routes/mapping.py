@@ -11,19 +11,11 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.allocation.mapping import MappingRequest
+from handover_processes.documents.agents import AgentView, agent_views
+from handover_processes.documents.document import json_response
+from handover_processes.documents.mapping import MappingUse, MappingView, mapping_use, mapping_view
 from handover_processes.documents.requests import (
     MAX_VERSION,
-)
-from handover_processes.documents.responses import (
-    AgentView,
-    MappingUse,
-    MappingView,
-    json_response,
-)
-from handover_processes.documents.views import (
-    agent_views,
-    mapping_use,
-    mapping_view,
 )
 from handover_processes.routes.resources import acting_name
 from handover_processes.running.orchestrator import Orchestrator

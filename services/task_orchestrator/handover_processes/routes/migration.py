@@ -7,19 +7,20 @@ from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover_processes.documents.document import json_response
+from handover_processes.documents.migrations import (
+    MigrationOfAllView,
+    MigrationView,
+    migration_of_all_view,
+    migration_view,
+)
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     MigrationOfAllRequest,
     MigrationRequest,
 )
-from handover_processes.documents.responses import (
-    MigrationOfAllView,
-    MigrationView,
-    json_response,
-)
-from handover_processes.documents.views import migration_of_all_view, migration_view
 from handover_processes.operations.process_control import check_variables
-from handover_processes.records.records import Act, ActKind
+from handover_processes.records.processes import Act, ActKind
 from handover_processes.routes.resources import acting_name, of_definition, of_process
 from handover_processes.running.components import Components
 

@@ -10,10 +10,11 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
+from handover_processes.documents.document import json_response
+from handover_processes.documents.offers import OfferView
 from handover_processes.documents.requests import OfferRequest
-from handover_processes.documents.responses import OfferView, json_response
 from handover_processes.operations.offering import OfferReader
-from handover_processes.records.records import OfferStatus
+from handover_processes.records.offers import OfferStatus
 from handover_processes.routes.resources import acting_name
 from handover_processes.running.components import Components
 
@@ -38,8 +39,8 @@ def add_offers(app: FastAPI, at: Components) -> None:
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> Response:
         """Return definitions that other systems have written to the broker, the latest first."""
-        found = orchestrator.state.offers.listed(status, entity)[:limit]
-        return json_response([await reader.view(record) for record in found])
+        records = orchestrator.state.offers.listed(status, entity)[:limit]
+        return json_response([await reader.view(record) for record in records])
 
     @app.get("/offers/{offer}", tags=["offers"], responses=OFFER, dependencies=[require(Permission.READ)])
     async def offer(offer: str) -> Response:

@@ -7,13 +7,8 @@ from fastapi import Response
 from handover.database.outage import shown_after_change
 from handover.errors import Problem
 from handover.messages import message
-from handover_processes.documents.responses import (
-    ProcessView,
-    json_response,
-)
-from handover_processes.documents.views import (
-    process_view,
-)
+from handover_processes.documents.document import json_response
+from handover_processes.documents.processes import ProcessView, process_view
 from handover_processes.running.components import Components
 
 PROCESS: dict[int | str, dict[str, Any]] = {200: {"model": ProcessView}}

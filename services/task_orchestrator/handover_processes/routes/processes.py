@@ -11,6 +11,8 @@ from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
+from handover_processes.documents.document import document, json_response
+from handover_processes.documents.processes import ProcessSummary, process_summary
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     CancelRequest,
@@ -18,15 +20,7 @@ from handover_processes.documents.requests import (
     ProcessStart,
     RetryRequest,
 )
-from handover_processes.documents.responses import (
-    PeriodStatistics,
-    ProcessSummary,
-    json_response,
-)
-from handover_processes.documents.views import (
-    period_view,
-    process_summary,
-)
+from handover_processes.documents.statistics import PeriodStatistics
 from handover_processes.routes.process_response import (
     PROCESS,
     changed_process_response,
@@ -99,7 +93,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
     ) -> Response:
         """Return the number of running and ended processes since a time, and their median duration."""
         counts = await orchestrator.read(store.counts_since, since, orchestrator.clock())
-        return json_response(period_view(counts))
+        return json_response(document(PeriodStatistics, counts))
 
     @app.get(
         "/processes/{process_id}",

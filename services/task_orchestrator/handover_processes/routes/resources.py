@@ -12,15 +12,16 @@ from handover.security.audit_trail import current_request
 from handover.security.guard import ResourceOf
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover_processes.definitions.definition_registry import DefinitionRegistry
-from handover_processes.records.records import ProcessRecord, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.running.components import Components
 
 
-def acting_name(given: str) -> str:
+def acting_name(name: str) -> str:
     """Return the name under which the caller of the current request acts; `given` counts without accounts."""
     act = current_request()
     caller = None if act is None else act.caller
-    return given.strip() if caller is None else caller.acting_name(given)
+    return name.strip() if caller is None else caller.acting_name(name)
 
 
 def of_definition(registry: DefinitionRegistry) -> ResourceOf:
@@ -92,8 +93,8 @@ async def process_resource(at: Components, process_id: str) -> str:
     active = state.active_processes.processes.get(plain_id)
     record: ProcessRecord | None = active.record if active is not None else None
     if record is None:
-        found: list[ProcessRecord] = await state.on_disk(state.store.processes, [plain_id])
-        record = found[0] if found else None
+        records: list[ProcessRecord] = await state.on_disk(state.store.processes, [plain_id])
+        record = records[0] if records else None
     if record is None:
         return ANY_RESOURCE
     return definition_id(state.registry, record.definition, record.version)

@@ -12,6 +12,7 @@ from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.definitions.definition_registry import DefinitionRegistry
+from handover_processes.documents.document import json_response
 from handover_processes.documents.requests import (
     ElementsQuery,
     IncidentsQuery,
@@ -19,7 +20,7 @@ from handover_processes.documents.requests import (
     ScopedQuery,
     ThroughputQuery,
 )
-from handover_processes.documents.responses import (
+from handover_processes.documents.statistics import (
     CauseView,
     DefinitionTimes,
     ElementsView,
@@ -28,9 +29,8 @@ from handover_processes.documents.responses import (
     ResourceTimes,
     ThroughputPoint,
     ThroughputView,
-    json_response,
 )
-from handover_processes.records.records import DefinitionRecord
+from handover_processes.records.definitions import DefinitionRecord
 from handover_processes.reporting.period import read_period
 from handover_processes.reporting.views import (
     cause_views,
@@ -42,7 +42,7 @@ from handover_processes.reporting.views import (
 from handover_processes.routes.resources import of_definition_query
 from handover_processes.routes.tables import csv_response
 from handover_processes.running.components import Components
-from handover_processes.storage.rollups import Scope
+from handover_processes.storage.rollups import ReportScope
 from handover_processes.tally import DAY_H, Period
 
 MAX_HOURLY = timedelta(days=92)
@@ -50,12 +50,14 @@ DEFAULT_HOURLY = timedelta(days=7, hours=1)
 """Seven days are up to 169 whole hours."""
 
 
-def scope_of(registry: DefinitionRegistry, query: ScopedQuery | ElementsQuery | IncidentsQuery) -> Scope:
+def scope_of(
+    registry: DefinitionRegistry, query: ScopedQuery | ElementsQuery | IncidentsQuery
+) -> ReportScope:
     """Return the scope of a report; raise `Problem` 404 for an unknown definition or version."""
     if query.definition is None:
-        return Scope()
+        return ReportScope()
     registry.record(query.definition, query.version)
-    return Scope(query.definition, query.version)
+    return ReportScope(query.definition, query.version)
 
 
 def step_hours(step: str | None, period: Period) -> int:

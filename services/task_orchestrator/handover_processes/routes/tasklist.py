@@ -15,6 +15,9 @@ from handover.security.permissions import Permission
 from handover.security.pin_check import require_pin
 from handover.tasks.task_life import is_for_people
 from handover_datamodels.entities import TaskStatus
+from handover_processes.documents.document import document, documents, json_response
+from handover_processes.documents.forms import TaskForm
+from handover_processes.documents.processes import process_name
 from handover_processes.documents.requests import (
     MAX_PARAMETERS_BYTES,
     ClaimRequest,
@@ -25,16 +28,11 @@ from handover_processes.documents.requests import (
     ReturnRequest,
     TaskListQuery,
 )
-from handover_processes.documents.responses import json_response
-from handover_processes.documents.tasklist_responses import (
+from handover_processes.documents.tasklist import (
     TaskComment,
     TaskDetails,
-    TaskForm,
     TaskHistoryEntry,
     TasklistEntry,
-)
-from handover_processes.documents.tasklist_views import (
-    comment_view,
     is_listed,
     list_order,
     resolved_form,
@@ -42,9 +40,8 @@ from handover_processes.documents.tasklist_views import (
     task_history,
     tasklist_entry,
 )
-from handover_processes.documents.views import process_name
 from handover_processes.people_acts import requires_pin
-from handover_processes.records.records import TaskRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.routes.resources import of_process, of_task
 from handover_processes.running.components import Components
 
@@ -71,24 +68,24 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         mark = None if query.before is None else await tasklist.task(_urn(at, query.before))
         last = None if mark is None else tasklist_entry(mark, "")
         process = None if query.process is None else at.plain_id(query.process)
-        found = [
+        open_tasks = [
             entry
-            for each in state.active_processes.processes.values()
-            if (process is None or each.record.id == process)
-            and (query.definition is None or each.record.definition == query.definition)
-            for task in each.tasks.values()
+            for running in state.active_processes.processes.values()
+            if (process is None or running.record.id == process)
+            and (query.definition is None or running.record.definition == query.definition)
+            for task in running.tasks.values()
             if is_for_people(link["object"] for link in task.entity["involves"]["value"])
             and is_listed(
-                entry := tasklist_entry(task, process_name(state.registry, each.record)),
+                entry := tasklist_entry(task, process_name(state.registry, running.record)),
                 query,
-                each.record.key,
+                running.record.key,
             )
             and (last is None or list_order(entry) > list_order(last))
         ]
-        found.sort(key=list_order)
-        response = json_response(found[: query.limit])
-        if len(found) > query.limit:
-            following = request.url.include_query_params(before=found[query.limit - 1]["id"])
+        open_tasks.sort(key=list_order)
+        response = json_response(open_tasks[: query.limit])
+        if len(open_tasks) > query.limit:
+            following = request.url.include_query_params(before=open_tasks[query.limit - 1]["id"])
             response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
         return response
 
@@ -121,8 +118,8 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
     @max_body(MAX_PARAMETERS_BYTES)
     async def form(task_id: TaskId, body: FormData) -> Response:
         """Return the form of a Task for the values typed so far: conditions and expressions are evaluated."""
-        found = await tasklist.task(_urn(at, task_id))
-        return JSONResponse(_form(at, found, body.values))
+        task_view = await tasklist.task(_urn(at, task_id))
+        return JSONResponse(_form(at, task_view, body.values))
 
     @app.post(
         "/tasks/{task_id}/claim",
@@ -182,9 +179,9 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
 
         A Task with `requirePin` needs the `pin` of the person who is signed in or has joined the station.
         """
-        found = await tasklist.task(_urn(at, task_id))
-        if requires_pin(found):
-            await require_pin(at.guard, caller, body.pin, found.id)
+        record = await tasklist.task(_urn(at, task_id))
+        if requires_pin(record):
+            await require_pin(at.guard, caller, body.pin, record.id)
         await tasklist.complete(
             _urn(at, task_id),
             caller.acting_name(body.by),
@@ -207,11 +204,11 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
     ) -> JSONResponse:
         """Add a comment to a Task."""
-        found = await tasklist.task(_urn(at, task_id))
+        record = await tasklist.task(_urn(at, task_id))
         act = await tasklist.comment(
-            found.process, caller.acting_name(body.by), body.text.strip(), task_id=found.id, key=body.id
+            record.process, caller.acting_name(body.by), body.text.strip(), task_id=record.id, key=body.id
         )
-        return JSONResponse(comment_view(act), 201)
+        return JSONResponse(document(TaskComment, act), 201)
 
     @app.post(
         "/processes/{process_id}/comments",
@@ -228,7 +225,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         act = await tasklist.comment(
             at.plain_id(process_id), caller.acting_name(body.by), body.text.strip(), key=body.id
         )
-        return JSONResponse(comment_view(act), 201)
+        return JSONResponse(document(TaskComment, act), 201)
 
     @app.get(
         "/processes/{process_id}/comments",
@@ -240,7 +237,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         """Return the comments on a process and on its Tasks, the earliest first."""
         await state.require_process(at.plain_id(process_id))
         acts = await at.orchestrator.on_disk(at.orchestrator.store.task_acts, at.plain_id(process_id))
-        return json_response([comment_view(act) for act in acts if act.kind == "comment"])
+        return json_response(documents(TaskComment, (act for act in acts if act.kind == "comment")))
 
 
 def _urn(at: Components, task_id: str) -> str:
@@ -268,9 +265,9 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
     activity = registry.plan_of(deployed).definition.activities().get(task.element)
     own = [act for act in acts if act.task == task.id]
     earlier = [
-        each
-        for each in tasks
-        if (each.element, each.token) == (task.element, task.token) and each.visit < task.visit
+        other
+        for other in tasks
+        if (other.element, other.token) == (task.element, task.token) and other.visit < task.visit
     ]
     return task_details(
         task,

@@ -109,8 +109,8 @@ class Archiver:
             REAPPEARED.labels("restated").inc(count)
             log.warning(
                 "the broker shows as unfinished what has ended; its recorded end is reported again",
-                tasks=sorted(each.task.id for each in ended_tasks),
-                processes=sorted(each.process.id for each in ended_processes),
+                tasks=sorted(task.task.id for task in ended_tasks),
+                processes=sorted(process.process.id for process in ended_processes),
             )
         return count
 
@@ -147,9 +147,9 @@ class Archiver:
         }
         archived = await orchestrator.on_disk(orchestrator.store.archived, tasks, list(processes))
         wrong: dict[str, list[str]] = {}
-        for found, process in archived.items():
+        for stored_id, process in archived.items():
             if not orchestrator.outbox.is_pending(self._settings.entity_id("Process", process)):
-                wrong.setdefault(process, []).append(processes.get(found, found))
+                wrong.setdefault(process, []).append(processes.get(stored_id, stored_id))
         count = sum(len(ids) for ids in wrong.values())
         if count:
             REAPPEARED.labels("deleted").inc(count)

@@ -11,9 +11,9 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.security.guard import Guard
 from handover.telemetry import get_logger
+from handover_bpmn.forms.form_js import BadForm
+from handover_bpmn.notation.faults import BadBpmn
 from handover_processes.allocation.mapping import read_mapping_file
-from handover_processes.forms.form_js import BadForm
-from handover_processes.notation.faults import BadBpmn
 from handover_processes.running.archive import Archiver
 from handover_processes.running.definition_offers import DefinitionOffers
 from handover_processes.running.entity_events import EntityEvents
@@ -82,8 +82,8 @@ class Components:
             except OSError as error:
                 log.warning("BPMN file not readable", file=str(file), error=str(error))
             else:
-                for each in deployed.deployments:
-                    log.info("definition deployed", name=each.name, version=each.version)
+                for deployment in deployed.deployments:
+                    log.info("definition deployed", name=deployment.name, version=deployment.version)
 
     async def _deploy_form(self, file: Path) -> None:
         try:

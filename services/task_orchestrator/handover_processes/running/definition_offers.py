@@ -35,7 +35,7 @@ from handover_processes.definitions.offer_rules import (
     with_fault,
 )
 from handover_processes.documents.downloads import Downloader, DownloadFailed
-from handover_processes.records.records import OfferRecord, OfferStatus
+from handover_processes.records.offers import OfferRecord, OfferStatus
 from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.running.reconcile import Reconciler
 
@@ -94,8 +94,8 @@ class DefinitionOffers:
         await self._orchestrator.cell.require()
         await self._cells.read()
         await self._subscriptions.keep(self._subscription())
-        found = [each for type_ in OFFERED_TYPES for each in await self._broker.query(type=type_)]
-        entities = [each for each in found if not self._cells.has(each.get("id"))]
+        definitions = [entity for type_ in OFFERED_TYPES for entity in await self._broker.query(type=type_)]
+        entities = [definition for definition in definitions if not self._cells.has(definition.get("id"))]
         await self._receive(entities)
         present = {entity.get("id") for entity in entities}
         for entity_id in open_entities(self._orchestrator.state.offers) - present:
@@ -180,8 +180,8 @@ class DefinitionOffers:
         return retry_at_s is not None and asyncio.get_running_loop().time() >= retry_at_s
 
     async def _offer(self, candidate: Candidate) -> None:
-        known = self._orchestrator.state.offers.find(candidate.id)
-        if known is None or not (known.has_file or known.is_decided):
+        offer = self._orchestrator.state.offers.find(candidate.id)
+        if offer is None or not (offer.has_file or offer.is_decided):
             candidate = await self._with_file(candidate)
         if self._last.get(candidate.entity) != candidate.id:
             return  # it was changed while the file was loaded
@@ -192,7 +192,7 @@ class DefinitionOffers:
             log.warning("offer not stored yet", entity=candidate.entity, error=str(problem))
             return
         present = self._orchestrator.state.offers.find(candidate.id)
-        if known is None and present is not None:
+        if offer is None and present is not None:
             faults = [str(fault) for fault in present.faults]
             log.info("definition offered", entity=candidate.entity, offer=candidate.id, faults=faults)
 

@@ -27,10 +27,10 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
+from handover_bpmn.model import EntityFilter
 from handover_processes.events.entity_delivery import Watched
 from handover_processes.events.entity_matching import replay
-from handover_processes.model import EntityFilter
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.running.orchestrator import Orchestrator
 
 log = get_logger(__name__)
@@ -120,16 +120,16 @@ class EntityEvents:
         failure: BrokerUnavailable | None = None
         moment = self._orchestrator.clock()
         since = self._delivery.contact() if self._was_disconnected else None
-        for key, each in watched.items():
+        for key, watch in watched.items():
             try:
-                await self._reconcile_filter(key, each, since)
+                await self._reconcile_filter(key, watch, since)
                 if key in (self._subscribed or ()):
                     await self._clear_refused(key)
             except BrokerUnavailable as error:
                 failure = error
             except BrokerError as error:
-                log.warning("filter of entities refused", type=each.on.type, q=each.on.q, error=str(error))
-                await self._report_refused(key, each.on, str(error))
+                log.warning("filter of entities refused", type=watch.on.type, q=watch.on.q, error=str(error))
+                await self._report_refused(key, watch.on, str(error))
         if failure is not None:
             raise failure
         self._was_disconnected = False
@@ -168,8 +168,8 @@ class EntityEvents:
         alerts = await self._broker.query(type="Alert", id_pattern=pattern)
         active = {str(alert["id"]) for alert in alerts if "validTo" not in alert}
         for key in watched:
-            if (found := alert_id(self._settings, _refused_key(key))) in active:
-                active.discard(found)
+            if (raised := alert_id(self._settings, _refused_key(key))) in active:
+                active.discard(raised)
                 self._refused.add(key)
         for gone in active:
             await clear_alert(self._broker, self._settings, key=gone.rpartition(":")[2])
@@ -208,13 +208,13 @@ class EntityEvents:
             return
         try:
             evolutions = await self._broker.evolution(since, type=on.type, id_pattern=on.id_pattern)
-            found = self._usable(on, evolutions)
+            usable = self._usable(on, evolutions)
         except BrokerUnavailable:
             raise
         except BrokerError as error:
             log.warning("no history of entities", type=on.type, error=str(error))
             return
-        for evolution in found:
+        for evolution in usable:
             for state in replay(evolution, present.get(evolution["id"], {})):
                 await self._judge(key, [state])
 
@@ -280,11 +280,17 @@ class EntityEvents:
         if not watched and self._subscribed == set():
             return
         prefix = self._subscription_id("")
-        listed = {str(each.get("id")): each for each in await self._broker.subscriptions()}
-        registered = {one.removeprefix(prefix) for one in listed if one.startswith(prefix)}
+        listed = {
+            str(subscription.get("id")): subscription for subscription in await self._broker.subscriptions()
+        }
+        registered = {
+            subscription_id.removeprefix(prefix)
+            for subscription_id in listed
+            if subscription_id.startswith(prefix)
+        }
         for key in registered - set(watched):
             await self._subscriptions.drop(self._subscription_id(key))
-        known: set[str] = set()
+        kept: set[str] = set()
         for key in watched:
             try:
                 await self._subscriptions.keep(self._subscription(key, watched[key]), listed)
@@ -295,8 +301,8 @@ class EntityEvents:
                 log.warning("subscription to entities refused", type=on.type, q=on.q, error=str(error))
                 await self._report_refused(key, on, str(error))
             else:
-                known = known | {key}
-        self._subscribed = known
+                kept = kept | {key}
+        self._subscribed = kept
         self._queried &= set(watched)
         for key in self._refused - set(watched):
             await self._clear_refused(key)

@@ -19,7 +19,7 @@ from handover_processes.operations.lost_performers import LostPerformers
 from handover_processes.operations.offering import Offering
 from handover_processes.operations.process_control import ProcessControl
 from handover_processes.operations.tasklist import Tasklist
-from handover_processes.records.records import Message
+from handover_processes.records.messages import Message
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.steps.cell_presence import CellPresence
 from handover_processes.steps.outbox import Outbox

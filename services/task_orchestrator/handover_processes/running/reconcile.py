@@ -192,8 +192,8 @@ class Reconciler:
     async def read_agents(self) -> None:
         """Read the Devices and Persons of the broker, who perform Tasks, without those of other cells."""
         await self._cells.read()
-        found = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
-        entities = [entity for entity in found if not self._cells.has(entity.get("id"))]
+        copies = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
+        entities = [entity for entity in copies if not self._cells.has(entity.get("id"))]
         state = self._orchestrator.state
         needs_acceptance = self._settings.resources_need_acceptance
         effective = state.offers.effective(entities, needs_acceptance=needs_acceptance)

@@ -11,14 +11,16 @@ from prometheus_client import Counter
 
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
+from handover_bpmn.timing.due_queue import DueQueue
 from handover_processes.allocation.allocator import Allocator
 from handover_processes.definitions.definition_registry import DefinitionRegistry
 from handover_processes.metrics import HandoverTimer
 from handover_processes.process.process import Process
-from handover_processes.records.records import ProcessRecord, Step, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.store import Store
-from handover_processes.timing.due_queue import DueQueue
 
 log = get_logger(__name__)
 

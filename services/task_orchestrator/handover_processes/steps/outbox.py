@@ -44,7 +44,7 @@ from handover.settings import Settings
 from handover.telemetry import get_logger
 from handover_datamodels.states import Severity
 from handover_processes.definitions.own_definitions import write_definitions
-from handover_processes.records.records import Message, MessageKind
+from handover_processes.records.messages import Message, MessageKind
 from handover_processes.records.specification_writer import (
     SpecificationRefused,
     SpecificationsUnavailable,
@@ -118,16 +118,16 @@ class Outbox:
 
     def send(self, messages: Iterable[Message]) -> None:
         """Deliver `messages`, which are stored in the database, from now on."""
-        for each in messages:
-            self._pending[each.subject] = self._pending.get(each.subject, 0) + 1
+        for added in messages:
+            self._pending[added.subject] = self._pending.get(added.subject, 0) + 1
             PENDING.inc()
-            for definition in _definitions_in(each):
+            for definition in _definitions_in(added):
                 self._definitions[definition] = self._definitions.get(definition, 0) + 1
-            if each.stream in self._streams:
-                self._streams[each.stream].append(each)
+            if added.stream in self._streams:
+                self._streams[added.stream].append(added)
             else:
-                self._streams[each.stream] = deque([each])
-                self._set_ready(each.stream)
+                self._streams[added.stream] = deque([added])
+                self._set_ready(added.stream)
 
     def is_pending(self, subject: str) -> bool:
         """Return whether a message about the entity `subject` was not delivered yet."""
@@ -169,7 +169,7 @@ class Outbox:
         streams = [stream for stream in streams if not self._waits_for_definition(stream)]
         failed = await self._deliver_first(MessageKind.CREATE, streams)
         failed |= await self._deliver_first(
-            MessageKind.UPSERT, [each for each in streams if each not in failed]
+            MessageKind.UPSERT, [name for name in streams if name not in failed]
         )
         for stream in streams:
             messages = self._streams[stream]
@@ -201,20 +201,20 @@ class Outbox:
         batch: list[Message] = []
         for stream in streams:
             subjects: set[str] = set()
-            for each in self._streams[stream]:
-                if each.kind is not kind or each.subject in subjects or len(batch) == MAX_BATCH:
+            for waiting in self._streams[stream]:
+                if waiting.kind is not kind or waiting.subject in subjects or len(batch) == MAX_BATCH:
                     break
-                if self._awaited_definition(each) is not None or _definition_of(each) in self._refused:
+                if self._awaited_definition(waiting) is not None or _definition_of(waiting) in self._refused:
                     break  # the latter is delivered alone
-                subjects.add(each.subject)
-                batch.append(each)
+                subjects.add(waiting.subject)
+                batch.append(waiting)
         undelivered = await self._write_batch(kind, batch)
         failed: set[str] = set()
-        for each in batch:
-            if each.seq in undelivered:
-                failed.add(each.stream)
-            elif each.stream not in failed:
-                self._mark_delivered(self._streams[each.stream].popleft())
+        for outgoing in batch:
+            if outgoing.seq in undelivered:
+                failed.add(outgoing.stream)
+            elif outgoing.stream not in failed:
+                self._mark_delivered(self._streams[outgoing.stream].popleft())
         return failed
 
     async def _write_batch(self, kind: MessageKind, batch: list[Message]) -> set[int]:
@@ -233,7 +233,9 @@ class Outbox:
         except BrokerError:
             return every  # each shows its own reason when it is delivered alone
         except Exception:
-            log.exception("messages not delivered together", subjects=[each.subject for each in batch])
+            log.exception(
+                "messages not delivered together", subjects=[outgoing.subject for outgoing in batch]
+            )
             return every
         return {
             message.seq
@@ -361,7 +363,7 @@ class Outbox:
     def _accept_definition(self, definition: str) -> None:
         """Delete the message of a refused definition once the broker has all definitions of it."""
         refused = self._refused.pop(definition, None)
-        if refused is not None and not any(each.seq == refused.seq for each in self._refused.values()):
+        if refused is not None and not any(other.seq == refused.seq for other in self._refused.values()):
             self._delivered.append(refused.seq)
             self.has_delivered.set()
 
@@ -380,7 +382,7 @@ class Outbox:
 
     def _mark_delivered(self, message: Message) -> None:
         PENDING.dec()
-        if not any(each.seq == message.seq for each in self._refused.values()):
+        if not any(other.seq == message.seq for other in self._refused.values()):
             self._delivered.append(message.seq)
         left = self._pending[message.subject] - 1
         if left:

@@ -29,7 +29,7 @@ from handover.runtime.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request
 from handover.telemetry import get_logger
 from handover_processes.process.process import Process
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.steps.outbox import Outbox
 from handover_processes.steps.working_state import WorkingState
 

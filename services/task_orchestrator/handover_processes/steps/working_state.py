@@ -12,6 +12,7 @@ from typing import Any
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover_bpmn.model import Definition
 from handover_datamodels.entities import TaskStatus
 from handover_processes import metrics
 from handover_processes.allocation.allocator import Allocator
@@ -23,16 +24,11 @@ from handover_processes.events.entity_delivery import EntityDelivery
 from handover_processes.events.entity_matching import SeenEntities
 from handover_processes.events.event_delivery import EventDelivery
 from handover_processes.events.stored_messages import StoredMessages
-from handover_processes.model import Definition
 from handover_processes.process.process import Process
-from handover_processes.records.records import (
-    DefinitionHold,
-    DefinitionRecord,
-    HoldKind,
-    ProcessRecord,
-    StartTimer,
-    Step,
-)
+from handover_processes.records.definitions import DefinitionHold, DefinitionRecord, HoldKind
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.timers import StartTimer
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.steps.active_processes import ActiveProcesses
 from handover_processes.storage.store import Store
@@ -91,7 +87,7 @@ class WorkingState:
         await self.on_disk(self.store.migrate)
         self.registry.add(await self.on_disk(self.store.definitions))
         holds: list[DefinitionHold] = await self.on_disk(self.store.definition_holds)
-        self.registry.holds = {(each.definition, each.kind): each for each in holds}
+        self.registry.holds = {(hold.definition, hold.kind): hold for hold in holds}
         self.registry.add_deleted(await self.on_disk(self.store.deleted_versions))
         self.allocator.forms.add(await self.on_disk(self.store.forms))
         table: MappingTable | None = await self.on_disk(self.store.mapping)
@@ -177,11 +173,11 @@ class WorkingState:
         """Start a process at an event that brings `variables`; those that are parameters set them."""
         deployed = self.registry.record(start.definition)
         definition = self.registry.plan_of(deployed).definition
-        given = {name: value for name, value in variables.items() if name in definition.parameters}
+        parameters = {name: value for name, value in variables.items() if name in definition.parameters}
         return self.start(
             step,
             deployed,
-            definition.arguments(given),
+            definition.arguments(parameters),
             key=key,
             partner=partner,
             at=start.event,
@@ -198,14 +194,14 @@ class WorkingState:
 
     async def require_process(self, process_id: str) -> ProcessRecord:
         """Return a process as the database has it; raise `Problem` 404 if there is none."""
-        found: list[ProcessRecord] = await self.on_disk(self.store.processes, [process_id])
-        if not found:
+        records: list[ProcessRecord] = await self.on_disk(self.store.processes, [process_id])
+        if not records:
             raise Problem(
                 404,
                 "No such process",
                 message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
             )
-        return found[0]
+        return records[0]
 
     def settle(self, step: Step) -> None:
         """Apply the consequences of a change for other processes, in the same step."""

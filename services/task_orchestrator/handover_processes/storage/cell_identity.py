@@ -15,8 +15,8 @@ def identity_of(engine: Engine) -> str:
     """Return the identity of the cell whose processes are in this database; make it at the first start."""
     migrations.migrate(engine, _meta, component="orchestrator_cell", version=_VERSION)
     with engine.begin() as connection:
-        found: str | None = connection.scalar(select(_identity.c.identity))
-        if found is None:
-            found = secrets.token_hex(16)
-            connection.execute(insert(_identity).values(identity=found))
-        return found
+        stored: str | None = connection.scalar(select(_identity.c.identity))
+        if stored is None:
+            stored = secrets.token_hex(16)
+            connection.execute(insert(_identity).values(identity=stored))
+        return stored

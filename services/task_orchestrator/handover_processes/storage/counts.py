@@ -13,11 +13,11 @@ from datetime import datetime
 from sqlalchemy import Connection, func, select
 
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import TaskRecord
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.storage.open_work import open_tasks, running_processes
 from handover_processes.storage.rollups import (
     Distribution,
-    Scope,
+    ReportScope,
     element_durations,
     process_durations,
 )
@@ -96,13 +96,13 @@ def count_version(connection: Connection, definition: str, version: int, now: da
 
     The cost depends on the number of elements and months, not on that of Tasks. A median is accurate to 9 %.
     """
-    scope = Scope(definition, version)
+    scope = ReportScope(definition, version)
     counted = element_durations(connection, Period(0, hour_of(now) + 1), scope)
     running = running_processes(connection, scope).get(definition, (0, 0))[0]
     present = open_tasks(connection, scope)
     last = _last_durations(connection, definition, version)
     elements = {}
-    for element in sorted({*present, *(each for each, _ in counted)} - {WHOLE_PROCESS}):
+    for element in sorted({*present, *(name for name, _ in counted)} - {WHOLE_PROCESS}):
         completed = counted.get((element, Counted.COMPLETED), Distribution())
         elements[element] = ElementCount(
             running=present[element].total if element in present else 0,
@@ -138,14 +138,14 @@ def count_period(connection: Connection, since: datetime, now: datetime) -> Peri
         elif status == TaskStatus.COMPLETED.value:
             took_ms = elapsed_ms(datetime.fromisoformat(started_at), datetime.fromisoformat(ended_at))
             completed.setdefault(bin_of(took_ms), Sums()).add(Sums(1, took_ms))
-    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), Scope())
+    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), ReportScope())
     for (_, result), distribution in counted.items():
         if result is Counted.FAILED:
             failed += distribution.total.counted
         elif result is Counted.COMPLETED:
             for sums in distribution.bins:
                 completed.setdefault(bin_of(sums.duration_ms // sums.counted), Sums()).add(sums)
-    durations = Distribution(tuple(completed[each] for each in sorted(completed)))
+    durations = Distribution(tuple(completed[duration] for duration in sorted(completed)))
     return PeriodCount(running, durations.total.counted, failed, durations.percentile_ms(0.5))
 
 
@@ -158,7 +158,7 @@ def _last_durations(connection: Connection, definition: str, version: int) -> di
         .order_by(processes.c.started_at.desc(), processes.c.id.desc())
         .limit(LATEST_PROCESSES)
     )
-    found: dict[str, int] = {}
+    processes_: dict[str, int] = {}
     ids = [row.id for row in connection.execute(latest)]
     statement = (
         select(tasks.c.element, tasks.c.status, tasks.c.took_ms)
@@ -168,5 +168,5 @@ def _last_durations(connection: Connection, definition: str, version: int) -> di
     )
     for element, status, took_ms in connection.execute(statement):
         if status == TaskStatus.COMPLETED.value:  # in the statement it would lead to all completed Tasks
-            found.setdefault(element, took_ms)
-    return found
+            processes_.setdefault(element, took_ms)
+    return processes_

@@ -10,7 +10,7 @@ import orjson
 from sqlalchemy import Connection, case, func, select, text
 
 from handover_datamodels.entities import TaskStatus
-from handover_processes.storage.rollups import Scope
+from handover_processes.storage.rollups import ReportScope
 from handover_processes.storage.schema import processes, tasks
 from handover_processes.tally import Period, elapsed_ms, moment_of
 
@@ -19,7 +19,7 @@ MAX_PROCESSES: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
-class OpenTasks:
+class OpenTaskCounts:
     """The Tasks of an element that have not ended."""
 
     waiting: int = 0
@@ -48,7 +48,7 @@ class Cause:
     """The processes that started last, some of them."""
 
 
-def open_tasks(connection: Connection, scope: Scope) -> dict[str, OpenTasks]:
+def open_tasks(connection: Connection, scope: ReportScope) -> dict[str, OpenTaskCounts]:
     """Return the open Tasks of the elements of a definition; Tasks that were cancelled are none of them."""
     columns = (processes.c.definition, processes.c.version, tasks.c.element, tasks.c.status)
     statement = (
@@ -63,16 +63,16 @@ def open_tasks(connection: Connection, scope: Scope) -> dict[str, OpenTasks]:
         if scope.contains(definition, version):
             counts.setdefault(element, Counter())[status] += count
     return {
-        element: OpenTasks(
-            each[TaskStatus.PENDING] + each[TaskStatus.ASSIGNED],
-            each[TaskStatus.IN_PROGRESS],
-            each[TaskStatus.PAUSED],
+        element: OpenTaskCounts(
+            count_by_status[TaskStatus.PENDING] + count_by_status[TaskStatus.ASSIGNED],
+            count_by_status[TaskStatus.IN_PROGRESS],
+            count_by_status[TaskStatus.PAUSED],
         )
-        for element, each in counts.items()
+        for element, count_by_status in counts.items()
     }
 
 
-def running_processes(connection: Connection, scope: Scope) -> dict[str, tuple[int, int]]:
+def running_processes(connection: Connection, scope: ReportScope) -> dict[str, tuple[int, int]]:
     """Return the number of processes that have not ended, and of those with incidents, by definition."""
     has_incident = case((processes.c.incidents != "[]", 1), else_=0)
     statement = (
@@ -83,7 +83,7 @@ def running_processes(connection: Connection, scope: Scope) -> dict[str, tuple[i
     return {name: (int(running), int(stopped)) for name, running, stopped in connection.execute(statement)}
 
 
-def open_incidents(connection: Connection, scope: Scope) -> Sequence[Cause]:
+def open_incidents(connection: Connection, scope: ReportScope) -> Sequence[Cause]:
     """Return the open incidents by element and cause, the most frequent first."""
     table = processes.c
     statement = (
@@ -91,7 +91,7 @@ def open_incidents(connection: Connection, scope: Scope) -> Sequence[Cause]:
         .where(text("incidents <> '[]'"), *scope.conditions(processes))
         .order_by(table.started_at.desc(), table.id.desc())
     )
-    found: dict[tuple[str, int, str, str], Cause] = {}
+    causes: dict[tuple[str, int, str, str], Cause] = {}
     for process, definition, version, incidents in connection.execute(statement):
         for incident in orjson.loads(incidents):
             cause = incident.get("reasonCode") or incident["reason"]
@@ -99,17 +99,17 @@ def open_incidents(connection: Connection, scope: Scope) -> Sequence[Cause]:
             since = datetime.fromisoformat(incident["since"])
             names = ("reason", "reasonCode", "reasonParameters")
             reason = {name: incident[name] for name in names if name in incident}
-            known = found.setdefault(
+            earlier = causes.setdefault(
                 key, Cause(definition, version, incident["element"], incident["name"], reason, since)
             )
-            known.count += 1
-            known.since = min(known.since, since)
-            if process not in known.processes and len(known.processes) < MAX_PROCESSES:
-                known.processes.append(process)
-    return sorted(found.values(), key=lambda cause: (-cause.count, cause.since, cause.element))
+            earlier.count += 1
+            earlier.since = min(earlier.since, since)
+            if process not in earlier.processes and len(earlier.processes) < MAX_PROCESSES:
+                earlier.processes.append(process)
+    return sorted(causes.values(), key=lambda cause: (-cause.count, cause.since, cause.element))
 
 
-def present_work(connection: Connection, period: Period, scope: Scope, now: datetime) -> dict[str, int]:
+def present_work(connection: Connection, period: Period, scope: ReportScope, now: datetime) -> dict[str, int]:
     """Return the time in ms that resources have worked in a period on Tasks that they still work on."""
     statement = (
         select(
@@ -125,11 +125,11 @@ def present_work(connection: Connection, period: Period, scope: Scope, now: date
             tasks.c.performer.is_not(None),
         )
     )
-    found: dict[str, int] = {}
+    worked: dict[str, int] = {}
     for definition, version, performer, since in connection.execute(statement):
         if not scope.contains(definition, version):
             continue
         begins = max(datetime.fromisoformat(since), period.begins_at)
         ends = min(now, moment_of(period.ends))
-        found[performer] = found.get(performer, 0) + elapsed_ms(begins, ends)
-    return found
+        worked[performer] = worked.get(performer, 0) + elapsed_ms(begins, ends)
+    return worked

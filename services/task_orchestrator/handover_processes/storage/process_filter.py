@@ -212,9 +212,9 @@ def _of_postgresql(condition: VariableCondition) -> ColumnElement[bool]:
     marked = func.regexp_replace(written, _NUL_OF_JSON, rf"\1{_MARK}", "g")
     readable = case((written.contains(_NUL_ESCAPE, autoescape=True), marked), else_=written)
     variables = cast(readable, JSON)
-    found = func.json_extract_path(variables, *condition.path)
-    type_ = func.json_typeof(found)
-    has_nul = cast(found, Text).contains(_MARK)
+    extracted = func.json_extract_path(variables, *condition.path)
+    type_ = func.json_typeof(extracted)
+    has_nul = cast(extracted, Text).contains(_MARK)
     plain = case((has_nul, None), else_=func.json_extract_path_text(variables, *condition.path))
     number = case((type_ == "number", cast(plain, Float(53))))
     return _compared(condition, lambda name: type_ == name, type_, plain, number)
@@ -244,18 +244,18 @@ def _compared(
     return equal
 
 
-def _ordered(found: Any, operator: str, value: ColumnElement[Any]) -> ColumnElement[bool]:
+def _ordered(extracted: Any, operator: str, value: ColumnElement[Any]) -> ColumnElement[bool]:
     match operator:
         case "<":
-            compared = found < value
+            compared = extracted < value
         case "<=":
-            compared = found <= value
+            compared = extracted <= value
         case ">":
-            compared = found > value
+            compared = extracted > value
         case ">=":
-            compared = found >= value
+            compared = extracted >= value
         case _:
-            compared = found == value
+            compared = extracted == value
     return and_(compared)
 
 

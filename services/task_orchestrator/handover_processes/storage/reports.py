@@ -11,7 +11,7 @@ from sqlalchemy import Engine
 
 from handover_processes.storage.open_work import (
     Cause,
-    OpenTasks,
+    OpenTaskCounts,
     open_incidents,
     open_tasks,
     present_work,
@@ -19,7 +19,7 @@ from handover_processes.storage.open_work import (
 )
 from handover_processes.storage.rollups import (
     Distributions,
-    Scope,
+    ReportScope,
     element_durations,
     process_counts,
     process_durations,
@@ -41,7 +41,7 @@ class ElementReport:
     """What became of a definition and its elements in a period, and what is open now."""
 
     durations: Distributions
-    open_tasks: dict[str, OpenTasks]
+    open_tasks: dict[str, OpenTaskCounts]
     running: RunningCount
 
 
@@ -59,11 +59,11 @@ class Reports:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
 
-    def elements(self, period: Period, scope: Scope) -> ElementReport:
+    def elements(self, period: Period, scope: ReportScope) -> ElementReport:
         """Return the statistics of the elements of a definition."""
         with self._engine.connect() as connection:
             running = running_processes(connection, scope)
-            counts = [RunningCount(*each) for each in running.values()]
+            counts = [RunningCount(*numbers) for numbers in running.values()]
             return ElementReport(
                 element_durations(connection, period, scope),
                 open_tasks(connection, scope),
@@ -72,28 +72,28 @@ class Reports:
 
     def definitions(self, period: Period) -> DefinitionReport:
         """Return the statistics of the processes of each definition."""
-        everything = Scope()
+        everything = ReportScope()
         with self._engine.connect() as connection:
             running = running_processes(connection, everything)
             return DefinitionReport(
                 process_durations(connection, period, everything),
-                {name: RunningCount(*each) for name, each in running.items()},
+                {name: RunningCount(*numbers) for name, numbers in running.items()},
             )
 
-    def throughput(self, period: Period, scope: Scope, hours: int) -> dict[tuple[int, Counted], int]:
+    def throughput(self, period: Period, scope: ReportScope, hours: int) -> dict[tuple[int, Counted], int]:
         """Return the number of processes that started and ended, by hour or day."""
         with self._engine.connect() as connection:
             return process_counts(connection, period, scope, hours)
 
-    def incidents(self, scope: Scope) -> Sequence[Cause]:
+    def incidents(self, scope: ReportScope) -> Sequence[Cause]:
         """Return the open incidents by element and cause."""
         with self._engine.connect() as connection:
             return open_incidents(connection, scope)
 
-    def work(self, period: Period, scope: Scope, now: datetime) -> dict[str, int]:
+    def work(self, period: Period, scope: ReportScope, now: datetime) -> dict[str, int]:
         """Return the working time of resources in ms, including the work that has not ended."""
         with self._engine.connect() as connection:
-            found = work_by_resource(connection, period, scope)
+            worked = work_by_resource(connection, period, scope)
             for resource, worked_ms in present_work(connection, period, scope, now).items():
-                found[resource] = found.get(resource, 0) + worked_ms
-        return found
+                worked[resource] = worked.get(resource, 0) + worked_ms
+        return worked

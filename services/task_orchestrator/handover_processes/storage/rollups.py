@@ -14,7 +14,7 @@ _SUMS: Final = ("counted", "duration_ms", "working_ms", "paused_ms")
 
 
 @dataclass(frozen=True, slots=True)
-class Scope:
+class ReportScope:
     """What a report is about: a version, all versions of a definition, or everything."""
 
     definition: str | None = None
@@ -46,18 +46,18 @@ class Distribution:
     def total(self) -> Sums:
         """Return the sums of all bins."""
         total = Sums()
-        for each in self.bins:
-            total.add(each)
+        for sums in self.bins:
+            total.add(sums)
         return total
 
     def percentile_ms(self, share: float) -> int | None:
         """Return the mean of the bin that contains the percentile; None without durations."""
-        rank = share * sum(each.counted for each in self.bins)
+        rank = share * sum(sums.counted for sums in self.bins)
         reached = 0
-        for each in self.bins:
-            reached += each.counted
-            if each.counted and reached >= rank:
-                return round(each.duration_ms / each.counted)
+        for sums in self.bins:
+            reached += sums.counted
+            if sums.counted and reached >= rank:
+                return round(sums.duration_ms / sums.counted)
         return None
 
     def mean_ms(self) -> int | None:
@@ -97,19 +97,19 @@ def delete_rollups(connection: Connection, before_hour: int) -> None:
         connection.execute(delete(table).where(table.c.starts + table.c.hours <= before_hour))
 
 
-def element_durations(connection: Connection, period: Period, scope: Scope) -> Distributions:
+def element_durations(connection: Connection, period: Period, scope: ReportScope) -> Distributions:
     """Return the durations of the Tasks of each element, and of the processes themselves."""
     return _distributions(connection, period, scope, statistics.c.element)
 
 
-def process_durations(connection: Connection, period: Period, scope: Scope) -> Distributions:
+def process_durations(connection: Connection, period: Period, scope: ReportScope) -> Distributions:
     """Return the durations of the processes of each definition."""
     whole = statistics.c.element == WHOLE_PROCESS
     return _distributions(connection, period, scope, statistics.c.definition, whole)
 
 
 def process_counts(
-    connection: Connection, period: Period, scope: Scope, hours: int
+    connection: Connection, period: Period, scope: ReportScope, hours: int
 ) -> dict[tuple[int, Counted], int]:
     """Return the number of processes by the begin of each hour or day and by result."""
     columns = (statistics.c.starts, statistics.c.result)
@@ -128,7 +128,7 @@ def process_counts(
     return {(row.starts, Counted(row.result)): int(row.counted) for row in rows}
 
 
-def work_by_resource(connection: Connection, period: Period, scope: Scope) -> dict[str, int]:
+def work_by_resource(connection: Connection, period: Period, scope: ReportScope) -> dict[str, int]:
     """Return the working time of resources in ms, as far as it was recorded."""
     columns = (resource_work.c.resource, resource_work.c.working_ms)
     rows = _in_period(resource_work, columns, period, scope).subquery()
@@ -139,7 +139,7 @@ def work_by_resource(connection: Connection, period: Period, scope: Scope) -> di
 def _distributions(
     connection: Connection,
     period: Period,
-    scope: Scope,
+    scope: ReportScope,
     subject: Column[str],
     *conditions: ColumnElement[bool],
 ) -> Distributions:
@@ -148,10 +148,10 @@ def _distributions(
     rows = _in_period(statistics, (*columns, *sums), period, scope, *conditions).subquery()
     group = (rows.c.subject, rows.c.result, rows.c.bin)
     statement = select(*group, *(func.sum(rows.c[name]).label(name) for name in _SUMS)).group_by(*group)
-    found: dict[tuple[str, Counted], list[Sums]] = {}
+    durations: dict[tuple[str, Counted], list[Sums]] = {}
     for row in connection.execute(statement.order_by(rows.c.bin)):
-        found.setdefault((row.subject, Counted(row.result)), []).append(_sums(row))
-    return {key: Distribution(tuple(bins)) for key, bins in found.items()}
+        durations.setdefault((row.subject, Counted(row.result)), []).append(_sums(row))
+    return {key: Distribution(tuple(bins)) for key, bins in durations.items()}
 
 
 def _sums(row: Row[Any]) -> Sums:
@@ -162,7 +162,7 @@ def _in_period(
     table: Table,
     columns: Sequence[ColumnElement[Any]],
     period: Period,
-    scope: Scope,
+    scope: ReportScope,
     *conditions: ColumnElement[bool],
 ) -> Any:
     """Return the rows of a period, each hour once."""

@@ -9,26 +9,22 @@ import orjson
 
 from handover.messages import Message as MessageText
 from handover.messages import message_in, with_code
+from handover_bpmn.model import Fault
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingTable
-from handover_processes.model import Fault
-from handover_processes.records.records import (
+from handover_processes.records.messages import Message
+from handover_processes.records.offers import Decision, OfferRecord, OfferStatus
+from handover_processes.records.processes import (
     Act,
     ActKind,
-    Decision,
     IncidentRecord,
-    Message,
-    OfferRecord,
-    OfferStatus,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
     Retry,
-    TaskAct,
-    TaskActKind,
-    TaskRecord,
     Unallocated,
 )
+from handover_processes.records.tasks import TaskAct, TaskActKind, TaskRecord
 from handover_processes.tally import MAX_RESOURCE_LENGTH
 
 _MOMENTS = frozenset(
@@ -87,9 +83,11 @@ def mapping_row(table: MappingTable) -> dict[str, Any]:
 def process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[str, Any]:
     """Return the row of a process; the code and parameters of its reason have a separate column."""
     incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
-    unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
-    reservations = orjson.dumps([_reservation_values(each) for each in process.reservations]).decode()
-    retries = orjson.dumps([_retry_values(each) for each in process.retries]).decode()
+    unallocated = orjson.dumps([_unallocated_values(activity) for activity in process.unallocated]).decode()
+    reservations = orjson.dumps(
+        [_reservation_values(reservation) for reservation in process.reservations]
+    ).decode()
+    retries = orjson.dumps([_retry_values(retry) for retry in process.retries]).decode()
     row = {
         **plain_row(process, but={*but, "incidents", "unallocated", "reservations", "retries"}),
         "incidents": incidents,
@@ -126,13 +124,13 @@ def offer_row(offer: OfferRecord) -> dict[str, Any]:
     """Return the row of an offer."""
     row = plain_row(offer, but=("faults", "warnings", "decisions"))
     decisions = [
-        {name: getattr(each, name) for name in ("at", "status", "by", "why", "deployed", "verified")}
-        for each in offer.decisions
+        {name: getattr(decision, name) for name in ("at", "status", "by", "why", "deployed", "verified")}
+        for decision in offer.decisions
     ]
     return {
         **row,
-        "faults": orjson.dumps([_fault_values(each) for each in offer.faults]).decode(),
-        "warnings": orjson.dumps([_fault_values(each) for each in offer.warnings]).decode(),
+        "faults": orjson.dumps([_fault_values(fault) for fault in offer.faults]).decode(),
+        "warnings": orjson.dumps([_fault_values(warning) for warning in offer.warnings]).decode(),
         "decisions": orjson.dumps(decisions).decode(),
     }
 
@@ -145,9 +143,9 @@ def to_offer(row: Mapping[str, Any]) -> OfferRecord:
             "status": OfferStatus(row["status"]),
             "found_at": to_time(row["found_at"]),
             "content": orjson.loads(row["content"]),
-            "faults": tuple(_fault(each) for each in orjson.loads(row["faults"])),
-            "warnings": tuple(_fault(each) for each in orjson.loads(row["warnings"])),
-            "decisions": tuple(_decision(each) for each in orjson.loads(row["decisions"])),
+            "faults": tuple(_fault(values) for values in orjson.loads(row["faults"])),
+            "warnings": tuple(_fault(values) for values in orjson.loads(row["warnings"])),
+            "decisions": tuple(_decision(values) for values in orjson.loads(row["decisions"])),
         }
     )
 
@@ -168,19 +166,19 @@ def _decision(values: Mapping[str, Any]) -> Decision:
     return Decision(at, status, values["by"], values["why"], deployed, values.get("verified", False))
 
 
-def _unallocated_values(each: Unallocated) -> dict[str, Any]:
-    values = {name: getattr(each, name) for name in ("token", "visit", "element", "name", "since")}
-    return {**values, **with_code("reason", each.reason)}
+def _unallocated_values(activity: Unallocated) -> dict[str, Any]:
+    values = {name: getattr(activity, name) for name in ("token", "visit", "element", "name", "since")}
+    return {**values, **with_code("reason", activity.reason)}
 
 
-def _reservation_values(each: ReservationRecord) -> dict[str, Any]:
+def _reservation_values(reservation: ReservationRecord) -> dict[str, Any]:
     names = ("key", "element", "name", "state", "since", "asked_at", "spans", "used", "held_at", "outer")
-    return {**{name: getattr(each, name) for name in names}, **with_code("reason", each.reason)}
+    return {**{name: getattr(reservation, name) for name in names}, **with_code("reason", reservation.reason)}
 
 
-def _retry_values(each: Retry) -> dict[str, Any]:
+def _retry_values(retry: Retry) -> dict[str, Any]:
     names = ("token", "visit", "element", "name", "task", "failed", "attempts", "due")
-    return {**{name: getattr(each, name) for name in names}, **with_code("reason", each.reason)}
+    return {**{name: getattr(retry, name) for name in names}, **with_code("reason", retry.reason)}
 
 
 def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
@@ -211,10 +209,10 @@ def to_process(row: Mapping[str, Any]) -> ProcessRecord:
             "waiting": tuple(values["waiting"]),
             "acts": tuple(_act(act) for act in values["acts"]),
             "incidents": tuple(_incident(incident) for incident in values["incidents"]),
-            "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
-            "retries": tuple(_retry(each) for each in orjson.loads(values["retries"])),
+            "unallocated": tuple(_unallocated(stored) for stored in orjson.loads(values["unallocated"])),
+            "retries": tuple(_retry(stored) for stored in orjson.loads(values["retries"])),
             "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
-            "reservations": tuple(_reservation(each) for each in orjson.loads(values["reservations"])),
+            "reservations": tuple(_reservation(stored) for stored in orjson.loads(values["reservations"])),
         }
     )
 

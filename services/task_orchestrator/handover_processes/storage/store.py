@@ -21,23 +21,14 @@ from sqlalchemy import (
 from handover.database import DatabaseLock
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.mapping import MappingEntry, MappingTable
-from handover_processes.forms.registry import FormRecord
-from handover_processes.records.records import (
-    DefinitionHold,
-    DefinitionRecord,
-    DeletedVersion,
-    HoldKind,
-    Message,
-    MessageKind,
-    MessageRecord,
-    Move,
-    OfferRecord,
-    ProcessRecord,
-    StartTimer,
-    Step,
-    TaskAct,
-    TaskRecord,
-)
+from handover_processes.deployed_forms import FormRecord
+from handover_processes.records.definitions import DefinitionHold, DefinitionRecord, DeletedVersion, HoldKind
+from handover_processes.records.messages import Message, MessageKind, MessageRecord
+from handover_processes.records.offers import OfferRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskAct, TaskRecord
+from handover_processes.records.timers import StartTimer
 from handover_processes.storage import schema
 from handover_processes.storage.counts import PeriodCount, VersionCount, count_period, count_version
 from handover_processes.storage.process_filter import EVERY_PROCESS, ProcessFilter, processes_page
@@ -163,7 +154,7 @@ class Store:
         if version is not None:
             statement = statement.where(table.c.version == version)
         for row in self._rows(statement):
-            entries = tuple(MappingEntry.model_validate(each) for each in orjson.loads(row["entries"]))
+            entries = tuple(MappingEntry.model_validate(entry) for entry in orjson.loads(row["entries"]))
             by, verified = row["confirmed_by"], bool(row["verified"])
             return MappingTable(row["version"], entries, by, row["why"], to_time(row["at"]), verified)
         return None
@@ -225,20 +216,20 @@ class Store:
         """Return the Tasks that have not ended, by process, in the order of their creation."""
         table = schema.tasks.c
         statement = select(schema.tasks).where(table.ended_at.is_(None)).order_by(table.created_at, table.id)
-        found: dict[str, list[TaskRecord]] = {}
+        tasks_of: dict[str, list[TaskRecord]] = {}
         for row in self._rows(statement):
-            found.setdefault(row["process"], []).append(to_task(row))
-        return found
+            tasks_of.setdefault(row["process"], []).append(to_task(row))
+        return tasks_of
 
     def task_ids(self, processes: Sequence[str]) -> dict[str, list[str]]:
         """Return the ids of all Tasks of processes, in the order of their creation."""
         table = schema.tasks.c
-        found: dict[str, list[str]] = {process: [] for process in processes}
+        ids_of: dict[str, list[str]] = {process: [] for process in processes}
         for some in in_parts(processes):
             statement = select(table.id, table.process).where(table.process.in_(some))
             for row in self._rows(statement.order_by(table.created_at, table.id)):
-                found[row["process"]].append(row["id"])
-        return found
+                ids_of[row["process"]].append(row["id"])
+        return ids_of
 
     def to_archive(self, ended_before: datetime, at_most: int) -> list[EndedProcess]:
         """Return the processes that ended first, before a time, and are complete.
@@ -258,11 +249,11 @@ class Store:
     def ended_processes(self, ids: Sequence[str]) -> list[EndedProcess]:
         """Return those of the processes `ids` that have ended."""
         table = schema.processes.c
-        found = []
+        records = []
         for some in in_parts(ids):
             statement = select(*_without_state()).where(table.id.in_(some), table.ended_at.is_not(None))
-            found += [to_process({**row, "state": None}) for row in self._rows(statement)]
-        return self._with_tasks(found)
+            records += [to_process({**row, "state": None}) for row in self._rows(statement)]
+        return self._with_tasks(records)
 
     def ended_tasks(self, ids: Sequence[str]) -> list[EndedTask]:
         """Return those of the Tasks `ids` that have ended."""
@@ -279,14 +270,14 @@ class Store:
         of_process = schema.processes.c.id == schema.tasks.c.process
         is_archived = schema.processes.c.archived_at.is_not(None)
         of_tasks = select(schema.tasks.c.id, schema.tasks.c.process).join(schema.processes, of_process)
-        found: dict[str, str] = {}
+        texts: dict[str, str] = {}
         for some in in_parts(entities):
             statement = of_tasks.where(schema.tasks.c.id.in_(some), is_archived)
-            found |= {row["id"]: row["process"] for row in self._rows(statement)}
+            texts |= {row["id"]: row["process"] for row in self._rows(statement)}
         for some in in_parts(processes):
             ids = select(schema.processes.c.id).where(schema.processes.c.id.in_(some), is_archived)
-            found |= {row["id"]: row["id"] for row in self._rows(ids)}
-        return found
+            texts |= {row["id"]: row["id"] for row in self._rows(ids)}
+        return texts
 
     def by_key(self, key: str) -> ProcessRecord | None:
         """Return the process that was started with the idempotency key `key`."""
@@ -345,11 +336,11 @@ class Store:
 
     def start_timers(self) -> dict[str, tuple[StartTimer, ...]]:
         """Return the start timers by definition."""
-        found: dict[str, tuple[StartTimer, ...]] = {}
+        timers: dict[str, tuple[StartTimer, ...]] = {}
         for row in self._rows(select(schema.start_timers)):
             timer = StartTimer(**{**row, "due": to_time(row["due"])})
-            found[timer.definition] = (*found.get(timer.definition, ()), timer)
-        return found
+            timers[timer.definition] = (*timers.get(timer.definition, ()), timer)
+        return timers
 
     def process_numbers(self) -> dict[str, int]:
         """Return the last number that was given to a process of each definition."""
@@ -391,11 +382,11 @@ class Store:
     def business_keys(self, keys: Sequence[str]) -> dict[str, str]:
         """Return those of the business keys that processes have, with the name of their definition."""
         table = schema.processes.c
-        found: dict[str, str] = {}
+        digests: dict[str, str] = {}
         for some in in_parts(keys):
             statement = select(table.key, table.definition).where(table.key.in_(some))
-            found |= {row["key"]: row["definition"] for row in self._rows(statement)}
-        return found
+            digests |= {row["key"]: row["definition"] for row in self._rows(statement)}
+        return digests
 
     def outbox(self) -> list[Message]:
         """Return the messages that were not delivered yet, in order."""
@@ -404,9 +395,9 @@ class Store:
             for r in self._rows(select(schema.outbox).order_by(schema.outbox.c.seq))
         ]
 
-    def _with_tasks(self, found: Sequence[ProcessRecord]) -> list[EndedProcess]:
-        tasks = self.task_ids([record.id for record in found])
-        return [EndedProcess(record, tuple(tasks[record.id])) for record in found]
+    def _with_tasks(self, ended: Sequence[ProcessRecord]) -> list[EndedProcess]:
+        tasks = self.task_ids([record.id for record in ended])
+        return [EndedProcess(record, tuple(tasks[record.id])) for record in ended]
 
     def _rows(self, statement: Any) -> list[dict[str, Any]]:
         with self.engine.connect() as connection:

@@ -19,11 +19,9 @@ from sqlalchemy.exc import IntegrityError
 
 from handover.errors import HandoverError
 from handover.security.audit_trail import record_request
-from handover_processes.records.records import (
-    DefinitionRecord,
-    ProcessRecord,
-    Step,
-)
+from handover_processes.records.definitions import DefinitionRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
 from handover_processes.storage import schema
 from handover_processes.storage.rollups import write_tally
 from handover_processes.storage.rows import (
@@ -50,7 +48,11 @@ _UPDATE_PROCESS = (
     update(schema.processes)
     .where(schema.processes.c.id == bindparam("its_id"), schema.processes.c.revision == bindparam("before"))
     .values(
-        {each.name: bindparam(each.name) for each in schema.processes.c if each.name not in CONSTANT_COLUMNS}
+        {
+            column.name: bindparam(column.name)
+            for column in schema.processes.c
+            if column.name not in CONSTANT_COLUMNS
+        }
     )
 )
 _UPDATE_TASK = (
@@ -114,27 +116,27 @@ def _write_definitions(connection: Connection, definitions: Sequence[DefinitionR
 
 
 def _write_processes(connection: Connection, step: Step) -> None:
-    new = [process_row(each) for each in step.processes.values() if each.id in step.new]
+    new = [process_row(process) for process in step.processes.values() if process.id in step.new]
     try:
         _insert(connection, schema.processes, new)
     except IntegrityError as error:
         names = ", ".join(row["id"] for row in new)
         raise Conflict(f"one of the processes {names}, or its key, exists already") from error
-    changed = [each for each in step.processes.values() if each.id not in step.new]
+    changed = [process for process in step.processes.values() if process.id not in step.new]
     if not changed:
         return
-    if connection.execute(_UPDATE_PROCESS, [changed_process_row(each) for each in changed]).rowcount == len(
-        changed
-    ):
+    if connection.execute(
+        _UPDATE_PROCESS, [changed_process_row(process) for process in changed]
+    ).rowcount == len(changed):
         return
-    written = {each.id: each.revision for each in changed}
+    written = {process.id: process.revision for process in changed}
     table = schema.processes.c
-    found = {
+    revisions = {
         row.id: row.revision
         for some in in_parts(list(written))
         for row in connection.execute(select(table.id, table.revision).where(table.id.in_(some)))
     }
-    names = ", ".join(each for each, revision in written.items() if found.get(each) != revision)
+    names = ", ".join(process for process, revision in written.items() if revisions.get(process) != revision)
     raise Conflict(f"another orchestrator has changed {names} in this database; stop one of them")
 
 
@@ -147,7 +149,7 @@ def _write_numbers(connection: Connection, step: Step) -> None:
 
 
 def _write_stored_messages(connection: Connection, step: Step) -> None:
-    stored = [each for each in step.messages_stored.values() if each.id not in step.messages_taken]
+    stored = [record for record in step.messages_stored.values() if record.id not in step.messages_taken]
     _insert(
         connection,
         schema.messages,
@@ -161,8 +163,8 @@ def _write_holds(connection: Connection, step: Step) -> None:
     table = schema.definition_holds
     for definition, kind in step.holds:
         connection.execute(delete(table).where(table.c.definition == definition, table.c.kind == kind.value))
-    _insert(connection, table, [plain_row(each) for each in step.holds.values() if each is not None])
-    _insert(connection, schema.deleted_versions, [plain_row(each) for each in step.deleted_versions])
+    _insert(connection, table, [plain_row(hold) for hold in step.holds.values() if hold is not None])
+    _insert(connection, schema.deleted_versions, [plain_row(version) for version in step.deleted_versions])
 
 
 def _write_offers(connection: Connection, step: Step) -> None:
@@ -171,8 +173,8 @@ def _write_offers(connection: Connection, step: Step) -> None:
         connection.execute(delete(schema.offers).where(schema.offers.c.id.in_(some)))
     for some in in_parts(list({*step.offer_files, *step.offers_deleted})):
         connection.execute(delete(schema.offer_files).where(schema.offer_files.c.offer.in_(some)))
-    kept = [each for each in step.offers.values() if each.id not in step.offers_deleted]
-    _insert(connection, schema.offers, [offer_row(each) for each in kept])
+    kept = [offer for offer in step.offers.values() if offer.id not in step.offers_deleted]
+    _insert(connection, schema.offers, [offer_row(offer) for offer in kept])
     files = [{"offer": offer, "xml": xml} for offer, xml in step.offer_files.items()]
     _insert(connection, schema.offer_files, files)
 
@@ -218,15 +220,15 @@ def _write_tasks(connection: Connection, step: Step) -> None:
 
 def _write_resources(connection: Connection, step: Step) -> None:
     """Write which resources the new Tasks of processes involve."""
-    found: dict[tuple[str, str], None] = {}
+    row_keys: dict[tuple[str, str], None] = {}
     for task in step.tasks.values():
         if task.id in step.new:
             for resource in task.involved:
-                found[task.process, resource[:MAX_RESOURCE_LENGTH]] = None
+                row_keys[task.process, resource[:MAX_RESOURCE_LENGTH]] = None
     started = {process: as_column(record.started_at) for process, record in step.processes.items()}
     rows = [
         {"process": process, "resource": resource, "started_at": started[process]}
-        for process, resource in found
+        for process, resource in row_keys
         if process in started
     ]
     if rows:

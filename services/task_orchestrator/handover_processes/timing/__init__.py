@@ -1,1 +1,1 @@
-"""When something is due: timers, deadlines, retries, escalations."""
+"""When a Task is due: retries, escalations."""

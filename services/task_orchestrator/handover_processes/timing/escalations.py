@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from datetime import datetime
 from typing import Any
 
-from handover_processes.model import Activity, Escalation
+from handover_bpmn.model import Activity, Escalation
 
 
 def escalation_times(

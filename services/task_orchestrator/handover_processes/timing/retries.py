@@ -11,8 +11,8 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from handover.tasks.outcomes import is_outcome_unknown
-from handover_processes.languages.base import ExpressionError, Variables
-from handover_processes.model import RetryPolicy
+from handover_bpmn.languages.base import ExpressionError, Variables
+from handover_bpmn.model import RetryPolicy
 
 MAX_DELAY_S = 30 * 86_400.0
 _NEVER = frozenset({"task.refused_by_broker", "task.definition_refused", "task.specification_refused"})
@@ -32,10 +32,10 @@ def is_retried(policy: RetryPolicy, code: str | None, outputs: Mapping[str, Any]
 def attempts_of(policy: RetryPolicy, variables: Variables) -> int:
     """Return how often an activity is tried in all; 1 if the number cannot be evaluated."""
     try:
-        found = policy.attempts.value(variables)
+        attempts = policy.attempts.value(variables)
     except ExpressionError:
         return 1
-    return int(found) if isinstance(found, int | float) and not isinstance(found, bool) else 1
+    return int(attempts) if isinstance(attempts, int | float) and not isinstance(attempts, bool) else 1
 
 
 def retry_at(policy: RetryPolicy, failed: int, now: datetime) -> datetime:

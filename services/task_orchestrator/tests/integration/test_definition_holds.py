@@ -9,7 +9,8 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient
-from handover_processes.records.records import ActKind, MessageOutcome
+from handover_processes.records.messages import MessageOutcome
+from handover_processes.records.processes import ActKind
 from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.settings import OrchestratorSettings
 from handover_processes.storage.process_filter import ProcessFilter

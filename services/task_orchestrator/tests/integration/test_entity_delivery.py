@@ -10,7 +10,7 @@ from sqlalchemy import text
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
-from handover_processes.model import EntityFilter
+from handover_bpmn.model import EntityFilter
 from handover_processes.running.orchestrator import Orchestrator
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import activity, boundary, drawing, end, path, start

@@ -8,7 +8,7 @@ import pytest
 
 from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
-from handover_processes.records.records import Message, MessageKind
+from handover_processes.records.messages import Message, MessageKind
 from handover_processes.steps.outbox import Outbox
 from tests.kit.cell import Cell
 from tests.kit.waiting import until

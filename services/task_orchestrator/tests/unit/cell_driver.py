@@ -5,15 +5,16 @@ from datetime import timedelta
 from itertools import count
 from typing import Any
 
+from handover_bpmn.definitions import Definitions
+from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
 from handover_processes.allocation.agents import Agent, Agents
 from handover_processes.allocation.allocator import Allocator
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.state import RunFailed
-from handover_processes.notation.file import read_bpmn
 from handover_processes.process.process import Process
-from handover_processes.records.records import ProcessRecord, ReservationState, Step, TaskRecord
+from handover_processes.records.processes import ProcessRecord, ReservationState
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW
 from services.task_orchestrator.tests.unit.process_driver import DEFINED_BY
@@ -25,20 +26,8 @@ def urn(name: str) -> str:
     return f"urn:ngsi-ld:Device:demo:{name}"
 
 
-class Definitions:
-    """The definitions of files, by name."""
-
-    def __init__(self, *files: bytes) -> None:
-        found = [definition for file in files for definition in read_bpmn(file).definitions]
-        self.plans = {definition.name: Plan(definition) for definition in found}
-
-    def plan(self, name: str, version: int) -> Plan:
-        return self.plans[name]
-
-    def find(self, name: str, version: int | None, tag: str | None) -> Plan:
-        if name not in self.plans:
-            raise RunFailed(f"no {name}")
-        return self.plans[name]
+def definitions(*files: bytes) -> Definitions:
+    return Definitions(definition for file in files for definition in read_bpmn(file).definitions)
 
 
 class SharedCell:
@@ -46,7 +35,7 @@ class SharedCell:
 
     def __init__(self, *files: bytes, **agents: Agent) -> None:
         self.settings = OrchestratorSettings(_env_file=None)
-        self.library = Definitions(*files)
+        self.library = definitions(*files)
         self.allocator = Allocator(self.settings)
         self.allocator.rules.agents = Agents({urn(name): agent for name, agent in agents.items()})
         self.processes: dict[str, Process] = {}

@@ -3,14 +3,16 @@
 from datetime import datetime, timedelta
 from typing import Any
 
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.state import Library
+from handover_bpmn.model import Definition
+from handover_bpmn.notation.file import read_bpmn
 from handover_datamodels.entities import Task, TaskStatus
 from handover_datamodels.times import iso
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.state import Library
-from handover_processes.model import Definition
-from handover_processes.notation.file import read_bpmn
 from handover_processes.process.process import Process
-from handover_processes.records.records import MessageKind, ProcessRecord, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import NOW, drawing
 

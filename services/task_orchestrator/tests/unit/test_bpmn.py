@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 import handover_processes
+from handover_bpmn.model import Definition
+from handover_bpmn.notation.faults import MAX_FAULTS_LISTED, BadBpmn
+from handover_bpmn.notation.file import read_bpmn
 from handover_gloves.recognition.gestures import DEFAULT_COMMANDS
-from handover_processes.model import Definition
-from handover_processes.notation.faults import MAX_FAULTS_LISTED, BadBpmn
-from handover_processes.notation.file import read_bpmn
 from handover_processes.records.entities import definition_entities
 from handover_processes.settings import OrchestratorSettings
 from services.task_orchestrator.tests.unit.drawing import (

@@ -13,7 +13,9 @@ from sqlalchemy import delete
 from handover.database import connect
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process.tally import count_end, count_start, count_task
-from handover_processes.records.records import ProcessRecord, Step, TaskRecord
+from handover_processes.records.processes import ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from handover_processes.storage import schema
 from handover_processes.storage.counts import (
     ElementCount,

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from handover.network.outbound_policy import OutboundPolicy
+from handover_bpmn.notation.document import MAX_BYTES
 from handover_processes.documents.downloads import MAX_URL, Downloader, DownloadFailed
-from handover_processes.notation.document import MAX_BYTES
 
 FILE = b"<definitions/>"
 BEYOND = OutboundPolicy.of("0.0.0.0", "")

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from handover_processes.execution.graph import Plan
-from handover_processes.execution.run import Run
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.execution.graph import Plan
+from handover_bpmn.execution.run import Run
+from handover_bpmn.notation.faults import BadBpmn
+from handover_bpmn.notation.file import read_bpmn
 from services.task_orchestrator.tests.unit.drawing import (
     NOW,
     ONE_STEP,

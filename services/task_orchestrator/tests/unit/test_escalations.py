@@ -6,7 +6,9 @@ from typing import Any
 from handover_datamodels.times import iso
 from handover_processes.people_acts import offer_of
 from handover_processes.process import interventions
-from handover_processes.records.records import Act, ActKind, MessageKind, Step
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 from services.task_orchestrator.tests.unit.drawing import NOW, activity, boundary, end, path, start
 from services.task_orchestrator.tests.unit.process_driver import ProcessDriver, alerts, task_id
 

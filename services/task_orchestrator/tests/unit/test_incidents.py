@@ -11,7 +11,10 @@ from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process import interventions
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind, ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import TaskRecord
 from services.task_orchestrator.tests.unit.drawing import (
     ONE_STEP,
     activity,

@@ -4,7 +4,7 @@ import pytest
 
 from handover.settings import Settings
 from handover.tasks.specification import MAX_COMMAND_ID, Specification
-from handover_processes.notation.file import read_bpmn
+from handover_bpmn.notation.file import read_bpmn
 from handover_processes.records.entities import definition_entities
 from services.task_orchestrator.tests.unit.drawing import activity, drawing, end, path, start
 

@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 
 from handover.tasks.outcomes import is_outcome_unknown
-from handover_processes.notation.faults import BadBpmn
-from handover_processes.records.records import MessageKind
+from handover_bpmn.notation.faults import BadBpmn
+from handover_processes.process import task_troubles
+from handover_processes.records.messages import MessageKind
 from services.task_orchestrator.tests.unit.drawing import activity, end, path, start
 from services.task_orchestrator.tests.unit.process_driver import ProcessDriver, alerts, created, task_id
 
@@ -21,11 +22,11 @@ def a_process(choice: str | None) -> ProcessDriver:
 
 
 def lose(driver: ProcessDriver, name: str = "work-1") -> None:
-    driver.process.performer_lost(task_id(name), HOLDER, driver.next_step())
+    task_troubles.performer_lost(driver.process, task_id(name), HOLDER, driver.next_step())
 
 
 def end_lost(driver: ProcessDriver, name: str = "work-1") -> None:
-    driver.process.end_lost(task_id(name), driver.next_step(), driver.after(seconds=30))
+    task_troubles.end_lost(driver.process, task_id(name), driver.next_step(), driver.after(seconds=30))
 
 
 def written(driver: ProcessDriver) -> list[Any]:
@@ -46,7 +47,7 @@ def test_an_alert_is_raised_once_and_cleared_when_a_performer_is_back(status: st
     assert HOLDER in alert["description"]
     lose(driver)
     assert alerts(driver.step) == []
-    driver.process.performer_found(task_id("work-1"), driver.next_step())
+    task_troubles.performer_found(driver.process, task_id("work-1"), driver.next_step())
     assert cleared(driver) == [alert["key"]]
     lose(driver)
     assert len(alerts(driver.step)) == 1

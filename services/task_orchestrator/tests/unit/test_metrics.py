@@ -8,7 +8,8 @@ from prometheus_client import REGISTRY
 
 from handover_datamodels.entities import TaskStatus
 from handover_processes import metrics
-from handover_processes.records.records import Move, Step, TaskRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskRecord
 from services.task_orchestrator.tests.unit.drawing import NOW
 
 HAND = {"commandId": 3, "gesture": "Thumbs up"}

@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 
 from handover_processes.definitions.offer_rules import MAX_UNDECIDED, Candidate, Offers, read_candidate
-from handover_processes.records.records import Decision, OfferStatus, Step
+from handover_processes.records.offers import Decision, OfferStatus
+from handover_processes.records.step import Step
 from services.task_orchestrator.tests.unit.drawing import NOW
 
 DEFINITION = "urn:ngsi-ld:TaskDefinition:mes:pick"

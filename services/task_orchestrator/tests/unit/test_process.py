@@ -6,9 +6,11 @@ import pytest
 
 from handover.errors import Problem
 from handover_datamodels.entities import Task, TaskStatus
-from handover_processes.process import interventions
+from handover_processes.process import interventions, task_troubles
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind, MessageKind, TimerKind
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.timers import TimerKind
 from services.task_orchestrator.tests.unit.drawing import (
     NOW,
     ONE_STEP,
@@ -318,7 +320,7 @@ def test_a_task_nobody_takes_up_raises_one_alert_which_is_cleared_when_it_is() -
 def test_a_pending_task_the_broker_lost_is_posted_again() -> None:
     driver = ProcessDriver(ONE_STEP)
     before = next(message.body for message in driver.step.messages if message.kind is MessageKind.CREATE)
-    driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+    task_troubles.missing(driver.process, task_id("work-1"), driver.next_step(), NOW)
     assert [message.body for message in driver.step.messages if message.kind is MessageKind.CREATE] == [
         before
     ]
@@ -329,7 +331,7 @@ def test_a_started_task_that_the_broker_lost_raises_one_alert_and_is_not_repeate
     driver.receive("work-1", "inProgress")
     said = []
     for _ in range(4):
-        driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+        task_troubles.missing(driver.process, task_id("work-1"), driver.next_step(), NOW)
         assert created(driver.step) == []
         said += alerts(driver.step)
     assert [alert["sub_category"] for alert in said] == ["taskLost"]
@@ -340,13 +342,13 @@ def test_a_started_task_that_the_broker_lost_raises_one_alert_and_is_not_repeate
 def test_a_cancelled_task_the_broker_lost_counts_as_closed() -> None:
     driver = ProcessDriver(ONE_STEP)
     interventions.cancel(driver.process, None, driver.next_step(), NOW)
-    driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+    task_troubles.missing(driver.process, task_id("work-1"), driver.next_step(), NOW)
     assert driver.process.over
 
 
 def test_a_task_the_broker_refuses_counts_as_failed() -> None:
     driver = ProcessDriver(ONE_STEP)
-    driver.process.reject(task_id("work-1"), "no such type", driver.next_step(), NOW)
+    task_troubles.reject(driver.process, task_id("work-1"), "no such type", driver.next_step(), NOW)
     (incident,) = driver.process.record.incidents
     assert incident.reason == "the broker rejected the Task: no such type"
 

@@ -13,7 +13,8 @@ from sqlalchemy import delete
 
 from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import IncidentRecord, Step
+from handover_processes.records.processes import IncidentRecord
+from handover_processes.records.step import Step
 from handover_processes.storage import schema
 from handover_processes.storage.process_filter import ProcessFilter, read_condition
 from handover_processes.storage.store import Store

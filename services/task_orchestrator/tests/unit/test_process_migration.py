@@ -3,11 +3,11 @@
 import pytest
 
 from handover.errors import Problem
-from handover_processes.execution.graph import Plan
+from handover_bpmn.execution.graph import Plan
 from handover_processes.process import interventions
 from handover_processes.process.interventions import MigrationReport
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind
+from handover_processes.records.processes import Act, ActKind
 from services.task_orchestrator.tests.unit.drawing import (
     ONE_STEP,
     activity,

@@ -13,7 +13,8 @@ from handover.errors import Problem
 from handover_datamodels.entities import TaskStatus
 from handover_processes.allocation.agents import UNLIMITED, Agent, Agents
 from handover_processes.process import interventions
-from handover_processes.records.records import Act, ActKind, Step
+from handover_processes.records.processes import Act, ActKind
+from handover_processes.records.step import Step
 from services.task_orchestrator.tests.unit.cell_driver import SharedCell, performer, urn
 from services.task_orchestrator.tests.unit.drawing import boundary, drawing, end, flow, gateway, path, start
 

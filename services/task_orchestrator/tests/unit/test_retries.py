@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from handover.formats.durations import Duration, parse_duration
 from handover.messages import with_code
 from handover.tasks.outcomes import is_outcome_unknown, outcome_unknown
-from handover_processes.model import RetryPolicy, Value
+from handover_bpmn.model import RetryPolicy, Value
 from handover_processes.process import interventions
 from handover_processes.process.process import Process
-from handover_processes.records.records import Act, ActKind
+from handover_processes.records.processes import Act, ActKind
 from handover_processes.timing.retries import MAX_DELAY_S, retry_at
 from services.task_orchestrator.tests.unit.drawing import (
     NOW,

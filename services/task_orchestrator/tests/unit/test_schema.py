@@ -11,7 +11,7 @@ from sqlalchemy import Engine, inspect, text
 from handover.database import connect
 from handover.database.sqlite_integrity.marks import TABLE as COMMITS
 from handover.errors import UsageError
-from handover_processes.records.records import Step
+from handover_processes.records.step import Step
 from handover_processes.storage import schema
 from handover_processes.storage.store import Store
 from services.task_orchestrator.tests.unit.earlier_tables import MADE, take_back

@@ -13,17 +13,11 @@ from handover.database import connect
 from handover.errors import Problem
 from handover.messages import message
 from handover_datamodels.entities import TaskStatus
-from handover_processes.records.records import (
-    Act,
-    ActKind,
-    DefinitionRecord,
-    IncidentRecord,
-    MessageKind,
-    Move,
-    ProcessRecord,
-    Step,
-    TaskRecord,
-)
+from handover_processes.records.definitions import DefinitionRecord
+from handover_processes.records.messages import MessageKind
+from handover_processes.records.processes import Act, ActKind, IncidentRecord, ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskRecord
 from handover_processes.storage.process_filter import ProcessFilter
 from handover_processes.storage.store import Store
 from handover_processes.storage.transaction import Conflict

@@ -15,10 +15,12 @@ from handover.errors import Problem
 from handover.messages import message
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process.tally import count_change, count_end, count_start, count_task
-from handover_processes.records.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
+from handover_processes.records.processes import IncidentRecord, ProcessRecord
+from handover_processes.records.step import Step
+from handover_processes.records.tasks import Move, TaskRecord
 from handover_processes.reporting.period import read_period
 from handover_processes.storage import schema
-from handover_processes.storage.rollups import Scope
+from handover_processes.storage.rollups import ReportScope
 from handover_processes.storage.store import Store
 from handover_processes.tally import (
     HOUR_MS,
@@ -35,7 +37,7 @@ from services.task_orchestrator.tests.unit.drawing import NOW
 FINISHED = (TaskStatus.COMPLETED, TaskStatus.FAILED)
 ROBOT = "urn:ngsi-ld:Device:demo:ur10-1"
 EVERYTHING = Period(hour_of(NOW) - 48, hour_of(NOW) + 24 * 90)
-SCOPE = Scope("p", 2)
+SCOPE = ReportScope("p", 2)
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
@@ -218,7 +220,7 @@ def test_a_period_reads_long_rows_and_shorter_ones_at_its_ends(empty: Store) -> 
         (row,) = empty.reports.definitions(period).durations.items()
         assert row[0] == ("p", Counted.STARTED)
         assert row[1].total.counted == ends - begins
-        by_hour = empty.reports.throughput(period, Scope(), 1)
+        by_hour = empty.reports.throughput(period, ReportScope(), 1)
         assert by_hour == {(hour, Counted.STARTED): 1 for hour in range(period.begins, period.ends)}
 
 
@@ -244,7 +246,7 @@ def test_work_counts_in_the_hours_in_which_it_was_done(empty: Store) -> None:
     for offset, minutes in ((0, 10), (1, 60), (2, 10 + 20)):
         worked = empty.reports.work(Period(hour + offset, hour + offset + 1), SCOPE, now)
         assert worked[ROBOT] == minutes * 60_000
-    assert empty.reports.work(Period(hour, hour + 3), Scope("p", 1), now) == {}
+    assert empty.reports.work(Period(hour, hour + 3), ReportScope("p", 1), now) == {}
 
 
 def test_what_was_counted_long_ago_is_deleted(empty: Store) -> None:
@@ -254,7 +256,7 @@ def test_what_was_counted_long_ago_is_deleted(empty: Store) -> None:
         empty.write(step)
     empty.delete_statistics(NOW - timedelta(days=5))
     everything = Period(hour_of(NOW) - 24 * 20, hour_of(NOW) + 24)
-    started = empty.reports.throughput(everything, Scope(), 1)
+    started = empty.reports.throughput(everything, ReportScope(), 1)
     assert started == {(hour_of(NOW), Counted.STARTED): 1}
 
 

@@ -6,6 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from handover.errors import UsageError
+from handover_bpmn.languages import native
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.model import Activity, Value
 from handover_processes.allocation.agents import Agent, Agents, Skill
 from handover_processes.allocation.assignment import AssignmentRules
 from handover_processes.allocation.hints import follow_up_of
@@ -15,9 +18,6 @@ from handover_processes.allocation.mapping import (
     MappingTable,
     read_mapping_file,
 )
-from handover_processes.languages import native
-from handover_processes.languages.base import ExpressionError
-from handover_processes.model import Activity, Value
 from handover_processes.settings import OrchestratorSettings
 
 GRIP = {"kind": "class", "name": "com.example.Grip", "resource": "Device:ur10-1"}

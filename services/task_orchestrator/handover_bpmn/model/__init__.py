@@ -1,0 +1,92 @@
+"""Model: an executable process as values, independent of the dialect of the file that it was read from.
+
+`notation` makes it from a file, `execution` runs it. The names are those of BPMN 2.0.2 (ISO/IEC 19510).
+Elements without effect on the execution (artifacts, data stores, diagrams) are not part of it.
+"""
+
+from handover_bpmn.model.activities import (
+    Activity,
+    Call,
+    Escalation,
+    FormBinding,
+    FormReference,
+    MultiInstance,
+    PerformerLost,
+    Place,
+    RetryPolicy,
+    StandardLoop,
+    StartForm,
+)
+from handover_bpmn.model.definition import Definition, Fault, ProcessParameter
+from handover_bpmn.model.events import (
+    KEY_LENGTH,
+    CompensateEvent,
+    ConditionalEvent,
+    EntityFilter,
+    ErrorEvent,
+    EscalationEvent,
+    Event,
+    LinkEvent,
+    MessageEvent,
+    SignalEvent,
+    TerminateEvent,
+    TimerEvent,
+    TimerType,
+)
+from handover_bpmn.model.nodes import (
+    ACTIVITIES,
+    EVENTS,
+    GATEWAYS,
+    DataAssociation,
+    Flow,
+    Kind,
+    Node,
+    Scope,
+    Span,
+    SpanKind,
+    entity_filter,
+)
+from handover_bpmn.model.values import Assignment, Value
+
+__all__ = [
+    "ACTIVITIES",
+    "EVENTS",
+    "GATEWAYS",
+    "KEY_LENGTH",
+    "Activity",
+    "Assignment",
+    "Call",
+    "CompensateEvent",
+    "ConditionalEvent",
+    "DataAssociation",
+    "Definition",
+    "EntityFilter",
+    "ErrorEvent",
+    "Escalation",
+    "EscalationEvent",
+    "Event",
+    "Fault",
+    "Flow",
+    "FormBinding",
+    "FormReference",
+    "Kind",
+    "LinkEvent",
+    "MessageEvent",
+    "MultiInstance",
+    "Node",
+    "PerformerLost",
+    "Place",
+    "ProcessParameter",
+    "RetryPolicy",
+    "Scope",
+    "SignalEvent",
+    "Span",
+    "SpanKind",
+    "StandardLoop",
+    "StartForm",
+    "TerminateEvent",
+    "TimerEvent",
+    "TimerType",
+    "Value",
+    "entity_filter",
+]

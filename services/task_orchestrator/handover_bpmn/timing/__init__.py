@@ -1,0 +1,1 @@
+"""When something is due: timers, and a queue of moments."""
