@@ -1,9 +1,9 @@
 """Imports by the names that modules had before each part got an import package and folders, until 1.0.
 
 `handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
-a checkout, these would find the folders `datamodels` and `services` as namespace packages. For modules of the
-packages of today it is asked after other finders, as for the kit (`handover/__init__.py`). Whatever else has
-such a name is preferred: a package or module of the user, and what a namespace package of the user contains.
+a checkout, these would find folders such as `datamodels` and `services` as namespace packages. For modules of
+the kit, it is asked after other finders (`handover/__init__.py`). Whatever else has such a name is preferred: a
+package or module of the user, and what a namespace package of the user contains.
 
 An old name is the module of the new name, the same object, so that its classes are the same too:
 
@@ -140,6 +140,8 @@ FOLDERS: Final = {
 }
 """The folders of a checkout by their old names."""
 
+_OLD_ROOTS: Final = {old for old in RENAMED if "." not in old} | {PARENT}
+_OLD_BEGINNINGS: Final = {".".join(old.split(".")[:2]) for old in (*RENAMED, *MOVED)}
 _warned: set[str] = set()
 
 
@@ -162,6 +164,9 @@ def moved_file(path: Path) -> Path:
 
 def new_name(name: str) -> str | None:
     """Return the new name of a module; None if `name` is no old name."""
+    root, _, below = name.partition(".")
+    if root not in _OLD_ROOTS and f"{root}.{below.partition('.')[0]}" not in _OLD_BEGINNINGS:
+        return None  # soon, since most modules have their names
     part = _renamed_part(name)
     return None if part is None else part[1] + name[len(part[0]) :]
 
