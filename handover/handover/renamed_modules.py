@@ -2,7 +2,7 @@
 
 `handover_renamed_modules.pth` asks `find_spec` for names that begin like an old one, before other finders: in
 a checkout, these would find folders such as `datamodels` and `services` as namespace packages. For modules of
-the kit, it is asked after other finders (`handover/__init__.py`). Whatever else has such a name is preferred: a
+the kit, it is asked after other finders (`handover/__init__.py`). What else has such a name is preferred: a
 package or module of the user, and what a namespace package of the user contains.
 
 An old name is the module of the new name, the same object, so that its classes are the same too:
