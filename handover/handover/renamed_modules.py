@@ -104,6 +104,8 @@ MOVED: Final = {
     "handover.validation": "handover.formats.validation",
     "handover.watchdog": "handover.serving.watchdog",
     "handover.websocket_closing": "handover.http.websocket_closing",
+    "handover_broker.federation": "handover_federation",
+    "handover_broker.snapshots": "handover_federation.snapshots",
     "handover_robots.contents": "handover_robots.scene.contents",
     "handover_robots.cycles": "handover_robots.driver_base.control_thread",
     "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",
