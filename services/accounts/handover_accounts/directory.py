@@ -19,10 +19,6 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
-from handover_accounts import links, secret_token_store, sessions, stations, tables, users
-from handover_accounts.changes import Change, Store, revision_of
-from handover_accounts.grants import grants_of
-from handover_accounts.identifiers import IdentifierHashes, IdentifierKind, identified
 from handover_accounts.lost_database import require_anybody, require_file
 from handover_accounts.metrics import SIGN_INS
 from handover_accounts.passwords import (
@@ -31,10 +27,14 @@ from handover_accounts.passwords import (
     require_good_password,
     too_many_attempts,
 )
-from handover_accounts.sessions import SessionLimits
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.sign_in_limits import SignInLimits
 from handover_accounts.signing_keys import SigningKeys
+from handover_accounts.storage import links, secret_token_store, sessions, stations, tables, users
+from handover_accounts.storage.changes import Change, Store, revision_of
+from handover_accounts.storage.grants import grants_of
+from handover_accounts.storage.identifiers import IdentifierHashes, IdentifierKind, identified
+from handover_accounts.storage.sessions import SessionLimits
 
 T = TypeVar("T")
 

@@ -25,8 +25,8 @@ from handover_federation.distribution.distributed_operations import (
     DistributedOperations,
     Handler,
 )
-from handover_federation.distribution.forwarding import Forwarder
-from handover_federation.distribution.subscription_forwarding import SubscriptionForwarder
+from handover_federation.distribution.forwarding.forwarder import Forwarder
+from handover_federation.distribution.subscriptions.subscription_forwarding import SubscriptionForwarder
 from handover_federation.operations.entity_map_operations import EntityMapOperations
 from handover_federation.operations.registration_operations import RegistrationOperations
 from handover_federation.operations.source_subscription_operations import (

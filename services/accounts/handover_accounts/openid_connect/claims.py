@@ -15,8 +15,8 @@ from typing import Any, Final
 from handover.errors import Problem, UsageError
 from handover.security.permissions import Grant
 from handover.security.resource_patterns import ANY_RESOURCE
-from handover_accounts.grants import checked_grant
-from handover_accounts.users import checked_name
+from handover_accounts.storage.grants import checked_grant
+from handover_accounts.storage.users import checked_name
 
 NAME_CLAIMS: Final = ("preferred_username", "username", "name", "email", "sub")
 """The claims for the name of a new user, in this order; `username` is that of Keyrock."""

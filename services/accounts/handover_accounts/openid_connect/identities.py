@@ -11,10 +11,10 @@ from sqlalchemy import Connection, delete, func, insert, select
 from handover.errors import Problem
 from handover.security.permissions import Grant
 from handover.security.secret_tokens import new_token, token_hash
-from handover_accounts.changes import Change
-from handover_accounts.grants import add_grant, remove_grant
 from handover_accounts.openid_connect.provider import AuthorizationRequest
-from handover_accounts.tables import (
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, remove_grant
+from handover_accounts.storage.tables import (
     grants,
     identities,
     provider_grants,

@@ -8,13 +8,13 @@ from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require_signed_in
 from handover.security.permissions import Permission
-from handover_accounts import sessions, stations, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import admin_names
 from handover_accounts.names import subject_names
 from handover_accounts.routes.views import MeView, SessionView, time_of
-from handover_accounts.sessions import SessionLimits
+from handover_accounts.storage import sessions, stations, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import admin_names
+from handover_accounts.storage.sessions import SessionLimits
 
 SignedIn = Annotated[Caller, require_signed_in()]
 MAX_NAMES: Final = 100

@@ -11,10 +11,7 @@ from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_accounts import links, secret_token_store, sessions, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import add_grant, checked_grant, grant_rows, remove_grant
 from handover_accounts.routes.bodies import NewGrant, NewInvitation, NewToken, UserChange
 from handover_accounts.routes.own_routes import session_view
 from handover_accounts.routes.views import (
@@ -29,6 +26,9 @@ from handover_accounts.routes.views import (
     UserView,
     time_of,
 )
+from handover_accounts.storage import links, secret_token_store, sessions, tables, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, checked_grant, grant_rows, remove_grant
 
 MAX_PAGE: Final = 500
 

@@ -15,8 +15,6 @@ from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.security.secret_tokens import is_secret_token
 from handover.serving.service import json_response
-from handover_accounts import links, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import NOBODY, Directory
 from handover_accounts.routes.bodies import (
     LinkBody,
@@ -37,6 +35,8 @@ from handover_accounts.routes.views import (
     UserToken,
     time_of,
 )
+from handover_accounts.storage import links, tables, users
+from handover_accounts.storage.changes import Change
 
 PAGE_SERVER: Final = "webui"
 """The service that may open sessions of people and act for them."""

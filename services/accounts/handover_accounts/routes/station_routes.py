@@ -10,18 +10,7 @@ from handover.http.body_limit import max_body
 from handover.security.caller import Caller
 from handover.security.guard import require, require_signed_in, require_somewhere
 from handover.security.permissions import Permission, Role
-from handover_accounts import sessions, stations, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import add_grant, checked_grant, grants_of
-from handover_accounts.identifiers import (
-    IdentifierKind,
-    checked_identifier,
-    identified,
-    kinds_of,
-    new_qr_code,
-    set_identifier,
-)
 from handover_accounts.routes.bodies import (
     GestureIdentification,
     Identification,
@@ -41,6 +30,17 @@ from handover_accounts.routes.views import (
     StationJoins,
     StationView,
     time_of,
+)
+from handover_accounts.storage import sessions, stations, tables, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, checked_grant, grants_of
+from handover_accounts.storage.identifiers import (
+    IdentifierKind,
+    checked_identifier,
+    identified,
+    kinds_of,
+    new_qr_code,
+    set_identifier,
 )
 
 SignedIn = Annotated[Caller, require_signed_in()]

@@ -14,7 +14,7 @@ from handover.security.permissions import Permission
 from handover_broker.access.rights import Rights
 from handover_broker.model.entity import Entity, Event
 from handover_broker.query.geo_query import GeoQuery
-from handover_broker.query.q_index import Condition
+from handover_broker.query.indexes.q_index import Condition
 from handover_broker.query.type_selection import TypeSelection
 from handover_broker.storage.store import OverlayStore, Store
 from handover_broker.storage.type_statistics import TypeStatistics

@@ -25,7 +25,7 @@ from handover_broker.delivery.triggers import (
 from handover_broker.model.context import link_header
 from handover_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Entity, Instance, dataset_of
 from handover_broker.model.negotiation import Version
-from handover_broker.model.rendering import Form, View, render, rendered, with_context
+from handover_broker.model.representation.rendering import Form, View, render, rendered, with_context
 from handover_broker.model.validation import tenant_headers, timestamp, timestamp_now
 from handover_broker.query.linked import Shown, joined
 from handover_broker.query.q_match import Lookup, no_lookup
@@ -57,7 +57,7 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
 
 def _conformed(data: bytes, version: Version, view: View) -> bytes:
     """Return data in the form of an earlier version of NGSI-LD (clause 4.3.6.8)."""
-    from handover_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+    from handover_broker.model.representation import conformance  # noqa: PLC0415 - few ask for another version
 
     simplified = view.form is Form.KEY_VALUES
     return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
@@ -124,7 +124,7 @@ def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> li
 def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
     if subscription.endpoint.accept != GEO_JSON:
         return b",".join(orjson.dumps(one) for _, one in documents)
-    from handover_broker.model import geojson  # noqa: PLC0415 - it knows requests, which know of us
+    from handover_broker.model.representation import geojson  # noqa: PLC0415 - it knows requests, which know of us
 
     place, datasets = subscription.context.terms.expand(geojson.LOCATION), subscription.view.datasets
     return b",".join(

@@ -15,12 +15,12 @@ from handover_broker.delivery.triggers import EntityChange, Triggers, read_kinds
 from handover_broker.model.context import Context
 from handover_broker.model.entity import Entity
 from handover_broker.model.entity_parser import expand
-from handover_broker.model.language import preferences
 from handover_broker.model.negotiation import Version, version_of
 from handover_broker.model.owner import Owner
 from handover_broker.model.problems import bad_request_data
-from handover_broker.model.projection import Projection, read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import Projection, read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import moment, require_time, require_uri, shown
 from handover_broker.query.earlier_names import renamed, with_earlier_names
 from handover_broker.query.entity_selector import EntitySelector, entity_selector

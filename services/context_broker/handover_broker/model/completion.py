@@ -16,7 +16,7 @@ from handover_broker.model.entity_parser import (
     given_kind,
 )
 from handover_broker.model.geometry import looks_like_geometry
-from handover_broker.model.projection import ENTITY_MEMBERS
+from handover_broker.model.representation.projection import ENTITY_MEMBERS
 from handover_datamodels.forms import bare_instances
 
 _WRAPPED: Final = {"languageMap": "LanguageProperty", "json": "JsonProperty", "vocab": "VocabProperty"}

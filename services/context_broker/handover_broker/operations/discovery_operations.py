@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 from handover.security.permissions import Permission
-from handover_broker.model.conformance import OURS
 from handover_broker.model.context import Context
 from handover_broker.model.problems import not_found
+from handover_broker.model.representation.conformance import OURS
 from handover_broker.model.validation import require_name, shown, timestamp_now
 from handover_broker.request.discovery_documents import (
     ATTRIBUTES,

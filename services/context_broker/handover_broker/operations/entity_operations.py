@@ -29,7 +29,7 @@ from handover_broker.model.problems import (
     invalid_request,
     not_found,
 )
-from handover_broker.model.rendering import render
+from handover_broker.model.representation.rendering import render
 from handover_broker.model.validation import (
     require_name,
     require_time,

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from handover_broker.model.entity import Entity, Instance, Terms
 from handover_broker.model.problems import bad_request_data, too_many_results
-from handover_broker.model.projection import Projection
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.projection import Projection
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_broker.model.validation import require_uri, shown
 from handover_broker.query.parameters import Use, names_for
 from handover_broker.query.q_match import Lookup

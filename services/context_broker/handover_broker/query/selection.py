@@ -16,11 +16,11 @@ from handover_broker.model.context import Context
 from handover_broker.model.entity import Entity
 from handover_broker.model.problems import bad_request_data
 from handover_broker.query.geo_query import GeoQuery
+from handover_broker.query.indexes.q_index import Condition, conditions
 from handover_broker.query.ordering import Ordering
 from handover_broker.query.pages import PagePosition, Window
 from handover_broker.query.patterns import Pattern, fits
 from handover_broker.query.q_grammar import parse, paths
-from handover_broker.query.q_index import Condition, conditions
 from handover_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, no_lookup, predicate
 from handover_broker.query.scope_query import ScopeQuery
 from handover_broker.query.type_selection import TypeSelection

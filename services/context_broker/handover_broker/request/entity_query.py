@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handover_broker.model.context import Context
-from handover_broker.model.rendering import View
+from handover_broker.model.representation.rendering import View
 from handover_broker.query import linked, ordering
 from handover_broker.query.earlier_names import with_earlier_names
 from handover_broker.query.linked import Join

@@ -10,9 +10,9 @@ import orjson
 
 from handover_broker.model.context import Context, link_header
 from handover_broker.model.entity import Entity
-from handover_broker.model.geojson import collection_body, feature_body, feature_of, geometry
 from handover_broker.model.negotiation import GEO_JSON, JSON_LD, WITH_GEO_JSON
-from handover_broker.model.rendering import View, render, rendered, with_context
+from handover_broker.model.representation.geojson import collection_body, feature_body, feature_of, geometry
+from handover_broker.model.representation.rendering import View, render, rendered, with_context
 from handover_broker.query.linked import Join, joined
 from handover_broker.query.pages import Window
 from handover_broker.query.q_match import Lookup, no_lookup

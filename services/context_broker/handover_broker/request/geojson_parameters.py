@@ -5,9 +5,9 @@ from typing import Final
 
 from handover_broker.model.context import Context
 from handover_broker.model.entity_parser import expand
-from handover_broker.model.geojson import LOCATION
 from handover_broker.model.negotiation import GEO_JSON, WITH_GEO_JSON
 from handover_broker.model.problems import bad_request_data
+from handover_broker.model.representation.geojson import LOCATION
 from handover_broker.model.validation import require_name
 from handover_broker.request.request_context import RequestContext
 

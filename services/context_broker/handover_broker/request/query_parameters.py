@@ -9,10 +9,10 @@ from urllib.parse import quote
 
 from handover_broker.model.context import Context, link_header
 from handover_broker.model.entity_parser import DEFAULT_INSTANCE, expand
-from handover_broker.model.language import preferences
 from handover_broker.model.problems import bad_request_data, invalid_request, too_many_results
-from handover_broker.model.projection import read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import require_name, require_uri, shown
 from handover_broker.query import geo_query, pages
 from handover_broker.query.pages import PLACE, Window

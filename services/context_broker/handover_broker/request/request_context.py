@@ -368,7 +368,7 @@ def of_tenant(request: Request, answer: Response) -> Response:
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response:
-    from handover_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+    from handover_broker.model.representation import conformance  # noqa: PLC0415 - few ask for another version
 
     try:
         version = preferred_version(_of_bearable_length(prefer, "Prefer"))

@@ -15,10 +15,10 @@ from handover.telemetry import get_logger
 from handover_broker.model.entity import Entity, Event
 from handover_broker.model.nesting import too_deep
 from handover_broker.model.problems import not_stored, went_wrong
-from handover_broker.query.attribute_index import AttributeIndex, ids_of
 from handover_broker.query.geo_query import GeoQuery
-from handover_broker.query.place_index import PlaceIndex
-from handover_broker.query.q_index import Condition
+from handover_broker.query.indexes.attribute_index import AttributeIndex, ids_of
+from handover_broker.query.indexes.place_index import PlaceIndex
+from handover_broker.query.indexes.q_index import Condition
 from handover_broker.query.type_selection import TypeSelection, of_types
 from handover_broker.storage.commits import Commits
 from handover_broker.storage.entries import EntityRow, Entries, PendingNotification

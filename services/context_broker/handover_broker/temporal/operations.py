@@ -11,7 +11,7 @@ import orjson
 
 from handover_broker.model.context import Context
 from handover_broker.model.problems import bad_request_data, not_read
-from handover_broker.model.rendering import with_context
+from handover_broker.model.representation.rendering import with_context
 from handover_broker.model.validation import require_uri, shown
 from handover_broker.operations.entity_operations import absent, nothing_left
 from handover_broker.query.earlier_names import with_earlier_names

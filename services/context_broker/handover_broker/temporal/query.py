@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from handover_broker.model.context import Context
 from handover_broker.model.entity import Instance
-from handover_broker.model.language import preferences
 from handover_broker.model.problems import bad_request_data, invalid_request
-from handover_broker.model.projection import read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import MICROS, moment, require_time, shown
 from handover_broker.query.pages import Window
 from handover_broker.query.parameters import Use, names_for

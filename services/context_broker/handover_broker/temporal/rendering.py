@@ -6,8 +6,8 @@ Clauses 4.5.6 to 4.5.9 (normalized, concise and temporalValues) and 4.5.19 (aggr
 from typing import Any, Final
 
 from handover_broker.model.entity import Terms
-from handover_broker.model.language import in_language
-from handover_broker.model.rendering import Form, written
+from handover_broker.model.representation.language import in_language
+from handover_broker.model.representation.rendering import Form, written
 from handover_broker.model.validation import is_time, written_time
 from handover_broker.temporal.aggregation import written_totals
 from handover_broker.temporal.history import SCOPE

@@ -22,13 +22,13 @@ from handover_broker.request.request_context import (
     problem_response,
 )
 from handover_broker.request.routing import Operation
-from handover_federation.distribution.forwarding import (
+from handover_federation.distribution.forwarding.forwarder import (
     SILENT,
     Forwarder,
     RequestOrigin,
     SourceError,
 )
-from handover_federation.distribution.via import MAX_CHAIN_LENGTH, chain
+from handover_federation.distribution.forwarding.via import MAX_CHAIN_LENGTH, chain
 from handover_federation.entity_maps.mapped_request import entity_map_of
 from handover_federation.registrations.admission import Admission
 from handover_federation.registrations.registration import Match, Registration

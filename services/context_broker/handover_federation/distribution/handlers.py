@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from typing import Final
 
-from handover_federation.distribution import discovery, reading, temporal_reading, writing
-from handover_federation.distribution.batches import batch
 from handover_federation.distribution.distributed_operations import Handler
-from handover_federation.distribution.entity_map_collection import map_temporal
-from handover_federation.distribution.purge import purge
+from handover_federation.distribution.reads import discovery, temporal_reading
+from handover_federation.distribution.reads import entity_reading as reading
+from handover_federation.distribution.reads.entity_map_collection import map_temporal
+from handover_federation.distribution.writes import entity_writing as writing
+from handover_federation.distribution.writes.batches import batch
+from handover_federation.distribution.writes.purge import purge
 
 HANDLERS: Final[Mapping[str, Handler]] = {
     "retrieveEntity": reading.retrieve,

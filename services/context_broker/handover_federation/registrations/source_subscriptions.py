@@ -20,7 +20,7 @@ from handover_broker.delivery.periodic import PeriodicNotifications
 from handover_broker.delivery.subscription import Subscription
 from handover_broker.delivery.subscription_dispatcher import SubscriptionDispatcher
 from handover_broker.model.negotiation import JSON_LD
-from handover_broker.model.rendering import with_context
+from handover_broker.model.representation.rendering import with_context
 from handover_broker.model.validation import timestamp_now
 from handover_broker.query.geo_query import geo_query_document
 from handover_broker.query.scope_query import scope_query

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from handover_datamodels.contexts import TermMap, resolve
-from handover_federation.distribution.translation import older, translated
-from handover_federation.distribution.via import append_to_via, chain
+from handover_federation.distribution.forwarding.translation import older, translated
+from handover_federation.distribution.forwarding.via import append_to_via, chain
 
 CORE = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

@@ -1,0 +1,465 @@
+"""Retrieves and queries temporal evolutions at several sources (clauses 5.7.3.4 and 5.7.4.4).
+
+All sources are queried in the requested representation, and `temporal_merge` merges the results. Aggregated
+values cannot be merged: if several sources have parts of one entity, they are queried again for the plain
+values.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import orjson
+
+from handover.errors import Problem
+from handover_broker.model.context import Context
+from handover_broker.model.entity_parser import expand
+from handover_broker.model.validation import require_uri
+from handover_broker.query.pages import Window
+from handover_broker.query.parameters import FILTERS
+from handover_broker.request.derived_request import derived
+from handover_broker.request.query_parameters import (
+    DEFAULT_LIMIT,
+    MAX_LIMIT,
+    json_headers,
+    page_links,
+)
+from handover_broker.request.request_context import (
+    JSON_LD,
+    RequestContext,
+    Response,
+    problem_response,
+)
+from handover_broker.temporal.operations import temporal_parameters
+from handover_broker.temporal.query import Representation, temporal_query, temporal_view
+from handover_federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    gateway_problem,
+    gather_all,
+)
+from handover_federation.distribution.forwarding.forwarder import quoted
+from handover_federation.distribution.query_targets import (
+    coverage_of,
+    may_be_split,
+    refuse_order,
+    selector_parameters,
+    source_filter,
+    target_of,
+)
+from handover_federation.distribution.reads import temporal_merge
+from handover_federation.distribution.reads.split_temporal_queries import narrowed_to, split_hits
+from handover_federation.distribution.reads.temporal_fetching import (
+    SHOWING,
+    FetchPart,
+    TemporalPart,
+    TemporalRequest,
+    edge_of,
+    fetch_from_source,
+    fetch_values,
+    own_fetcher,
+    source_fetchers,
+    without_context,
+)
+from handover_federation.distribution.reads.temporal_merge import Evolution
+from handover_federation.entity_maps.entity_map import OWN
+from handover_federation.entity_maps.mapped_request import listed_of
+from handover_federation.registrations.registration import EntityTarget, Match, Registration
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A source that has the entity, and its part in the requested representation."""
+
+    registration: Registration
+    fetch: FetchPart
+    part: TemporalPart
+
+
+async def retrieve(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+    """GET temporal/entities/{id}."""
+    context = await request.reader_context()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
+    target = EntityTarget((entity_id,), None, None, _names_of(request.parameters, context))
+    where = source_filter(None, context, coverage_of(request.parameters, context.terms.expand))
+    matches = sources.unvisited(sources.registry.matching("retrieveTemporal", target, where))
+    if not matches:
+        return await perform(request)
+    temporal_request = _temporal_request(request, context, request.parameters)
+    found = await _find(sources, matches, entity_id, temporal_request)
+    if not found:
+        return await _retrieve_own(sources, request, perform)
+    try:
+        own: Response | None = await perform(request)
+    except Problem as problem:
+        if problem.status != 404:
+            raise
+        own = None
+    if (listed := listed_of(request)) is not None:
+        own_name = [] if own is None else [OWN]
+        listed.entities = {entity_id: own_name + [one.registration.id for one in found]}
+    if temporal_request.is_for_totals and (own is not None or len(found) > 1):
+        readers: list[tuple[Registration | None, FetchPart]] = [
+            (one.registration, one.fetch) for one in found
+        ]
+        if own is not None:
+            readers.insert(0, (None, _own_fetcher(request, perform)))
+        return await _aggregate(request, temporal_request, readers)
+    return _merge(request, temporal_request, own, found)
+
+
+async def _find(
+    sources: Sources, matches: list[Match], entity_id: str, temporal_request: TemporalRequest
+) -> list[_Found]:
+    """Return the sources that have the entity."""
+    context, path = temporal_request.context, f"temporal/entities/{quoted(entity_id)}"
+
+    def fetcher(match: Match) -> FetchPart:
+        return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
+
+    fetchers = [fetcher(match) for match in matches]
+    parts = await gather_all(*(fetch(temporal_request.parameters) for fetch in fetchers))
+    return [
+        _Found(match.registration, fetch, part)
+        for match, fetch, part in zip(matches, fetchers, parts, strict=True)
+        if part.documents
+    ]
+
+
+async def _retrieve_own(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+    """Return the broker's own response. If it has none, and a source did not answer, that is the error."""
+    try:
+        return await perform(request)
+    except Problem as problem:
+        errors = [error for error in sources.source_errors if error.registration.mode.is_proxied]
+        if problem.status == 404 and errors:
+            return problem_response(gateway_problem(errors[0]))
+        raise
+
+
+def _own_fetcher(request: RequestContext, perform: Perform) -> FetchPart:
+    async def fetch(parameters: Mapping[str, str]) -> TemporalPart:
+        response = await perform(derived(request, parameters=parameters))
+        return TemporalPart([without_context(orjson.loads(response.body))], edge_of(response))
+
+    return fetch
+
+
+async def _aggregate(
+    request: RequestContext,
+    temporal_request: TemporalRequest,
+    readers: list[tuple[Registration | None, FetchPart]],
+) -> Response:
+    """Return the aggregated values of an entity of which several sources have a part."""
+    values = await fetch_values(readers, temporal_request)
+    query = temporal_request.query
+    merged = temporal_merge.merge_evolutions(values, temporal_request.context, query.last)
+    document = temporal_merge.aggregated(merged, query)
+    return _answer(request, temporal_request, [document], None, single=True)
+
+
+def _merge(
+    request: RequestContext, temporal_request: TemporalRequest, own: Response | None, found: list[_Found]
+) -> Response:
+    """Return the entity of all sources, up to the instant to which all parts are complete."""
+    context, query = temporal_request.context, temporal_request.query
+    evolutions: list[temporal_merge.SourceEvolution] = [
+        (one.registration, temporal_merge.shown(document, temporal_request.view, context))
+        for one in found
+        for document in one.part.documents
+    ]
+    edges = [one.part.edge for one in found]
+    if own is not None:
+        evolutions.insert(0, (None, without_context(orjson.loads(own.body))))
+        edges.append(edge_of(own))
+    last = None if temporal_request.is_for_totals else query.last
+    document = temporal_merge.merge_evolutions(evolutions, context, last)
+    edge = temporal_merge.common_edge(edges, query)
+    return _answer(request, temporal_request, [document], edge, single=True)
+
+
+async def query(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+    """GET temporal/entities."""
+    context = await request.reader_context()
+    parameters = dict(request.parameters)
+    return await _query(sources, request, perform, _Query(context, parameters, [parameters]))
+
+
+async def query_batch(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+    """POST temporal/entityOperations/query."""
+    document, context = await request.body()
+    if not isinstance(document, dict):
+        return await perform(request)
+    query_document = {
+        name: value for name, value in document.items() if name not in {"temporalQ", "aggrParams"}
+    }
+    flat = {**request.parameters, **temporal_parameters(document)}
+    return await _query(
+        sources, request, perform, _Query(context, flat, list(selector_parameters(query_document, flat)))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Query:
+    """A query: all parameters, and the parameters of each of its selectors."""
+
+    context: Context
+    parameters: Mapping[str, str]
+    selectors: list[dict[str, str]]
+
+
+async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Query) -> Response:
+    matched = _matches_of(sources, given)
+    if not matched:
+        return await perform(request)
+    temporal_request = _temporal_request(request, given.context, given.parameters)
+    conditions = {name for name in FILTERS if name in given.parameters}
+    if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
+        hits = await split_hits(sources, request, perform, matched, temporal_request)
+        return await _page_of(hits, sources, request, perform, given)
+    window = _window(request)
+    collected = await _collect(sources, request, perform, matched, temporal_request, window)
+    order = list(collected.known)
+    page = order[window.offset : window.offset + window.limit]
+    if page and collected.full:
+        await _add_rest(collected.known, sources, collected.full, page, temporal_request)
+    edge = temporal_merge.common_edge(collected.edges, temporal_request.query)
+    if temporal_request.is_for_totals:
+        edge = None
+        documents = await _aggregated_page(
+            sources, request, perform, matched, collected.known, page, temporal_request
+        )
+    else:
+        last = temporal_request.query.last
+        documents = [
+            temporal_merge.merge_evolutions(collected.known[one], given.context, last) for one in page
+        ]
+    result = _answer(request, temporal_request, documents, edge)
+    result.headers += [
+        (name, str(int(value) + len(order) - collected.own_count).encode())
+        for name, value in collected.own_headers
+        if name == b"ngsild-results-count"
+    ]
+    if request.method == "GET":
+        more = len(order) > window.offset + window.limit
+        result.headers += page_links(request, window, request.accept(), more=more)
+    return result
+
+
+def _matches_of(sources: Sources, given: _Query) -> list[tuple[Match, dict[str, str]]]:
+    """Return the sources to query, each with the parameters of the selector that it matches."""
+    matched: list[tuple[Match, dict[str, str]]] = []
+    for parameters in given.selectors:
+        target, where = target_of(parameters, given.context, _names_of(parameters, given.context))
+        found = sources.registry.matching("queryTemporal", target, where)
+        refuse_order(parameters, sources.unvisited(found, uses_map=False))
+        matched += [(match, parameters) for match in sources.unvisited(found)]
+    return matched
+
+
+@dataclass(frozen=True, slots=True)
+class _Collected:
+    """What the broker and the sources have of a query, from its start to the end of the requested page."""
+
+    known: dict[str, list[temporal_merge.SourceEvolution]]
+    """By entity, in the order of the whole result."""
+    edges: list[int | None]
+    own_count: int
+    own_headers: list[tuple[bytes, bytes]]
+    full: list[tuple[Match, dict[str, str]]]
+    """The sources that may have more than was requested."""
+
+
+async def _collect(  # noqa: PLR0917 - the parts of one query
+    sources: Sources,
+    request: RequestContext,
+    perform: Perform,
+    matched: list[tuple[Match, dict[str, str]]],
+    temporal_request: TemporalRequest,
+    window: Window,
+) -> _Collected:
+    """Query the broker itself, then all sources at once."""
+    context, view = temporal_request.context, temporal_request.view
+    most = min(window.offset + window.limit, MAX_LIMIT) if not window.count else MAX_LIMIT
+    paged = {"offset": "0", "limit": str(most)}
+    own = await perform(_for_all_members(request, paged))
+    parts: list[TemporalPart] = await gather_all(
+        *(
+            fetch_from_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
+            for match, parameters in matched
+        )
+    )
+    known: dict[str, list[temporal_merge.SourceEvolution]] = {
+        one["id"]: [(None, temporal_merge.shown(without_context(one), view, context))]
+        for one in orjson.loads(own.body)
+    }
+    own_count = len(known)
+    _add_in_order(known, matched, parts, temporal_request)
+    return _Collected(
+        known,
+        edges=[edge_of(own), *(part.edge for part in parts)],
+        own_count=own_count,
+        own_headers=own.headers,
+        full=[one for one, part in zip(matched, parts, strict=True) if len(part.documents) >= most],
+    )
+
+
+async def _aggregated_page(  # noqa: PLR0917 - the parts of one query
+    sources: Sources,
+    request: RequestContext,
+    perform: Perform,
+    matched: list[tuple[Match, dict[str, str]]],
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    page: list[str],
+    temporal_request: TemporalRequest,
+) -> list[Evolution]:
+    """Return the aggregated entities of a page; those split over several sources are read again by value."""
+    documents = [known[one][0][1] for one in page]
+    split = tuple(one for one in page if len(known[one]) > 1)
+    if not split:
+        return documents
+    context, query = temporal_request.context, temporal_request.query
+    fetchers = source_fetchers(sources, matched, context, split)
+    fetchers.insert(0, (None, own_fetcher(request, perform, split)))
+    by_entity: dict[str, list[temporal_merge.SourceEvolution]] = {one: [] for one in split}
+    for part in await fetch_values(fetchers, temporal_request):
+        if part[1]["id"] in by_entity:
+            by_entity[part[1]["id"]].append(part)
+    aggregated = {
+        one: temporal_merge.aggregated(temporal_merge.merge_evolutions(parts, context, query.last), query)
+        for one, parts in by_entity.items()
+    }
+    return [aggregated.get(document["id"], document) for document in documents]
+
+
+def _add_in_order(
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    matched: list[tuple[Match, dict[str, str]]],
+    found: list[TemporalPart],
+    temporal_request: TemporalRequest,
+) -> None:
+    """Add the results of the sources in order: the next source is added once the previous one is exhausted.
+
+    So pages neither repeat nor skip entities, although each page is read from the start.
+    """
+    for (match, _), part in zip(matched, found, strict=True):
+        for document in part.documents:
+            collected = known.setdefault(document["id"], [])
+            if not any(one is match.registration for one, _ in collected):
+                collected.append(
+                    (
+                        match.registration,
+                        temporal_merge.shown(document, temporal_request.view, temporal_request.context),
+                    )
+                )
+
+
+async def _add_rest(
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    sources: Sources,
+    full: list[tuple[Match, dict[str, str]]],
+    page: list[str],
+    temporal_request: TemporalRequest,
+) -> None:
+    """Add what the sources with more results than requested have of the entities on a page."""
+    asking = source_fetchers(sources, full, temporal_request.context, tuple(page))
+    parts = await gather_all(*(ask(temporal_request.parameters) for _, ask in asking))
+    for (registration, _), part in zip(asking, parts, strict=True):
+        for document in part.documents:
+            collected = known.get(document["id"])
+            if collected is not None and not any(one is registration for one, _ in collected):
+                collected.append(
+                    (
+                        registration,
+                        temporal_merge.shown(document, temporal_request.view, temporal_request.context),
+                    )
+                )
+
+
+async def _page_of(
+    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, given: _Query
+) -> Response:
+    """Return a page of the entities that match all filters, in the requested representation."""
+    window = _window(request)
+    some = hits[window.offset : window.offset + window.limit]
+    narrowed = narrowed_to(request, some or [_NO_ENTITY])
+    gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
+    shape = {"id": ",".join(some or [_NO_ENTITY]), "limit": str(max(1, len(some)))}
+
+    def without(parameters: Mapping[str, str]) -> dict[str, str]:
+        return {**{name: value for name, value in parameters.items() if name not in gone}, **shape}
+
+    target = _Query(given.context, without(given.parameters), [without(one) for one in given.selectors])
+    result = await _query(sources, narrowed, perform, target)
+    headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
+    if window.count:
+        headers.append((b"ngsild-results-count", str(len(hits)).encode()))
+    if request.method == "GET":
+        more = window.offset + window.limit < len(hits)
+        headers += page_links(request, window, request.accept(), more=more)
+    return Response(result.status, result.body, headers)
+
+
+_NO_ENTITY: Final = "urn:ngsi-ld:Entity:none"
+"""Requested for an empty page, so that its response has the requested representation."""
+
+
+def _for_all_members(request: RequestContext, window: Mapping[str, str]) -> RequestContext:
+    """Return the query without projections, which would hide members that the merge needs."""
+    parameters = {name: value for name, value in request.parameters.items() if name not in SHOWING}
+    result = derived(request, parameters={**parameters, **window})
+    if request.method == "POST" and not set(SHOWING).isdisjoint(document := request.document()):
+        result.raw = orjson.dumps({name: value for name, value in document.items() if name not in SHOWING})
+    return result
+
+
+def _temporal_request(
+    request: RequestContext, context: Context, parameters: Mapping[str, str]
+) -> TemporalRequest:
+    view = temporal_view(derived(request, parameters=parameters), context)
+    target = temporal_query(parameters, aggregates=view.representation is Representation.AGGREGATED)
+    return TemporalRequest(context, parameters, target, view)
+
+
+def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
+    given = parameters.get("attrs")
+    if not given or "q" in parameters:
+        return None
+    return frozenset(expand(one, context.terms) for one in given.split(",") if one) or None
+
+
+def _window(request: RequestContext) -> Window:
+    def number(name: str, default: int) -> int:
+        given = request.parameter(name) or ""
+        return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
+
+    options = (request.parameter("options") or "").split(",")
+    counts = request.parameter("count") == "true" or "count" in options
+    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
+
+
+def _answer(
+    request: RequestContext,
+    temporal_request: TemporalRequest,
+    documents: list[Evolution],
+    edge: int | None,
+    *,
+    single: bool = False,
+) -> Response:
+    context = temporal_request.context
+    if edge is not None:
+        documents = [temporal_merge.kept_to(one, edge, temporal_request.query) for one in documents]
+    collected = (
+        b"" if edge is None else temporal_merge.content_range_of(documents, edge, temporal_request.query)
+    )
+    documents = [
+        temporal_merge.with_members(one, temporal_request.query, temporal_request.view) for one in documents
+    ]
+    headers = json_headers(context)
+    if request.accept() == JSON_LD:
+        documents = [{"@context": context.document, **one} for one in documents]
+        headers = [(b"content-type", JSON_LD.encode())]
+    body = orjson.dumps(documents[0] if single else documents)
+    if edge is None:
+        return Response(200, body, headers)
+    return Response(206, body, [*headers, (b"content-range", collected)])
