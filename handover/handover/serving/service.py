@@ -36,7 +36,7 @@ from handover.http.api_docs import add_docs
 from handover.http.body_limit import limit_of, limited
 from handover.http.origin_guard import REFUSED
 from handover.security.act_recording import audited, unrecorded
-from handover.security.audit_routes import add_audit_routes
+from handover.security.audit_reading.audit_routes import add_audit_routes
 from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.guard import Guard
 from handover.security.open_streams import EndOfStreams

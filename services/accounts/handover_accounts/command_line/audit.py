@@ -12,7 +12,7 @@ from handover.errors import UsageError
 from handover.settings import Settings
 
 if TYPE_CHECKING:
-    from handover.security.audit_chains import AuditChain
+    from handover.security.audit_reading.audit_chains import AuditChain
 
 app = typer.Typer(help="Audit: verify and export the records of all services.", no_args_is_help=True)
 
@@ -59,8 +59,8 @@ def export(
     ] = None,
 ) -> None:
     """Write the records of all services, by time."""
-    from handover.security.audit_chains import records_of  # noqa: PLC0415 - the database is slow to import
-    from handover.security.audit_routes import csv_of  # noqa: PLC0415 - as above
+    from handover.security.audit_reading.audit_chains import records_of  # noqa: PLC0415 - the database is slow to import
+    from handover.security.audit_reading.audit_routes import csv_of  # noqa: PLC0415 - as above
 
     chains = _chains(data_dir)
     views = records_of(chains, _names(chains))
@@ -87,7 +87,7 @@ def _names(chains: "list[AuditChain]") -> Mapping[str, str]:
 
 
 def _chains(data_dir: Path | None) -> "list[AuditChain]":
-    from handover.security.audit_chains import chains_of  # noqa: PLC0415 - the database is slow to import
+    from handover.security.audit_reading.audit_chains import chains_of  # noqa: PLC0415 - the database is slow to import
 
     settings = Settings.load(**({} if data_dir is None else {"data_dir": data_dir}))
     chains = chains_of(settings)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from handover.errors import Problem
-from handover.security.pin_check import PIN_REQUIRED
+from handover.security.proofs.pin_check import PIN_REQUIRED
 from handover_broker.model.entity import VALUE_MEMBER, Entity, Event
 from handover_datamodels.entities import TaskStatus
 

@@ -9,7 +9,7 @@ import uvicorn
 
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
-from handover.security.performer_proof import require_proven_performer
+from handover.security.proofs.performer_proof import require_proven_performer
 from handover.settings import Settings
 from handover_accounts.app import make_app
 from handover_accounts.set_up import set_up

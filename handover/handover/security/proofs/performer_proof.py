@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from handover.errors import UsageError
 from handover.security.authentication import Guard
 from handover.security.caller import InvalidToken
-from handover.security.pin_check import PROOF_MEMBER as PIN_PROOF_MEMBER
+from handover.security.proofs.pin_check import PROOF_MEMBER as PIN_PROOF_MEMBER
 from handover.security.service_access import AccountsUnavailable
 from handover.telemetry import get_logger
 

@@ -10,7 +10,7 @@ from sqlalchemy import Engine, MetaData, create_engine, inspect
 
 from handover.database import connect
 from handover.security.audit import AuditLog, AuditTables
-from handover.security.audit_routes import AuditView, view_of
+from handover.security.audit_reading.audit_routes import AuditView, view_of
 from handover.settings import Settings
 
 _HEAD: Final = "_audit_head"

@@ -22,28 +22,19 @@ it, and the outcome after it, whose `intent` is the number of the first. An inte
 trace of a process that ended in between: the act may have happened (`open_intents`).
 """
 
-import hashlib
-import json
 import secrets
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 from sqlalchemy import (
-    BigInteger,
-    Column,
     ColumnElement,
     Connection,
     Float,
-    Index,
     Insert,
-    Integer,
-    MetaData,
     ScalarSelect,
     String,
     Table,
-    Text,
     bindparam,
     delete,
     func,
@@ -53,144 +44,22 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-GENESIS: Final = "0" * 64
-"""The hash before the first record."""
-INTENDED: Final = "intended"
-"""The outcome in a record that is written before its act."""
+from handover.security.audit.records import (
+    GENESIS,
+    INTENDED,
+    AuditFilter,
+    AuditRecord,
+    Verification,
+    fault_of,
+    record_hash,
+    text_hash,
+)
+from handover.security.audit.tables import AuditTables
+
 MAX_TEXT_CHARACTERS: Final = 2000
 _PERSON: Final = "urn:ngsi-ld:Person:"
 _SALT_BYTES: Final = 16
 _READ_ROWS: Final = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class AuditRecord:
-    """One record. `text` is None where there was none, or where it was deleted."""
-
-    seq: int
-    at_ms: int
-    subject: str
-    action: str
-    resource: str
-    outcome: str
-    method: str
-    text_hash: str
-    previous_hash: str
-    hash: str
-    text: str | None = None
-    intent: int | None = None
-    """The number of the intent whose outcome this is."""
-    ended_by: int | None = None
-    """Of an intent, the number of the record with its outcome; None where there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verification:
-    """The result of a check: how many records are intact, and the first fault."""
-
-    records: int
-    head: str
-    fault: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class AuditFilter:
-    """Which records are read; None stands for all. `action` and `resource` are parts of the values.
-
-    `about` is a whole resource.
-    """
-
-    subject: str | None = None
-    action: str | None = None
-    resource: str | None = None
-    outcome: str | None = None
-    since_ms: int | None = None
-    until_ms: int | None = None
-    about: str | None = None
-
-
-class AuditTables:
-    """The tables of an audit log, whose names begin with `component`."""
-
-    def __init__(
-        self,
-        metadata: MetaData,
-        component: str,
-        *,
-        has_aliases: bool = False,
-        has_names: bool = False,
-        has_intents: bool = False,
-    ) -> None:
-        self.has_intents = has_intents
-        self.records = Table(
-            f"{component}_audit",
-            metadata,
-            Column(
-                "seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False
-            ),
-            Column("at_ms", BigInteger, nullable=False, index=True),
-            Column("subject", String(64), nullable=False, index=True),
-            Column("action", String(64), nullable=False, index=True),
-            Column("resource", String(400), nullable=False, index=True),
-            Column("outcome", String(16), nullable=False),
-            Column("method", String(32), nullable=False),
-            Column("text_hash", String(64), nullable=False),
-            Column("previous_hash", String(64), nullable=False),
-            Column("hash", String(64), nullable=False),
-        )
-        if has_intents:
-            self.records.append_column(Column("intent", BigInteger, nullable=True))
-            Index(f"{component}_audit_of_intent", self.records.c.intent)
-        self.texts = Table(
-            f"{component}_audit_text",
-            metadata,
-            Column(
-                "seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False
-            ),
-            Column("subject", String(64), nullable=False, index=True),
-            Column("about", String(400), nullable=False, index=True),
-            Column("salt", String(32), nullable=False),
-            Column("text", Text, nullable=False),
-        )
-        self.head = Table(
-            f"{component}_audit_head",
-            metadata,
-            Column("id", Integer, primary_key=True, autoincrement=False),
-            Column("seq", BigInteger, nullable=False),
-            Column("hash", String(64), nullable=False),
-            Column("first_seq", BigInteger, nullable=False),
-            Column("first_previous_hash", String(64), nullable=False),
-            Column("changed_s", Float, nullable=False),
-        )
-        self.aliases: Table | None = None
-        if has_aliases:
-            self.aliases = Table(
-                f"{component}_audit_alias",
-                metadata,
-                Column("name", String(400), primary_key=True),
-                Column("alias", String(64), nullable=False, unique=True),
-            )
-        self.names: Table | None = None
-        if has_names:
-            self.names = Table(
-                f"{component}_audit_name",
-                metadata,
-                Column("subject", String(64), primary_key=True),
-                Column("name", String(200), nullable=False),
-            )
-
-    def add_intents(self, connection: Connection) -> None:
-        """Migrate the table of a log without intents to one with them."""
-        table, column = self.records.name, self.records.c.intent
-        connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column.name} BIGINT")
-        for index in self.records.indexes:
-            if column in index.columns.values():
-                index.create(connection)
-
-    def add_names(self, connection: Connection) -> None:
-        """Migrate a log to one with names; those of a version before intents have them already."""
-        if self.names is not None:
-            self.names.create(connection, checkfirst=True)
 
 
 class AuditLog:
@@ -248,7 +117,7 @@ class AuditLog:
             "resource": resource,
             "outcome": outcome,
             "method": method,
-            "text_hash": "" if text is None else _text_hash(salt, text),
+            "text_hash": "" if text is None else text_hash(salt, text),
             "previous_hash": previous,
         }
         if self._tables.has_intents:
@@ -433,7 +302,7 @@ class AuditLog:
             return Verification(0, GENESIS)
         expected, previous, count = int(row["first_seq"]), str(row["first_previous_hash"]), 0
         for record, salt, text in self._chain(connection):
-            fault = _fault(record, expected, previous, salt, text)
+            fault = fault_of(record, expected, previous, salt, text)
             if fault is not None:
                 return Verification(count, previous, fault)
             expected, previous, count = expected + 1, record["hash"], count + 1
@@ -475,35 +344,3 @@ def _conditions(
         yield records.c.at_ms >= chosen.since_ms
     if chosen.until_ms is not None:
         yield records.c.at_ms < chosen.until_ms
-
-
-def record_hash(values: dict[str, Any]) -> str:
-    """Return the hash of a record: SHA-256 of its fields, except the hash, as JSON with sorted names.
-
-    A record that is no outcome of an intent has the hash that it had before logs had intents.
-    """
-    content = {name: value for name, value in values.items() if name != "hash"}
-    if content.get("intent", 0) is None:
-        del content["intent"]
-    return hashlib.sha256(
-        json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-    ).hexdigest()
-
-
-def _text_hash(salt: str, text: str) -> str:
-    return hashlib.sha256(f"{salt}\n{text}".encode()).hexdigest()
-
-
-def _fault(
-    record: dict[str, Any], expected: int, previous: str, salt: str | None, text: str | None
-) -> str | None:
-    seq = record["seq"]
-    if seq != expected:
-        return f"record {expected} is missing"
-    if record["previous_hash"] != previous:
-        return f"record {seq} does not follow record {seq - 1}"
-    if record["hash"] != record_hash(record):
-        return f"record {seq} was changed"
-    if text is not None and _text_hash(salt or "", text) != record["text_hash"]:
-        return f"the text of record {seq} was changed"
-    return None
