@@ -30,14 +30,14 @@ def databases(data_dir: Path) -> list[Path]:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class DatabaseFaults:
     """The faults of a database; `unreadable` is the reason, outside of the file, why it was not checked."""
 
     faults: list[str]
     unreadable: str | None = None
 
 
-def check_database(path: Path) -> Checked:
+def check_database(path: Path) -> DatabaseFaults:
     """Return the faults of a database, one line each."""
     faults: list[str] = []
     try:
@@ -48,10 +48,10 @@ def check_database(path: Path) -> Checked:
         if is_damage(error):
             faults.append(f"{path}: {error}")
         else:
-            return Checked(faults, str(error))
+            return DatabaseFaults(faults, str(error))
     except OSError as error:
-        return Checked(faults, str(error))
-    return Checked(faults)
+        return DatabaseFaults(faults, str(error))
+    return DatabaseFaults(faults)
 
 
 def _faults_of_broker(path: Path) -> Iterator[str]:

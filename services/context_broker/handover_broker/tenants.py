@@ -22,7 +22,7 @@ from handover_broker.storage.entries import DocumentKind, Entries
 from handover_broker.storage.expiry_queue import ExpiryQueue
 from handover_broker.storage.journal import Journal
 from handover_broker.storage.store import Store
-from handover_broker.temporal.history import Recorder
+from handover_broker.temporal.history import HistoryRecorder
 from handover_broker.tenant_extensions import LocalTenant, TenantFederation
 
 DEFAULT: Final = ""
@@ -105,7 +105,7 @@ class Tenants:
         self.commits = CommitQueue(journal, self._forget_staged)
         self.places: Iterator[int]
         self.outbound: Outbound
-        self.recorder = Recorder() if settings.broker_history else None
+        self.recorder = HistoryRecorder() if settings.broker_history else None
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}

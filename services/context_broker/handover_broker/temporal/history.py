@@ -46,7 +46,7 @@ Deletions = dict[str, list[tuple[str, str | None] | None]]
 
 
 @dataclass(slots=True)
-class Change:
+class RowContent:
     """The content of a row. Instances that were removed later are None, so that positions stay the same."""
 
     attributes: dict[str, list[Instance | None]] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Change:
         return orjson.dumps(fields)
 
     @classmethod
-    def restored(cls, stored: bytes) -> "Change":
+    def restored(cls, stored: bytes) -> "RowContent":
         """Return the change in the body of a row."""
         return cls(**orjson.loads(stored))
 
@@ -213,7 +213,7 @@ class TemporalOnlyEntity:
         )
 
 
-class Recorder:
+class HistoryRecorder:
     """Adds the history rows to the commits of changes."""
 
     def __init__(self) -> None:
@@ -245,7 +245,7 @@ class Recorder:
         if change is not None:
             entries.history.append(self.row(entity.seq, change, at))
 
-    def row(self, entity_seq: int, change: Change, at: str) -> HistoryRow:
+    def row(self, entity_seq: int, change: RowContent, at: str) -> HistoryRow:
         """Return the row of a change of an entity."""
         seq = micros_of(at)
         if seq <= self._last < seq + 1_000_000:
@@ -254,16 +254,16 @@ class Recorder:
         return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 0, change.stored())
 
 
-def change_of(event: Event) -> Change | None:
+def change_of(event: Event) -> RowContent | None:
     """Return the difference of a change, None if there is none. Unchanged instances are the same objects."""
     before, after, written = event
     if after is None:
         assert before is not None  # noqa: S101 - a change has at least one end
         gone = {name: _kinds(instances) for name, instances in before.attributes.items()}
-        return Change({}, gone, [] if before.scopes else None)
+        return RowContent({}, gone, [] if before.scopes else None)
     if before is None:
         scopes = list(after.scopes) if after.scopes else None
-        return Change(after.attributes, {}, scopes)  # type: ignore[arg-type]  # read only
+        return RowContent(after.attributes, {}, scopes)  # type: ignore[arg-type]  # read only
     attributes: Attributes = {}
     deleted: Deletions = {}
     old = before.attributes
@@ -286,7 +286,7 @@ def change_of(event: Event) -> Change | None:
     scopes = None if before.scopes == after.scopes else list(after.scopes)
     if not attributes and not deleted and scopes is None:
         return None
-    return Change(attributes, deleted, scopes)  # type: ignore[arg-type]  # lists without gaps
+    return RowContent(attributes, deleted, scopes)  # type: ignore[arg-type]  # lists without gaps
 
 
 def _compare(

@@ -26,7 +26,7 @@ from handover_broker.model.validation import has_expired
 from handover_broker.query.scope_query import ScopeQuery
 from handover_broker.storage.history_archive import Archive
 from handover_broker.temporal.aggregation import Aggregation, Total, periods, totals
-from handover_broker.temporal.history import SCOPE, Change, instance_id, micros_of
+from handover_broker.temporal.history import SCOPE, RowContent, instance_id, micros_of
 from handover_broker.temporal.query import TemporalQuery
 from handover_broker.temporal.subjects import Subject
 
@@ -198,9 +198,9 @@ def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequ
     for entity_seq, seq, _, body in archive.history(
         [entity_seq for subject in run for entity_seq in subject.entity_seqs]
     ):
-        if not Change.may_set_scopes(body):
+        if not RowContent.may_set_scopes(body):
             continue
-        for name, _, instance in Change.restored(body).instances(seq):
+        for name, _, instance in RowContent.restored(body).instances(seq):
             if name == SCOPE:
                 observed, value = instance.get("observedAt"), instance["value"]
                 at = micros_of(observed) if observed is not None else 0 if entity_seq in timeless else seq
@@ -279,7 +279,7 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
             evolution, edge = Evolution(next(rest)), None
         if edge is not None and query.is_later(edge, seq, observed_from):
             continue  # a response ends at the same time for all attributes
-        for name, position, instance in Change.restored(body).instances(seq):
+        for name, position, instance in RowContent.restored(body).instances(seq):
             at = query.time_of(instance, is_scope=name == SCOPE)
             # An expired attribute of a current entity ends, but its history stays (clause 4.22).
             if evolution.subject.was_never_current and has_expired(instance.get("expiresAt"), now_s):

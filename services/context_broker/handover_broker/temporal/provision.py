@@ -39,8 +39,8 @@ from handover_broker.storage.history_archive import END_OF_TIME, Archive, Histor
 from handover_broker.temporal.evolution_parser import ProvidedEvolution, parse_evolution
 from handover_broker.temporal.history import (
     SCOPE,
-    Change,
-    Recorder,
+    HistoryRecorder,
+    RowContent,
     TemporalOnlyEntity,
     parse_instance_id,
 )
@@ -61,9 +61,9 @@ _SEEN: Final = "observed_to >= ? AND observed_from <= ?"
 class TemporalProvision:
     """Operations that write temporal evolutions."""
 
-    def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
+    def __init__(self, archive: Archive, recorder: HistoryRecorder | None) -> None:
         self._archive = archive
-        self._recorder = recorder or Recorder()
+        self._recorder = recorder or HistoryRecorder()
         self._locks: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
 
     def operations(self) -> tuple[Operation, ...]:
@@ -159,7 +159,7 @@ class TemporalProvision:
         dataset = None if given in {None, DEFAULT_INSTANCE} else require_uri(given, "datasetId")
         every = request.flag("deleteAll")
 
-        def cut(change: Change) -> bool:
+        def cut(change: RowContent) -> bool:
             return change.cut(name, lambda one: every or one == dataset)
 
         async with self._exclusive(tenant, entity_id):
@@ -264,7 +264,7 @@ class TemporalProvision:
             for number, attributes in enumerate(_pieces(added)):
                 if number % 10 == 9:
                     await asyncio.sleep(0)  # serve other requests in between
-                entries.history.append(self._recorder.row(entity_seq, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
+                entries.history.append(self._recorder.row(entity_seq, RowContent(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {entity_id} is nested too deep; use at most 200 levels") from None
         await _commit(tenant, entries)
@@ -289,7 +289,7 @@ class TemporalProvision:
         rows: list[HistoryRow] = []
         taken: set[int] = set()
         for entity_seq, seq, _, body in self._archive.history(entity_seqs, _SEEN, within, latest_first=True):
-            change, before = Change.restored(body), len(taken)
+            change, before = RowContent.restored(body), len(taken)
             for name, position, known in list(change.instances(seq)):
                 seen = moment(known.get("observedAt", ""))
                 one = None if seen is None else new.get((name, dataset_of(known), seen))
@@ -320,7 +320,7 @@ class TemporalProvision:
             raise absent(entity_id)
         return subject
 
-    async def _row(self, request: RequestContext, entity_id: str) -> tuple[int, int, int, Change]:
+    async def _row(self, request: RequestContext, entity_id: str) -> tuple[int, int, int, RowContent]:
         """Return the position of the instance in the path, and the change that it is part of."""
         subject = await self._existing(request.tenant, entity_id)
         given = require_uri(request.names[2], "the instanceId in the path")
@@ -331,14 +331,14 @@ class TemporalProvision:
         rows = await asyncio.to_thread(self._archive.changes_after, entity_seq, seq - 1, 1)
         if not rows or rows[0][0] != seq:
             raise _absent_instance(request)
-        return entity_seq, seq, position, Change.restored(rows[0][1])
+        return entity_seq, seq, position, RowContent.restored(rows[0][1])
 
     def _rewritten(
-        self, entity_seq: int, after: int, cut: Callable[[Change], bool]
+        self, entity_seq: int, after: int, cut: Callable[[RowContent], bool]
     ) -> tuple[list[HistoryRow], int | None]:
         """Return the next rows that `cut` has changed, and the seq to continue after, if any."""
         found = self._archive.changes_after(entity_seq, after, ROWS_PER_COMMIT)
-        changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
+        changed = [(seq, change) for seq, body in found if cut(change := RowContent.restored(body))]
         rows = [_row(entity_seq, seq, change) for seq, change in changed]
         return rows, found[-1][0] if len(found) == ROWS_PER_COMMIT else None
 
@@ -373,7 +373,7 @@ async def _commit(tenant: Tenant, entries: Entries) -> None:
         raise not_stored(str(error), is_away=error.is_away) from error
 
 
-def _row(entity_seq: int, seq: int, change: Change) -> HistoryRow:
+def _row(entity_seq: int, seq: int, change: RowContent) -> HistoryRow:
     body = None if change.is_empty() else change.stored()
     return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 1, body)
 
