@@ -17,7 +17,8 @@ from urllib.parse import urljoin, urlsplit
 import orjson
 
 from handover.broker import BrokerError, BrokerUnavailable, NotFound
-from handover.broker_copy.broker_side import CONTEXTS, BrokerSide, as_json, as_object, in_path
+from handover.broker_copy.answers import as_json, as_object
+from handover.broker_copy.broker_side import CONTEXTS, BrokerSide, in_path
 from handover.broker_copy.entity_form import Json
 from handover.broker_copy.report import Counts, TenantReport
 from handover.settings import STARS

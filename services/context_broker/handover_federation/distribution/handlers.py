@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from handover_federation.distribution.distributed_operations import Handler
-from handover_federation.distribution.reads import discovery, temporal_reading
+from handover_federation.distribution.reads import discovery, temporal_reading, temporal_retrieval
 from handover_federation.distribution.reads import entity_reading as reading
 from handover_federation.distribution.reads.entity_map_collection import map_temporal
 from handover_federation.distribution.writes import entity_writing as writing
@@ -21,7 +21,7 @@ HANDLERS: Final[Mapping[str, Handler]] = {
         name: batch(name)
         for name in ("createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch")
     },
-    "retrieveTemporal": temporal_reading.retrieve,
+    "retrieveTemporal": temporal_retrieval.retrieve,
     "queryTemporal": temporal_reading.query,
     "queryTemporalBatch": temporal_reading.query_batch,
     "retrieveEntityTypes": discovery.types,

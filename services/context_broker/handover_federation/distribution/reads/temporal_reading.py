@@ -1,4 +1,4 @@
-"""Retrieves and queries temporal evolutions at several sources (clauses 5.7.3.4 and 5.7.4.4).
+"""Queries temporal evolutions at several sources (clause 5.7.4.4); `temporal_retrieval` retrieves one.
 
 All sources are queried in the requested representation, and `temporal_merge` merges the results. Aggregated
 values cannot be merged: if several sources have parts of one entity, they are queried again for the plain
@@ -11,47 +11,40 @@ from typing import Final
 
 import orjson
 
-from handover.errors import Problem
 from handover_broker.model.context import Context
-from handover_broker.model.entity_parser import expand
-from handover_broker.model.validation import require_uri
 from handover_broker.query.pages import Window
 from handover_broker.query.parameters import FILTERS
 from handover_broker.request.derived_request import derived
 from handover_broker.request.query_parameters import (
     DEFAULT_LIMIT,
     MAX_LIMIT,
-    json_headers,
     page_links,
 )
 from handover_broker.request.request_context import (
-    JSON_LD,
     RequestContext,
     Response,
-    problem_response,
 )
 from handover_broker.temporal.operations import temporal_parameters
-from handover_broker.temporal.query import Representation, temporal_query, temporal_view
 from handover_federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    gateway_problem,
     gather_all,
 )
-from handover_federation.distribution.forwarding.forwarder import quoted
 from handover_federation.distribution.query_targets import (
-    coverage_of,
     may_be_split,
     refuse_order,
     selector_parameters,
-    source_filter,
     target_of,
 )
 from handover_federation.distribution.reads import temporal_merge
 from handover_federation.distribution.reads.split_temporal_queries import narrowed_to, split_hits
+from handover_federation.distribution.reads.temporal_answers import (
+    attributes_of,
+    temporal_answer,
+    temporal_request_of,
+)
 from handover_federation.distribution.reads.temporal_fetching import (
     SHOWING,
-    FetchPart,
     TemporalPart,
     TemporalRequest,
     edge_of,
@@ -62,120 +55,7 @@ from handover_federation.distribution.reads.temporal_fetching import (
     without_context,
 )
 from handover_federation.distribution.reads.temporal_merge import Evolution
-from handover_federation.entity_maps.entity_map import OWN
-from handover_federation.entity_maps.mapped_request import listed_of
-from handover_federation.registrations.registration import EntityTarget, Match, Registration
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """A source that has the entity, and its part in the requested representation."""
-
-    registration: Registration
-    fetch: FetchPart
-    part: TemporalPart
-
-
-async def retrieve(sources: Sources, request: RequestContext, perform: Perform) -> Response:
-    """GET temporal/entities/{id}."""
-    context = await request.reader_context()
-    entity_id = require_uri(request.names[0], "the entity id in the path")
-    target = EntityTarget((entity_id,), None, None, _names_of(request.parameters, context))
-    where = source_filter(None, context, coverage_of(request.parameters, context.terms.expand))
-    matches = sources.unvisited(sources.registry.matching("retrieveTemporal", target, where))
-    if not matches:
-        return await perform(request)
-    temporal_request = _temporal_request(request, context, request.parameters)
-    found = await _find(sources, matches, entity_id, temporal_request)
-    if not found:
-        return await _retrieve_own(sources, request, perform)
-    try:
-        own: Response | None = await perform(request)
-    except Problem as problem:
-        if problem.status != 404:
-            raise
-        own = None
-    if (listed := listed_of(request)) is not None:
-        own_name = [] if own is None else [OWN]
-        listed.entities = {entity_id: own_name + [one.registration.id for one in found]}
-    if temporal_request.is_for_totals and (own is not None or len(found) > 1):
-        readers: list[tuple[Registration | None, FetchPart]] = [
-            (one.registration, one.fetch) for one in found
-        ]
-        if own is not None:
-            readers.insert(0, (None, _own_fetcher(request, perform)))
-        return await _aggregate(request, temporal_request, readers)
-    return _merge(request, temporal_request, own, found)
-
-
-async def _find(
-    sources: Sources, matches: list[Match], entity_id: str, temporal_request: TemporalRequest
-) -> list[_Found]:
-    """Return the sources that have the entity."""
-    context, path = temporal_request.context, f"temporal/entities/{quoted(entity_id)}"
-
-    def fetcher(match: Match) -> FetchPart:
-        return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
-
-    fetchers = [fetcher(match) for match in matches]
-    parts = await gather_all(*(fetch(temporal_request.parameters) for fetch in fetchers))
-    return [
-        _Found(match.registration, fetch, part)
-        for match, fetch, part in zip(matches, fetchers, parts, strict=True)
-        if part.documents
-    ]
-
-
-async def _retrieve_own(sources: Sources, request: RequestContext, perform: Perform) -> Response:
-    """Return the broker's own response. If it has none, and a source did not answer, that is the error."""
-    try:
-        return await perform(request)
-    except Problem as problem:
-        errors = [error for error in sources.source_errors if error.registration.mode.is_proxied]
-        if problem.status == 404 and errors:
-            return problem_response(gateway_problem(errors[0]))
-        raise
-
-
-def _own_fetcher(request: RequestContext, perform: Perform) -> FetchPart:
-    async def fetch(parameters: Mapping[str, str]) -> TemporalPart:
-        response = await perform(derived(request, parameters=parameters))
-        return TemporalPart([without_context(orjson.loads(response.body))], edge_of(response))
-
-    return fetch
-
-
-async def _aggregate(
-    request: RequestContext,
-    temporal_request: TemporalRequest,
-    readers: list[tuple[Registration | None, FetchPart]],
-) -> Response:
-    """Return the aggregated values of an entity of which several sources have a part."""
-    values = await fetch_values(readers, temporal_request)
-    query = temporal_request.query
-    merged = temporal_merge.merge_evolutions(values, temporal_request.context, query.last)
-    document = temporal_merge.aggregated(merged, query)
-    return _answer(request, temporal_request, [document], None, single=True)
-
-
-def _merge(
-    request: RequestContext, temporal_request: TemporalRequest, own: Response | None, found: list[_Found]
-) -> Response:
-    """Return the entity of all sources, up to the instant to which all parts are complete."""
-    context, query = temporal_request.context, temporal_request.query
-    evolutions: list[temporal_merge.SourceEvolution] = [
-        (one.registration, temporal_merge.shown(document, temporal_request.view, context))
-        for one in found
-        for document in one.part.documents
-    ]
-    edges = [one.part.edge for one in found]
-    if own is not None:
-        evolutions.insert(0, (None, without_context(orjson.loads(own.body))))
-        edges.append(edge_of(own))
-    last = None if temporal_request.is_for_totals else query.last
-    document = temporal_merge.merge_evolutions(evolutions, context, last)
-    edge = temporal_merge.common_edge(edges, query)
-    return _answer(request, temporal_request, [document], edge, single=True)
+from handover_federation.registrations.registration import Match
 
 
 async def query(sources: Sources, request: RequestContext, perform: Perform) -> Response:
@@ -212,7 +92,7 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
     matched = _matches_of(sources, given)
     if not matched:
         return await perform(request)
-    temporal_request = _temporal_request(request, given.context, given.parameters)
+    temporal_request = temporal_request_of(request, given.context, given.parameters)
     conditions = {name for name in FILTERS if name in given.parameters}
     if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
         hits = await split_hits(sources, request, perform, matched, temporal_request)
@@ -234,7 +114,7 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
         documents = [
             temporal_merge.merge_evolutions(collected.known[one], given.context, last) for one in page
         ]
-    result = _answer(request, temporal_request, documents, edge)
+    result = temporal_answer(request, temporal_request, documents, edge)
     result.headers += [
         (name, str(int(value) + len(order) - collected.own_count).encode())
         for name, value in collected.own_headers
@@ -250,7 +130,7 @@ def _matches_of(sources: Sources, given: _Query) -> list[tuple[Match, dict[str, 
     """Return the sources to query, each with the parameters of the selector that it matches."""
     matched: list[tuple[Match, dict[str, str]]] = []
     for parameters in given.selectors:
-        target, where = target_of(parameters, given.context, _names_of(parameters, given.context))
+        target, where = target_of(parameters, given.context, attributes_of(parameters, given.context))
         found = sources.registry.matching("queryTemporal", target, where)
         refuse_order(parameters, sources.unvisited(found, uses_map=False))
         matched += [(match, parameters) for match in sources.unvisited(found)]
@@ -413,21 +293,6 @@ def _for_all_members(request: RequestContext, window: Mapping[str, str]) -> Requ
     return result
 
 
-def _temporal_request(
-    request: RequestContext, context: Context, parameters: Mapping[str, str]
-) -> TemporalRequest:
-    view = temporal_view(derived(request, parameters=parameters), context)
-    target = temporal_query(parameters, aggregates=view.representation is Representation.AGGREGATED)
-    return TemporalRequest(context, parameters, target, view)
-
-
-def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
-    given = parameters.get("attrs")
-    if not given or "q" in parameters:
-        return None
-    return frozenset(expand(one, context.terms) for one in given.split(",") if one) or None
-
-
 def _window(request: RequestContext) -> Window:
     def number(name: str, default: int) -> int:
         given = request.parameter(name) or ""
@@ -436,30 +301,3 @@ def _window(request: RequestContext) -> Window:
     options = (request.parameter("options") or "").split(",")
     counts = request.parameter("count") == "true" or "count" in options
     return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
-
-
-def _answer(
-    request: RequestContext,
-    temporal_request: TemporalRequest,
-    documents: list[Evolution],
-    edge: int | None,
-    *,
-    single: bool = False,
-) -> Response:
-    context = temporal_request.context
-    if edge is not None:
-        documents = [temporal_merge.kept_to(one, edge, temporal_request.query) for one in documents]
-    collected = (
-        b"" if edge is None else temporal_merge.content_range_of(documents, edge, temporal_request.query)
-    )
-    documents = [
-        temporal_merge.with_members(one, temporal_request.query, temporal_request.view) for one in documents
-    ]
-    headers = json_headers(context)
-    if request.accept() == JSON_LD:
-        documents = [{"@context": context.document, **one} for one in documents]
-        headers = [(b"content-type", JSON_LD.encode())]
-    body = orjson.dumps(documents[0] if single else documents)
-    if edge is None:
-        return Response(200, body, headers)
-    return Response(206, body, [*headers, (b"content-range", collected)])
