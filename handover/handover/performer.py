@@ -249,7 +249,11 @@ class Performer(ABC):
         await self._subscriptions.keep(self._subscription())
         self._subscribed = True
         await self._announce(
-            [one for one in self._queues if one not in self._announced and self.leases.of(one).is_held()]
+            [
+                queue
+                for queue in self._queues
+                if queue not in self._announced and self.leases.of(queue).is_held()
+            ]
         )
         known = set(self._jobs)
         unfinished = await self._unfinished()

@@ -69,7 +69,7 @@ def _services(compose: Path) -> dict[str, Any]:
 def _mounts(service: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return volume, target and mode of the named volumes of a service."""
     parts = (str(mount).split(":") for mount in service.get("volumes", ()))
-    return [(one[0], one[1], ":".join(one[2:])) for one in parts if not one[0].startswith((".", "/"))]
+    return [(part[0], part[1], ":".join(part[2:])) for part in parts if not part[0].startswith((".", "/"))]
 
 
 def _overridden(

@@ -90,13 +90,15 @@ class Plan:
     ) -> "Plan":
         """Return the plan in the options of the command; raise `UsageError`."""
         return cls(
-            tuple(_folder_and_names(one, "--server FOLDER=NAME,NAME") for one in servers or ()),
+            tuple(_folder_and_names(server, "--server FOLDER=NAME,NAME") for server in servers or ()),
             tuple(
                 (folder, names[0])
-                for folder, names in (_folder_and_names(one, "--client FOLDER=NAME") for one in clients or ())
+                for folder, names in (
+                    _folder_and_names(client, "--client FOLDER=NAME") for client in clients or ()
+                )
             ),
             tuple(map(Path, trusting or ())),
-            tuple(_folder_and_names(one, "--secret FOLDER=NAME,NAME") for one in secrets or ()),
+            tuple(_folder_and_names(secret, "--secret FOLDER=NAME,NAME") for secret in secrets or ()),
         )
 
     def token_files(self) -> dict[str, Path]:

@@ -37,7 +37,9 @@ def check_robot(
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415 - as above
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
-    checked = check_process(process, settings, dict(parse_parameter(one) for one in parameters or []))
+    checked = check_process(
+        process, settings, dict(parse_parameter(parameter) for parameter in parameters or [])
+    )
     if not checked:
         raise UsageError(f"{process} has no activity of a robot of this cell")
     cycle_s = sum(one.duration_s for one in checked)

@@ -134,7 +134,9 @@ def _instance(instance: Any, terms: Terms) -> Any:
 def _is_attribute(value: Any) -> bool:
     """Return whether the value of a reserved member is an attribute, whose IRI has that short name."""
     instances = value if isinstance(value, list) else [value]
-    return bool(instances) and all(isinstance(one, dict) and "type" in one for one in instances)
+    return bool(instances) and all(
+        isinstance(instance, dict) and "type" in instance for instance in instances
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,7 +139,7 @@ class OutboundPolicy:
             return None
         address = address_of(host)
         kind = None if address is None else kind_of(address)
-        if address is None or kind is None or any(address in one for one in self.networks):
+        if address is None or kind is None or any(address in network for network in self.networks):
             return None
         if self.listens_beyond_loopback:
             why = "a service that listens beyond loopback"
@@ -204,7 +204,7 @@ def _read_endpoints(file: Path, mtime_ns: int, inode: int) -> frozenset[tuple[st
     except (OSError, UnicodeDecodeError):
         return frozenset()
     matches = (_ENDPOINT.fullmatch(line.partition(" ")[0]) for line in lines)
-    return frozenset((_plain(one[1].strip("[]")), int(one[2])) for one in matches if one is not None)
+    return frozenset((_plain(match[1].strip("[]")), int(match[2])) for match in matches if match is not None)
 
 
 def address_of(host: str) -> Address | None:
@@ -255,5 +255,5 @@ def _plain(host: str) -> str:
 
 def _is_name(text: str) -> bool:
     labels = _plain(text).split(".")
-    named = all(one and one.replace("-", "").replace("_", "").isalnum() for one in labels)
+    named = all(label and label.replace("-", "").replace("_", "").isalnum() for label in labels)
     return named and not labels[-1].isdecimal()

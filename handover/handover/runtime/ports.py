@@ -68,7 +68,7 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
         if error.errno != errno.EADDRINUSE:
             raise UsageError(f"{where} cannot be used ({error.strerror}); {way_out}") from None
         holders = _holders(host, port)
-        listens = any(each.peer is None for each in holders) if holders else _has_listener(host, port)
+        listens = any(holder.peer is None for holder in holders) if holders else _has_listener(host, port)
         if listens:
             raise UsageError(f"{where} is taken by another program; stop that program or {way_out}") from None
         peer = holders[0].peer if holders else None

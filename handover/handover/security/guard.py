@@ -129,7 +129,7 @@ class Requirement:
 def _used(caller: Caller, permission: Permission, resources: Resources) -> str:
     if isinstance(resources, str):
         return resources
-    allowed = (one for one in resources if caller.may(permission, one))
+    allowed = (resource for resource in resources if caller.may(permission, resource))
     return next(allowed, resources[0] if resources else ANY_RESOURCE)
 
 

@@ -219,7 +219,7 @@ class DeviceLeases:
         states = {lease.state() for lease in self._leases.values()}
         if not states or states & {LeaseState.HELD, LeaseState.RESTING}:
             return None
-        taken = next((one for one in self._leases.values() if one.state() is LeaseState.TAKEN), None)
+        taken = next((lease for lease in self._leases.values() if lease.state() is LeaseState.TAKEN), None)
         if taken is not None:
             return f"standby: {taken.holder} holds {taken.device}; this one takes over when that lease ends"
         return f"no lease of {next(iter(self._leases))}: {self._away or 'not granted yet'}"
@@ -258,13 +258,13 @@ class DeviceLeases:
         self._http.close()
 
     def _due(self, now_s: float) -> bool:
-        return any(one.holder is not None and now_s >= one.retry_s for one in self._leases.values())
+        return any(lease.holder is not None and now_s >= lease.retry_s for lease in self._leases.values())
 
     def _next_due_s(self) -> float:
         """Return when a state changes by itself, or a performer that stands by asks again."""
         now_s = self._clock()
-        times = [one.retry_s for one in self._leases.values() if one.holder is not None]
-        ends = (s for one in self._leases.values() for s in (one.ends_s - REST_S, one.ends_s))
+        times = [lease.retry_s for lease in self._leases.values() if lease.holder is not None]
+        ends = (s for lease in self._leases.values() for s in (lease.ends_s - REST_S, lease.ends_s))
         return min((*times, *(s for s in ends if s > now_s)), default=math.inf)
 
     def _notify(self) -> None:
@@ -316,7 +316,7 @@ class DeviceLeases:
         return True
 
     async def _apply(self, answers: Mapping[str, Mapping[str, Any]], sent_s: float) -> None:
-        if not self._was_leased and any(each["granted"] for each in answers.values()):
+        if not self._was_leased and any(answer["granted"] for answer in answers.values()):
             self._was_leased = True
             if self._keep_mark is not None:
                 await self._keep_mark()

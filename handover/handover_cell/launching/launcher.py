@@ -64,7 +64,9 @@ class Running:
 
 def _places_of(services: Sequence[Service]) -> set[str]:
     """Return the hosts of the services; on this machine with the port, since other programs are there too."""
-    parts = [urlsplit(url) for one in services for url in (one.url(), *one.settings.load().own_urls())]
+    parts = [
+        urlsplit(url) for service in services for url in (service.url(), *service.settings.load().own_urls())
+    ]
     return {
         part.netloc.rpartition("@")[2] if is_loopback(part.hostname) else part.hostname
         for part in parts

@@ -264,8 +264,8 @@ class Broker:
 
     async def _by_name(self, name: str, context: RequestContext) -> Response:
         """Execute an operation that another one needs."""
-        operations = (one for one in self.router.operations if one.name == name)
-        wanted = next(one for one in operations if one.method == context.method)
+        operations = (operation for operation in self.router.operations if operation.name == name)
+        wanted = next(operation for operation in operations if operation.method == context.method)
         return await self.federation.distribute(wanted, context)
 
     async def _renew(self, context_id: str) -> None:

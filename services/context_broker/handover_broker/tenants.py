@@ -222,7 +222,7 @@ class Tenants:
 
     def entities(self) -> int:
         """Return the number of entities of all tenants."""
-        return sum(len(one.store) for one in self._tenants.values())
+        return sum(len(tenant.store) for tenant in self._tenants.values())
 
     def _forget_staged(self) -> None:
         for tenant in self._tenants.values():

@@ -185,4 +185,4 @@ def view_of(service: str, record: AuditRecord, names: Mapping[str, str]) -> Audi
 
 
 def _views(service: str, names: Mapping[str, str], records: list[AuditRecord]) -> list[AuditView]:
-    return [view_of(service, one, names) for one in records]
+    return [view_of(service, record, names) for record in records]

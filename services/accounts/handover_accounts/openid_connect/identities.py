@@ -44,8 +44,8 @@ def begin(change: Change, redirect_uri: str) -> tuple[str, AuthorizationRequest]
     connection = change.connection
     connection.execute(delete(table).where(table.c.created_s <= now_s - SIGN_IN_VALID_S))
     oldest = select(table.c.secret_hash).order_by(table.c.created_s.desc()).offset(MAX_SIGN_INS - 1)
-    for one in list(connection.execute(oldest).scalars()):
-        connection.execute(delete(table).where(table.c.secret_hash == one))
+    for secret_hash in list(connection.execute(oldest).scalars()):
+        connection.execute(delete(table).where(table.c.secret_hash == secret_hash))
     secret = new_token("signin")
     request = AuthorizationRequest(
         state=secrets.token_urlsafe(32),

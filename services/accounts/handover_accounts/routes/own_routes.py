@@ -31,7 +31,7 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
             "subject": caller.subject,
             "name": caller.name,
             "person": caller.person,
-            "grants": [{"role": one.role, "resource": one.resource} for one in caller.grants],
+            "grants": [{"role": grant.role, "resource": grant.resource} for grant in caller.grants],
             "permissions": [one for one in Permission if caller.may_somewhere(one)],
             "hasAccounts": directory.keys.exist(),
         }

@@ -146,7 +146,7 @@ def add_invitation_routes(app: FastAPI, directory: Directory) -> None:
     async def invite(caller: Admin, body: NewInvitation) -> NewLink:
         """Make a one-time link with which a person chooses name and password."""
         name = None if body.name is None else users.checked_name(body.name)
-        given = tuple(checked_grant(one.role, one.resource) for one in body.grants)
+        given = tuple(checked_grant(grant.role, grant.resource) for grant in body.grants)
         return await _new_link(directory, caller, links.INVITATION, name=name, given=given)
 
     @app.delete("/invitations/{link}", status_code=204, tags=["people"])
@@ -212,7 +212,7 @@ def add_token_routes(app: FastAPI, directory: Directory) -> None:
         """Issue a token for a script or device; it is shown only in this answer."""
         directory.require_accounts()
         name = users.checked_name(body.name)
-        given = tuple(checked_grant(one.role, one.resource) for one in body.grants)
+        given = tuple(checked_grant(grant.role, grant.resource) for grant in body.grants)
         expires_s = None if body.valid_days is None else time.time() + body.valid_days * 86400
 
         def add(change: Change) -> tuple[str, str]:

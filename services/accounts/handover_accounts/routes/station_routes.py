@@ -81,7 +81,7 @@ def _add_engineer_routes(app: FastAPI, directory: Directory) -> None:
             subject = stations.add_station(change, body.name, body.gloves, body.leave_after_min)
             for grant in given:
                 add_grant(change, subject, grant)
-            return next(one for one in _views(directory, change.connection) if one["subject"] == subject)
+            return next(view for view in _views(directory, change.connection) if view["subject"] == subject)
 
         return await directory.change(caller.subject, added)
 
@@ -125,7 +125,7 @@ def _add_screen_routes(app: FastAPI, directory: Directory) -> None:
 
         def found(connection: Connection) -> StationView:
             stations.require_station(connection, caller.subject)
-            return next(one for one in _views(directory, connection) if one["subject"] == caller.subject)
+            return next(view for view in _views(directory, connection) if view["subject"] == caller.subject)
 
         return await directory.read(found)
 

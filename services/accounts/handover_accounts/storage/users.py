@@ -110,7 +110,7 @@ def end_sessions_of(change: Change, subject: str, *, kept_session: str | None = 
     """End the sessions of a user, except one; return how many ended."""
     connection = change.connection
     query = select(sessions.c.id).where(sessions.c.subject == subject)
-    ended = [one for one in connection.execute(query).scalars() if one != kept_session]
+    ended = [session for session in connection.execute(query).scalars() if session != kept_session]
     for session in ended:
         connection.execute(delete(sessions).where(sessions.c.id == session))
         change.revoke(session)

@@ -123,7 +123,7 @@ class Authorization:
             return
         selectors = document.get("entities")
         types: list[Any] = (
-            [one.get("type") for one in selectors if isinstance(one, dict)]
+            [selector.get("type") for selector in selectors if isinstance(selector, dict)]
             if isinstance(selectors, list)
             else []
         )
@@ -134,7 +134,7 @@ class Authorization:
                 detail=f'"{rights.caller.name}" has no permission "{Permission.READ_HEALTH_DATA}", so each '
                 "selector of a subscription names a type; add `entities` with a `type` each",
             )
-        named = {short_name(name) for one in texts for name in _NAME.findall(one)}
+        named = {short_name(name) for text in texts for name in _NAME.findall(text)}
         if not named.isdisjoint(self.health_types):
             raise rights.denied(Permission.READ_HEALTH_DATA)
 

@@ -111,7 +111,11 @@ class RestrictedStore(Store):
         places: GeoQuery | None = None,
     ) -> list[Entity]:
         """Return the visible ones of the candidates."""
-        return [one for one in self._store.candidates(ids, types, conditions, places) if self._shows(one)]
+        return [
+            candidate
+            for candidate in self._store.candidates(ids, types, conditions, places)
+            if self._shows(candidate)
+        ]
 
     def overlay(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]

@@ -59,7 +59,7 @@ class Rights:
         if not self.may_somewhere_perform or not is_of(entity, _TASKS):
             return False
         resources = performers_of(resources_of(entity))
-        return any(self.may(Permission.PERFORM_FOR_DEVICES, one) for one in resources)
+        return any(self.may(Permission.PERFORM_FOR_DEVICES, resource) for resource in resources)
 
     @property
     def may_somewhere_perform(self) -> bool:
@@ -86,17 +86,17 @@ class Rights:
             return self.denied(Permission.WRITE_ENTITIES, entity.id)
         ends = [one for one in (event.before, event.after) if one is not None]
         is_service = self.caller.kind is CallerKind.SERVICE
-        if not is_service and any(is_of(one, _PEOPLE) for one in ends):
+        if not is_service and any(is_of(end, _PEOPLE) for end in ends):
             return (
                 None
                 if self.may(Permission.MANAGE_PEOPLE, entity.id)
                 else self.denied(Permission.MANAGE_PEOPLE, entity.id)
             )
-        if any(self.is_private(one.id, one.types) for one in ends) and not self.may(
+        if any(self.is_private(end.id, end.types) for end in ends) and not self.may(
             Permission.READ_HEALTH_DATA, entity.id
         ):
             return self.denied(Permission.READ_HEALTH_DATA, entity.id)
-        if not is_service and any(is_of(one, _TASKS) for one in ends):
+        if not is_service and any(is_of(end, _TASKS) for end in ends):
             return task_refusal(event, find)
         return None
 

@@ -109,7 +109,9 @@ def _demands_pin(task: Entity, find: Callable[[str], Entity | None]) -> bool:
         if isinstance(inputs, dict) and "requirePin" in inputs:
             return inputs["requirePin"] is True
     definitions = (find(one) for one in _values(task, _DEFINITION) if isinstance(one, str))
-    return any(True in _values(one, "requirePin") for one in definitions if one is not None)
+    return any(
+        True in _values(definition, "requirePin") for definition in definitions if definition is not None
+    )
 
 
 def _performed_by(task: Entity) -> list[Any]:

@@ -129,7 +129,7 @@ class ContextResolver:
         gone = [one for one in self._shelf if one.gone and one.id not in self._needed]
         self._needed.clear()
         self._ready = {
-            key: ready for key, ready in self._ready.items() if not any(one.gone for one in ready.uses)
+            key: ready for key, ready in self._ready.items() if not any(use.gone for use in ready.uses)
         }
         for context in gone:
             self._shelf.remove(context)
@@ -219,7 +219,7 @@ class ContextResolver:
         document = CORE if given is None else given
         text = orjson.dumps(document)
         uses = tuple(dict.fromkeys(met))
-        parts = frozenset(one.id for one in uses)
+        parts = frozenset(use.id for use in uses)
         context = _ResolvedContext(self._made, terms, document, text, _link(document), parts, uses)
         if len(key) <= LARGEST_REMEMBERED:
             self._ready[key] = context
@@ -308,9 +308,7 @@ class ContextResolver:
         """Remove everything that was made of a changed context from the cache."""
         ours = {context.id}
         self._ready = {
-            key: ready
-            for key, ready in self._ready.items()
-            if ours.isdisjoint(each.id for each in ready.uses)
+            key: ready for key, ready in self._ready.items() if ours.isdisjoint(use.id for use in ready.uses)
         }
 
     # For clients (clause 5.13)
@@ -318,7 +316,7 @@ class ContextResolver:
     def all(self, tenant: str) -> list[StoredContext]:
         """Return the contexts that a tenant may see, and the core context."""
         contexts = shown_to(tenant, self._shelf)
-        urls = {one.url for one in contexts}
+        urls = {context.url for context in contexts}
         core = self._of_package(CORE)
         used = [one for one in self._shipped.values() if one is core or one.hits]
         return [*(one for one in used if one.url not in urls), *contexts]

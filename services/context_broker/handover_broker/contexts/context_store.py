@@ -173,5 +173,7 @@ class ContextStore:
 def shown_to(tenant: str, contexts: Iterable[StoredContext]) -> list[StoredContext]:
     """Return the contexts that a tenant may see: fetched ones belong to all (clause 5.5.10)."""
     return [
-        one for one in contexts if not one.gone and (one.kind is ContextKind.CACHED or one.tenant == tenant)
+        context
+        for context in contexts
+        if not context.gone and (context.kind is ContextKind.CACHED or context.tenant == tenant)
     ]

@@ -334,7 +334,7 @@ class DeliveryWorker:
 
     async def _load(self) -> None:
         self._is_loading, self._has_more_on_disk = True, False
-        sharing = sum(1 for one in self._endpoint_queue.workers if one.pending_bytes)
+        sharing = sum(1 for worker in self._endpoint_queue.workers if worker.pending_bytes)
         limit = max(1, min(WINDOW // max(1, sharing), self._endpoint_queue.room))
         try:
             page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)

@@ -98,7 +98,7 @@ def headers(subscription: Subscription, tenant: str, taken: bytes | None = None)
     own_names = {name.lower() for name, _ in own}
     result = [("Content-Type", endpoint.accept)]
     if tenant:
-        result += [one for one in tenant_headers(tenant) if one[0].lower() not in own_names]
+        result += [header for header in tenant_headers(tenant) if header[0].lower() not in own_names]
     if endpoint.accept != JSON_LD and subscription.context.link and "link" not in own_names:
         result.append(("Link", link_header(subscription.context.link)))
     return [*result, *((name, value) for name, value in own)]
@@ -193,7 +193,7 @@ def _add_gone(
     attributes: Attributes, name: str, old: list[Instance], view: View, deleted_at: str, *, shows: bool
 ) -> None:
     instances = attributes.get(name, [])
-    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, instances)]
+    gone = [_gone(instance, view, deleted_at, shows=shows) for instance in lost_instances(old, instances)]
     attributes[name] = [*instances, *gone]
 
 

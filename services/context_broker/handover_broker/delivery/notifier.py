@@ -118,7 +118,7 @@ class Notifier(SubscriptionDispatcher):
             interested = list(dict.fromkeys(interested))
         change, now_s = entity_change(event), REQUEST_TIME.get() or time.time()
         notices = [self._notice(one, change, now_s) for one in interested]
-        return [one for one in notices if one is not None]
+        return [notice for notice in notices if notice is not None]
 
     def disclosure(self, subscription: Subscription) -> Disclosure | None:
         """Return the selection for a notification that is composed now; None if its owner sees everything."""

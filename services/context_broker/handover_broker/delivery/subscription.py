@@ -151,7 +151,9 @@ class Subscription:
         selectors = self.selectors
         if len(selectors) == 1:  # as in nearly all subscriptions
             return selectors[0].wants(entity) and self.admits(entity, lookup)
-        return (not selectors or any(one.wants(entity) for one in selectors)) and self.admits(entity, lookup)
+        return (not selectors or any(selector.wants(entity) for selector in selectors)) and self.admits(
+            entity, lookup
+        )
 
     def admits(self, entity: Entity, lookup: Lookup = no_lookup) -> bool:
         """Return whether an entity matches by its attributes, geometry and scopes."""
@@ -205,7 +207,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         document=document,
         context=context,
         names=names,
-        selectors=tuple(entity_selector(one) for one in entities or ()),
+        selectors=tuple(entity_selector(entity) for entity in entities or ()),
         triggers=Triggers(
             read_kinds(document.get("notificationTrigger")),
             None if watched is None else renamed(kind, watched),
@@ -245,7 +247,7 @@ def _compiled(q: Any, context: Context, expanded: frozenset[str]) -> Query:
 def _short_names(document: Mapping[str, Any], member: str) -> frozenset[str]:
     given = document.get(member, [])
     names = given.split(",") if isinstance(given, str) else given
-    if not isinstance(names, list) or not all(isinstance(one, str) and one for one in names):
+    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         raise bad_request_data(f'"{member}" is text with names of attributes and commas, not {shown(given)}')
     return frozenset(names)
 
@@ -265,7 +267,7 @@ def _only_type(entities: Any) -> str | None:
     """Return the type of all entity selectors, None if there are several types or none."""
     if not isinstance(entities, list) or not entities:
         return None
-    kinds = [one.get("type") if isinstance(one, dict) else None for one in entities]
+    kinds = [entity.get("type") if isinstance(entity, dict) else None for entity in entities]
     return kinds[0] if isinstance(kinds[0], str) and all(kind == kinds[0] for kind in kinds) else None
 
 
@@ -313,7 +315,9 @@ def _datasets(given: Any) -> frozenset[str | None] | None:
     if given is None:
         return None
     datasets = given if isinstance(given, list) and given else [given]
-    return frozenset(None if one == "@none" else require_uri(one, "a datasetId") for one in datasets)
+    return frozenset(
+        None if dataset == "@none" else require_uri(dataset, "a datasetId") for dataset in datasets
+    )
 
 
 def _interval(document: Mapping[str, Any]) -> float | None:

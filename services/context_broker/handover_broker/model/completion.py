@@ -58,7 +58,7 @@ def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instanc
     """Return the instance of a part of an attribute, by its datasetId; None if there is none."""
     dataset = given.get("datasetId")
     wanted = None if dataset == DEFAULT_INSTANCE else dataset
-    return next((one for one in instances if one.get("datasetId") == wanted), None)
+    return next((instance for instance in instances if instance.get("datasetId") == wanted), None)
 
 
 def normalized(
@@ -123,7 +123,7 @@ def _normalized_attribute(given: Any, instances: list[Instance], language: str |
 
 
 def _kind_in(instances: list[Instance], dataset: str) -> str | None:
-    kinds = {one.get("datasetId", DEFAULT_INSTANCE): str(one["type"]) for one in instances}
+    kinds = {instance.get("datasetId", DEFAULT_INSTANCE): str(instance["type"]) for instance in instances}
     return kinds.get(dataset, next(iter(kinds.values()), None))
 
 

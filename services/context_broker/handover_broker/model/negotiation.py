@@ -40,7 +40,9 @@ def accepted(given: bytes, offered: Sequence[str] = PLAIN) -> str | None:
     weights: dict[str, float] = {}
     for part in given.decode("latin-1").split(","):
         media_range, *options = (piece.strip().lower() for piece in part.split(";"))
-        weights[media_range] = next((_weight(one[2:]) for one in options if one.startswith("q=")), 1.0)
+        weights[media_range] = next(
+            (_weight(option[2:]) for option in options if option.startswith("q=")), 1.0
+        )
     best, chosen = 0.0, None
     for media_type in offered:
         ranges = (media_type, f"{media_type.partition('/')[0]}/*", "*/*")

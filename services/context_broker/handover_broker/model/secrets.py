@@ -33,7 +33,7 @@ def without_secrets(uri: str) -> str:
     """Return an address without user information, values of its query, keys in its path, and fragment."""
     parts = _PARTS.fullmatch(uri)
     assert parts is not None  # noqa: S101 - each part may be empty
-    authority, path, query, fragment = (one or "" for one in parts.groups())
+    authority, path, query, fragment = (text or "" for text in parts.groups())
     authority = _USER_INFORMATION.sub(f"//{HIDDEN}@", authority)
     query = _QUERY_VALUE.sub(lambda value: f"{value[1]}{value[2] or ''}{HIDDEN}", query)
     return authority + _KEY_IN_PATH.sub(HIDDEN, path) + query + (f"#{HIDDEN}" if fragment else "")
@@ -97,7 +97,8 @@ def _hidden_pairs(pairs: Any) -> Any:
     if not isinstance(pairs, list):
         return pairs
     return [
-        {**one, "value": HIDDEN} if isinstance(one, Mapping) and _is_secret(one) else one for one in pairs
+        {**pair, "value": HIDDEN} if isinstance(pair, Mapping) and _is_secret(pair) else pair
+        for pair in pairs
     ]
 
 

@@ -186,12 +186,12 @@ class BatchOperations:
         request.require_no_link(media_type)
         documents = _as_list(request.document(), "entities")
         result = _BatchResult()
-        for given in documents:
+        for document in documents:
             try:
-                context = await request.context_of(given, media_type)
-                result.on_their_way.append(act(request.tenant.store, given, context))
+                context = await request.context_of(document, media_type)
+                result.on_their_way.append(act(request.tenant.store, document, context))
             except Problem as problem:
-                result.refuse(given.get("id") if isinstance(given, dict) else None, problem)
+                result.refuse(document.get("id") if isinstance(document, dict) else None, problem)
         await result.settle()
         return result
 

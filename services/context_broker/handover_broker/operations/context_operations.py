@@ -48,7 +48,9 @@ class ContextOperations:
         kind = request.parameter("kind")
         if kind is not None and kind not in set(ContextKind):
             raise bad_request_data(f"kind is one of {', '.join(ContextKind)}, not {shown(kind)}")
-        found = [one for one in self._contexts.all(request.tenant.name) if kind in {None, one.kind}]
+        found = [
+            context for context in self._contexts.all(request.tenant.name) if kind in {None, context.kind}
+        ]
         if request.flag("details"):
             return _answer([one.details(base) for one in found], media_type)
         return _answer([one.address(base) for one in found], media_type)

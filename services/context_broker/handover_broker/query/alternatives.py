@@ -34,7 +34,7 @@ def alternatives(text: str, what: str, leaf: Callable[[str], Leaf]) -> Alternati
     found = reader.either(0)
     if reader.at < len(text):
         reader.fail("expected , or ; or the end")
-    return tuple(tuple(dict.fromkeys(one)) for one in dict.fromkeys(found))
+    return tuple(tuple(dict.fromkeys(names)) for names in dict.fromkeys(found))
 
 
 class _Reader(Generic[Leaf]):

@@ -38,7 +38,7 @@ class EntitySelector:
         """Return types (IRIs) of which each match has at least one; None if it can have any."""
         if self.types is None or self.types.is_every:
             return None
-        return [min(one) for one in self.types.alternatives]
+        return [min(alternative) for alternative in self.types.alternatives]
 
 
 def entity_selector(stored: Mapping[str, Any]) -> EntitySelector:

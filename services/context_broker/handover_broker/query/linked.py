@@ -81,7 +81,9 @@ def joined(entities: Iterable[Entity], terms: Terms, view: View, join: Join, loo
     walk = _Walk(terms, lookup, join.contained)
     if join.is_flat:
         return walk.flat(list(entities), view, join.level)
-    return [(one, walk.inline(one, view, join.level, join.contained | {one.id})) for one in entities]
+    return [
+        (entity, walk.inline(entity, view, join.level, join.contained | {entity.id})) for entity in entities
+    ]
 
 
 class _Walk:
@@ -151,7 +153,7 @@ def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Insta
             continue
         filtered = instances
         if view.datasets is not None:
-            filtered = [one for one in instances if one.get("datasetId") in view.datasets]
+            filtered = [instance for instance in instances if instance.get("datasetId") in view.datasets]
         if any(one["type"] in _KINDS for one in filtered):
             yield name, filtered
 

@@ -143,7 +143,7 @@ def ordering_document(given: Any, expand: Expand) -> Ordering:
     if unknown := sorted(set(given) - known):
         raise bad_request_data(f"ordering has {', '.join(sorted(known))}, not {shown(unknown[0])}")
     terms, tag = given.get("orderBy"), given.get("collation")
-    if not isinstance(terms, list) or not terms or not all(isinstance(one, str) for one in terms):
+    if not isinstance(terms, list) or not terms or not all(isinstance(term, str) for term in terms):
         raise bad_request_data(f'ordering.orderBy is a list such as ["name", "age;desc"], not {shown(terms)}')
     if tag is not None and not isinstance(tag, str):
         raise bad_request_data(f"ordering.collation is text such as de-u-co-phonebk, not {shown(tag)}")

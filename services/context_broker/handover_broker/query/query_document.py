@@ -53,7 +53,7 @@ def selectors_of(document: Any, context: Context) -> tuple[Selection, ...]:
     selectors = _selectors(document)
     if len(selectors) < 2:
         return ()
-    return tuple(_selection(_selector_parameters(one), context) for one in selectors)
+    return tuple(_selection(_selector_parameters(selector), context) for selector in selectors)
 
 
 def _selectors(document: Any) -> list[Any]:

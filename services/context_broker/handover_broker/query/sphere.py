@@ -81,8 +81,8 @@ def border_distance_m(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
 def box_of(geometry: Mapping[str, Any]) -> Box:
     """Return the bounding box of a geometry."""
     positions = list(_positions(geometry["coordinates"], DEPTHS[geometry["type"]]))
-    longitudes = [one[0] for one in positions]
-    latitudes = [one[1] for one in positions]
+    longitudes = [position[0] for position in positions]
+    latitudes = [position[1] for position in positions]
     return min(longitudes), min(latitudes), max(longitudes), max(latitudes)
 
 
@@ -113,8 +113,8 @@ def _lines(geometry: Mapping[str, Any]) -> Iterator[list[Position]]:
     if kind == "Point":
         yield [(coordinates[0], coordinates[1])]
     elif kind == "MultiPoint":
-        for one in coordinates:
-            yield [(one[0], one[1])]
+        for coordinate in coordinates:
+            yield [(coordinate[0], coordinate[1])]
     elif kind == "LineString":
         yield list(_positions(coordinates, 1))
     elif kind in {"MultiLineString", "Polygon"}:

@@ -27,12 +27,12 @@ class TypeSelection:
         """Return whether an entity of `types` matches."""
         if len(self.alternatives) == 1:
             return self.alternatives[0].issubset(types)
-        return any(one.issubset(types) for one in self.alternatives)
+        return any(alternative.issubset(types) for alternative in self.alternatives)
 
     @property
     def is_every(self) -> bool:
         """Return whether it matches every type."""
-        return any(not one for one in self.alternatives)
+        return any(not alternative for alternative in self.alternatives)
 
     def names(self) -> Iterator[str]:
         """Yield the IRIs of all types in it."""
@@ -41,7 +41,7 @@ class TypeSelection:
 
     def written(self, compact: Callable[[str], str] = str) -> str:
         """Return the selection as an expression, its names written with `compact`."""
-        return ",".join(_written(sorted(map(compact, one))) for one in self.alternatives)
+        return ",".join(_written(sorted(map(compact, alternative))) for alternative in self.alternatives)
 
 
 def type_selection(given: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:

@@ -115,7 +115,7 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
 def _features(request: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
     place, terms, view = place_of(request, showing.context), showing.context.terms, showing.view
     if showing.join is None:
-        documents = [(one, render(one, terms, view)) for one in entities]
+        documents = [(entity, render(entity, terms, view)) for entity in entities]
     else:
         documents = joined(entities, terms, view, showing.join, showing.lookup)
     return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in documents]

@@ -76,7 +76,7 @@ def view_of(request: RequestContext, context: Context) -> View:
     if not request.parameters:
         return WHOLE
     options = options_of(request)
-    forms = {_FORMS[one] for one in options if one in _FORMS}
+    forms = {_FORMS[option] for option in options if option in _FORMS}
     wanted = request.parameter("format")
     if wanted is not None:
         if wanted not in _FORMS:

@@ -45,7 +45,7 @@ class Operation:
 
 def brief(*operations: Operation) -> tuple[Operation, ...]:
     """Return operations as brief ones."""
-    return tuple(replace(one, is_brief=True) for one in operations)
+    return tuple(replace(operation, is_brief=True) for operation in operations)
 
 
 @dataclass(slots=True)

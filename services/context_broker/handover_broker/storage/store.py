@@ -172,7 +172,9 @@ class Store:
         An argument that is None does not narrow them.
         """
         if ids is not None:
-            found = [entity for one in dict.fromkeys(ids) if (entity := self._every.by_id.get(one))]
+            found = [
+                entity for entity_id in dict.fromkeys(ids) if (entity := self._every.by_id.get(entity_id))
+            ]
             return by_sequence(found)
         count = len(self._every.by_id)
         chosen: Iterable[str] | None = None
@@ -193,7 +195,7 @@ class Store:
         return self._every.all()
 
     def _count_of(self, types: TypeSelection) -> int:
-        return sum(len(self._rarest(one)) for one in types.alternatives)
+        return sum(len(self._rarest(alternative)) for alternative in types.alternatives)
 
     def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
         """Return the entities of the rarest of the types."""

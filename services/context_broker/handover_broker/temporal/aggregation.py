@@ -128,12 +128,12 @@ def _fitting(number: float) -> float | None:
 
 
 def _sum(numbers: Sequence[float]) -> float:
-    if all(isinstance(one, int) for one in numbers):
+    if all(isinstance(number, int) for number in numbers):
         return sum(numbers)
     try:
         return math.fsum(numbers)
     except OverflowError:
-        return sum(float(one) for one in numbers)
+        return sum(float(number) for number in numbers)
 
 
 def _average(numbers: Sequence[float]) -> float:
@@ -143,11 +143,13 @@ def _average(numbers: Sequence[float]) -> float:
 def _deviation(numbers: Sequence[float]) -> float:
     """Return the population standard deviation; that of a sample needs two values."""
     mean = _average(numbers)
-    return math.sqrt(_sum([(float(one) - mean) * (float(one) - mean) for one in numbers]) / len(numbers))
+    return math.sqrt(
+        _sum([(float(number) - mean) * (float(number) - mean) for number in numbers]) / len(numbers)
+    )
 
 
 def _sum_of_squares(numbers: Sequence[float]) -> float:
-    return _sum([one * one for one in numbers])
+    return _sum([number * number for number in numbers])
 
 
 METHODS: Final[dict[str, Callable[[Sequence[float]], float]]] = {

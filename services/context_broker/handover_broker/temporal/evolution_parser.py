@@ -40,7 +40,7 @@ class ProvidedEvolution:
     @property
     def scopes(self) -> tuple[str, ...]:
         """Return the latest scopes, none if there are none."""
-        values = [one["value"] for one in self.attributes.get(SCOPE, ())]
+        values = [attribute["value"] for attribute in self.attributes.get(SCOPE, ())]
         if not values:
             return ()
         return (values[-1],) if isinstance(values[-1], str) else tuple(values[-1])
@@ -48,7 +48,8 @@ class ProvidedEvolution:
     def stamped(self, at: str) -> "ProvidedEvolution":
         """Return a copy with the broker's timestamps for instances that are stored at `at`."""
         attributes = {
-            name: [_stamped(one, at) for one in instances] for name, instances in self.attributes.items()
+            name: [_stamped(instance, at) for instance in instances]
+            for name, instances in self.attributes.items()
         }
         return replace(self, attributes=attributes)
 

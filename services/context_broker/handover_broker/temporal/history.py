@@ -76,15 +76,17 @@ class RowContent:
     def is_empty(self) -> bool:
         """Return whether all instances have been removed."""
         lists: Iterable[list[Any]] = (*self.attributes.values(), *self.deleted.values())
-        return self.scopes is None and all(one is None for instances in lists for one in instances)
+        return self.scopes is None and all(instance is None for instances in lists for instance in instances)
 
     def observed(self, at_s: float) -> tuple[float | None, float | None]:
         """Return the first and the last observedAt in it; scopes count as observed at `at_s`."""
         times = [
             seen
             for instances in self.attributes.values()
-            for one in instances
-            if one is not None and "observedAt" in one and (seen := moment(one["observedAt"])) is not None
+            for instance in instances
+            if instance is not None
+            and "observedAt" in instance
+            and (seen := moment(instance["observedAt"])) is not None
         ]
         if self.scopes is not None:
             times.append(at_s)
@@ -293,9 +295,9 @@ def _compare(
     name: str, was: list[Instance], instances: list[Instance], attributes: Attributes, deleted: Deletions
 ) -> None:
     known = {id(one) for one in was}
-    if new := [one for one in instances if id(one) not in known]:
+    if new := [instance for instance in instances if id(instance) not in known]:
         attributes[name] = new
-    datasets = {dataset_of(one) for one in instances}
+    datasets = {dataset_of(instance) for instance in instances}
     if gone := [one for one in was if dataset_of(one) not in datasets]:
         deleted[name] = _kinds(gone)
 
@@ -345,7 +347,7 @@ def seq_before(days: float) -> int:
 
 
 def _kinds(instances: Iterable[Instance]) -> list[tuple[str, str | None] | None]:
-    return [(one["type"], dataset_of(one)) for one in instances]
+    return [(instance["type"], dataset_of(instance)) for instance in instances]
 
 
 def _deletion(kind: str, dataset: str | None, at: str) -> Instance:

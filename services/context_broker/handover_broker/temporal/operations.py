@@ -213,14 +213,15 @@ class TemporalOperations:
 
 def _note_read(request: RequestContext, found: EvolutionPage) -> None:
     store = request.tenant.store
-    subjects = (one.subject for one in found.evolutions)
-    store.note_read(store.get(one.id) or one.as_entity() for one in subjects)
+    subjects = (evolution.subject for evolution in found.evolutions)
+    store.note_read(store.get(subject.id) or subject.as_entity() for subject in subjects)
 
 
 def _texts(found: EvolutionPage, options: _ReadOptions) -> list[bytes]:
     terms = options.context.terms
     texts = [
-        orjson.dumps(render_evolution(one, options.query, options.view, terms)) for one in found.evolutions
+        orjson.dumps(render_evolution(evolution, options.query, options.view, terms))
+        for evolution in found.evolutions
     ]
     return [with_context(text, options.context) for text in texts] if options.accept == JSON_LD else texts
 

@@ -170,7 +170,7 @@ def temporal_view(request: RequestContext, context: Context) -> TemporalView:
     """Return the requested representation; raise a problem (400) for contradictions."""
     parameters = request.parameters
     options = options_of(request, _OPTIONS)
-    representations = {_REPRESENTATIONS[one] for one in options if one in _REPRESENTATIONS}
+    representations = {_REPRESENTATIONS[option] for option in options if option in _REPRESENTATIONS}
     wanted = parameters.get("format")
     if wanted is not None:
         if wanted not in _REPRESENTATIONS:
@@ -246,7 +246,7 @@ def _aggregation(parameters: Mapping[str, str]) -> Aggregation:
             f"aggregatedValues needs aggrMethods, a list of {', '.join(METHODS)}; add it to the request"
         )
     methods = tuple(dict.fromkeys(given.split(",")))
-    if unknown := next((one for one in methods if one not in METHODS), None):
+    if unknown := next((method for method in methods if method not in METHODS), None):
         raise bad_request_data(f"aggrMethods has {shown(unknown)}; it takes {', '.join(METHODS)}")
     return Aggregation(
         methods, read_duration(parameters.get("aggrPeriodDuration", "PT0S"), "aggrPeriodDuration")

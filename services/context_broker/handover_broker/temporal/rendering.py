@@ -107,7 +107,7 @@ def content_range(found: EvolutionPage, query: TemporalQuery) -> bytes | None:
     """
     if found.edge is None:
         return None
-    times = [at for one in found.evolutions for series in one.all() for at, _, _ in series.points]
+    times = [at for evolution in found.evolutions for series in evolution.all() for at, _, _ in series.points]
     if query.last is None:
         start = query.start if query.start is not None else min(times, default=found.edge)
         size = "*"

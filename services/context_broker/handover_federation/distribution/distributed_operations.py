@@ -75,9 +75,9 @@ class Sources:
         """
         found = [
             some
-            for one in matches
-            if not self.has_visited(one.registration)
-            and (some := self.admission.narrowed(one, changes=changes)) is not None
+            for match in matches
+            if not self.has_visited(match.registration)
+            and (some := self.admission.narrowed(match, changes=changes)) is not None
         ]
         entity_map = entity_map_of(self.request) if uses_map else None
         if entity_map is None:

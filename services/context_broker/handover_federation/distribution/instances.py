@@ -38,7 +38,7 @@ def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | 
     """Return the types (IRIs) in a document, None if there are none."""
     given = document.get("type", document.get("@type"))
     names: Iterable[Any] = given if isinstance(given, list) else [given]
-    return frozenset(context.terms.expand(one) for one in names if isinstance(one, str) and one) or None
+    return frozenset(context.terms.expand(name) for name in names if isinstance(name, str) and name) or None
 
 
 def instances_in(document: Mapping[str, Any], names: Mapping[str, str]) -> Instances:

@@ -103,7 +103,7 @@ def source_filter(csf: str | None, context: Context, coverage: CoverageQuery) ->
 def types_of(given: str | None, context: Context) -> frozenset[str] | None:
     """Return all types (IRIs) in a type selection, None if there is none."""
     names = [one.strip() for one in _TYPE_SIGNS.split(given or "") if one.strip()]
-    return frozenset(context.terms.expand(one) for one in names) if names else None
+    return frozenset(context.terms.expand(name) for name in names) if names else None
 
 
 def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
@@ -112,7 +112,7 @@ def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] 
     if not given or any(name in parameters for name in _NEEDS_MORE) or not _PLAIN_NAMES.fullmatch(given):
         return None
     names = [one for one in given.split(",") if one not in {"id", "type", "scope"}]
-    return frozenset(expand(one, context.terms) for one in names) or None
+    return frozenset(expand(name, context.terms) for name in names) or None
 
 
 _PLAIN_NAMES: Final = re.compile(r"[^{}()\[\].|;]+")
@@ -127,4 +127,4 @@ def may_be_split(parameters: Mapping[str, str], matches: Iterable[Match]) -> boo
     given = parameters.get("splitEntities")
     if given is not None:
         return given == "true"
-    return any(piece.attributes is not None for one in matches for piece in one.registration.information)
+    return any(piece.attributes is not None for match in matches for piece in match.registration.information)

@@ -98,7 +98,7 @@ class EntityMapOperations:
         order = ordering(parameters, context.terms.expand)
         if order is not None:
             hits = sorted(hits, key=order.place_of)
-        return await self._kept(request, {one.id: list(_origins(store, one.id)) for one in hits})
+        return await self._kept(request, {hit.id: list(_origins(store, hit.id)) for hit in hits})
 
     async def create_temporal(self, request: RequestContext) -> Response:
         """GET or POST temporal/entityMaps (clause 5.14.5)."""
@@ -111,7 +111,7 @@ class EntityMapOperations:
             result = await self._perform(name, _plainly(request, parameters))
             if result.status >= 300:
                 return result
-            page = [one["id"] for one in orjson.loads(result.body)]
+            page = [entity["id"] for entity in orjson.loads(result.body)]
             before = len(mapped)
             mapped.update((one, [OWN]) for one in page)
             if len(page) < _PAGE or len(mapped) == before:
@@ -138,7 +138,7 @@ class EntityMapOperations:
             return created
         map_id = orjson.loads(created.body)["id"]
         result = await self._page(request, federated(request.tenant).entity_maps.get(map_id), perform)
-        result.headers += [one for one in created.headers if one[0] == b"ngsild-warning"]
+        result.headers += [header for header in created.headers if header[0] == b"ngsild-warning"]
         return Response(201 if result.status == 200 else result.status, result.body, result.headers)
 
     async def _entity(

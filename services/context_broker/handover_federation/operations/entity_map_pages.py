@@ -102,7 +102,7 @@ class _Page:
         if is_dropped:
             with suppress(NotStored):  # they are removed again after a restart
                 await federated(self._wanted.tenant).entity_maps.drop(self._map.id, self._gone)
-        headers = [one for one in result.headers if not _is_page_header(one)]
+        headers = [header for header in result.headers if not _is_page_header(header)]
         if window.count:
             headers.append((_COUNT, str(len(self._ids) - len(self._gone)).encode()))
         headers += self._links(len(some), headers, is_dropped=is_dropped)
@@ -136,7 +136,7 @@ class _Page:
         headers = _without(asking.headers, {b"accept", b"prefer"})
         result = await self._perform(derived(asking, headers=headers))
         if result.status < 300 and not _is_warned(result):
-            self._gone |= set(ids) - {one["id"] for one in orjson.loads(result.body)}
+            self._gone |= set(ids) - {entity["id"] for entity in orjson.loads(result.body)}
 
     def _asking(
         self, parameters: Mapping[str, str], ids: list[str], document: Callable[[], Any]
@@ -174,7 +174,7 @@ def for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
     plain: dict[str, str] = _without(parameters, MAP_PARAMETERS)
     options = parameters.get("options", "").split(",")
     if MAP_OPTION in options:
-        plain["options"] = ",".join(one for one in options if one != MAP_OPTION)
+        plain["options"] = ",".join(option for option in options if option != MAP_OPTION)
         if not plain["options"]:
             del plain["options"]
     return plain
@@ -198,9 +198,11 @@ def _unshaped(document: Any) -> Any:
 def _narrowed(document: Any, ids: list[str]) -> bytes | None:
     """Return a Query document limited to some ids; None for an invalid document."""
     selectors = document.get("entities", [{"type": "*"}]) if isinstance(document, Mapping) else None
-    if not isinstance(selectors, list) or not all(isinstance(one, dict) for one in selectors):
+    if not isinstance(selectors, list) or not all(isinstance(selector, dict) for selector in selectors):
         return None
-    narrowed = [{"id": ids, **({"type": one["type"]} if "type" in one else {})} for one in selectors]
+    narrowed = [
+        {"id": ids, **({"type": selector["type"]} if "type" in selector else {})} for selector in selectors
+    ]
     return orjson.dumps({**document, "entities": narrowed})
 
 

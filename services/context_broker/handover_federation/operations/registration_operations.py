@@ -239,7 +239,7 @@ class RegistrationOperations:
             for one in page
         ]
         result = document_response(
-            [in_media_type(one, media_type, context) for one in documents], media_type, context
+            [in_media_type(document, media_type, context) for document in documents], media_type, context
         )
         if window.count:
             result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
@@ -289,7 +289,7 @@ def _require_types(request: RequestContext, candidate: Registration) -> None:
 
     A registration without types is accepted: its source receives what its owner may see.
     """
-    types = {kind for piece in candidate.information for one in piece.entities for kind in one.types}
+    types = {kind for piece in candidate.information for entity in piece.entities for kind in entity.types}
     store = request.tenant.store
     if not store.may_see_private(somewhere=False) and request.tenant.receivers.is_private("", types):
         raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)

@@ -24,7 +24,7 @@ class Admission:
 
     async def prepare(self, registrations: Iterable[Registration]) -> None:
         """Verify the rights of the owners, where that is possible; others may see nothing private."""
-        await self.receivers.prepare(one.owner for one in registrations)
+        await self.receivers.prepare(registration.owner for registration in registrations)
 
     async def record(self, registration: Registration, entity_id: str, types: Iterable[str] = ()) -> None:
         """Record that an entity is sent to a source, if it is private. Raises `Unverified` if it cannot."""

@@ -117,7 +117,7 @@ class Information:
             attributes = target.attributes
         if not self.entities:
             return (MatchedPart(target.ids, target.types, attributes),)
-        found = (one.served(target) for one in self.entities)
+        found = (entity.served(target) for entity in self.entities)
         return tuple(MatchedPart(*one, attributes) for one in found if one is not None)
 
     def is_about(self, entity: Entity) -> bool:
@@ -378,4 +378,7 @@ def _shown_information(stored: Mapping[str, Any], compact: Callable[[str], str])
 
 def _shown_entity_info(stored: Mapping[str, Any], compact: Callable[[str], str]) -> dict[str, Any]:
     kinds = stored["type"]
-    return {**stored, "type": [compact(one) for one in kinds] if isinstance(kinds, list) else compact(kinds)}
+    return {
+        **stored,
+        "type": [compact(kind) for kind in kinds] if isinstance(kinds, list) else compact(kinds),
+    }

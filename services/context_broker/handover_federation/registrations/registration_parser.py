@@ -178,7 +178,7 @@ def _kept_entity_info(given: Any, context: Context) -> Any:
     if "type" not in given:
         raise bad_request_data(f"{shown(dict(given))} in entities has no type; name the type of the entities")
     kinds = given["type"] if isinstance(given["type"], list) else [given["type"]]
-    types = [expand(require_name(one, "a type in entities"), context.terms) for one in kinds]
+    types = [expand(require_name(kind, "a type in entities"), context.terms) for kind in kinds]
     if not types:
         raise bad_request_data("the list of types in entities is empty; name at least one")
     info = {**given, "type": types[0] if len(types) == 1 else types}
@@ -256,7 +256,7 @@ def _check_mode(mode: Mode, pieces: tuple[Information, ...], operations: frozens
             raise bad_request_data(
                 "an exclusive registration names attributes; add propertyNames or relationshipNames"
             )
-        if not piece.entities or any(one.id is None for one in piece.entities):
+        if not piece.entities or any(entity.id is None for entity in piece.entities):
             raise bad_request_data(
                 "an exclusive registration is about single entities: each of its entities has an id"
             )

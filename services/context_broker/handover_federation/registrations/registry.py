@@ -108,12 +108,12 @@ class Registry:
         now_s = time.time()
         names = (operation,) if isinstance(operation, str) else operation
         found = [
-            Match(one, parts)
-            for one in self._candidates(target)
-            if any(one.takes(name) for name in names)
-            and not one.has_expired(now_s)
-            and (parts := one.parts(target))
-            and (where is None or where(one))
+            Match(candidate, parts)
+            for candidate in self._candidates(target)
+            if any(candidate.takes(name) for name in names)
+            and not candidate.has_expired(now_s)
+            and (parts := candidate.parts(target))
+            and (where is None or where(candidate))
         ]
         return sorted(found, key=lambda match: (match.registration.mode, self._places[match.registration.id]))
 
@@ -123,7 +123,12 @@ class Registry:
         """Return the registrations that match any of the targets, whatever operations they take; oldest
         first."""
         now_s = time.time()
-        matching_any = {one.id for target in targets for one in self._candidates(target) if one.parts(target)}
+        matching_any = {
+            candidate.id
+            for target in targets
+            for candidate in self._candidates(target)
+            if candidate.parts(target)
+        }
         return [
             one
             for one in self._all.values()
@@ -214,7 +219,7 @@ class Registry:
             index.setdefault(key, {})[registration.id] = registration
         if any(not piece.entities for piece in registration.information):
             self._of_anything[registration.id] = registration
-        if any(one.id is None for piece in registration.information for one in piece.entities):
+        if any(entity.id is None for piece in registration.information for entity in piece.entities):
             self._of_groups[registration.id] = registration
 
     def _unindex(self, registration: Registration) -> None:
@@ -259,10 +264,10 @@ def _has_some(entity: Entity, names: frozenset[str] | None, datasets: frozenset[
     if datasets is None:
         return names is None or not names.isdisjoint(entity.attributes)
     return any(
-        dataset_of(one) in datasets
+        dataset_of(instance) in datasets
         for name, instances in entity.attributes.items()
         if names is None or name in names
-        for one in instances
+        for instance in instances
     )
 
 
@@ -280,9 +285,9 @@ def stored_attempts(attempts: Attempts) -> bytes:
 
 def _overlaps(piece: Information, other: Registration) -> bool:
     """Return whether another registration is about some of the same entities and attributes."""
-    for one in piece.entities or (None,):
-        ids = None if one is None or one.id is None else (one.id,)
-        pattern, types = (None, None) if one is None else (one.id_pattern, one.types)
+    for entity in piece.entities or (None,):
+        ids = None if entity is None or entity.id is None else (entity.id,)
+        pattern, types = (None, None) if entity is None else (entity.id_pattern, entity.types)
         if other.parts(EntityTarget(ids, pattern, types, piece.attributes)):
             return True
     return False

@@ -78,7 +78,9 @@ class SourceNotifier(SubscriptionDispatcher):
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
         """Return a notification of the registrations that changed while throttled, each in its last state."""
-        documents = [orjson.Fragment(one.body[1:-1]) for one in notices.values() if one.body is not None]
+        documents = [
+            orjson.Fragment(notice.body[1:-1]) for notice in notices.values() if notice.body is not None
+        ]
         return _notification(subscription, documents, _reason_in(next(iter(notices))))
 
     async def _notify_all(self, subscription: Subscription) -> None:
@@ -110,7 +112,7 @@ def search_of(subscription: Subscription) -> Search:
     ]
     place = document.get("geoQ")
     return Search(
-        tuple(EntityTarget(one.ids, one.id_pattern, one.types, names) for one in targets),
+        tuple(EntityTarget(target.ids, target.id_pattern, target.types, names) for target in targets),
         (Selection(query=compiled(document["csf"], context)),) if "csf" in document else (),
         period_of(document.get("temporalQ") or {}),
         None if place is None else geo_query_document(place, context.terms.expand),

@@ -30,7 +30,7 @@ class SnapshotContent:
 
     def keep_only(self, count: int) -> None:
         """Remove all but the first `count` entities."""
-        self._known.difference_update(one.id for one in self.entities[count:])
+        self._known.difference_update(entity.id for entity in self.entities[count:])
         del self.entities[count:]
 
 
@@ -39,8 +39,8 @@ async def write_content(inner: Tenant, content: SnapshotContent) -> None:
     copies = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
     for start in range(0, len(copies), ENTITIES_PER_COMMIT):
         rows = {
-            one.seq: EntityRow(inner.name, one.id, one.stored())
-            for one in copies[start : start + ENTITIES_PER_COMMIT]
+            copy.seq: EntityRow(inner.name, copy.id, copy.stored())
+            for copy in copies[start : start + ENTITIES_PER_COMMIT]
         }
         await inner.commits.store(Entries(entities=rows))
     for entity in copies:

@@ -81,7 +81,7 @@ def _attribute(attribute: Any, version: Version) -> Any:
     if isinstance(attribute, list):
         instances = [one for one in attribute if isinstance(one, dict)]
         if version < _ONE_OF_EACH and instances and len(instances) == len(attribute):
-            default = next((one for one in instances if "datasetId" not in one), instances[0])
+            default = next((instance for instance in instances if "datasetId" not in instance), instances[0])
             return _attribute(default, version)
         parts = [_attribute(one, version) for one in attribute]
         return attribute if all(new is old for new, old in zip(parts, attribute, strict=True)) else parts

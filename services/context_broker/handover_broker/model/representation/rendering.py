@@ -185,7 +185,7 @@ def _concise_members(instance: Instance, terms: Terms, sys_attrs: bool) -> dict[
 def _key_values(instances: list[Instance], terms: Terms, _: bool) -> Any:
     if len(instances) == 1:
         return _bare(instances[0], terms)
-    return {"dataset": {one.get("datasetId", "@none"): _bare(one, terms) for one in instances}}
+    return {"dataset": {instance.get("datasetId", "@none"): _bare(instance, terms) for instance in instances}}
 
 
 def _bare(instance: Instance, terms: Terms) -> Any:

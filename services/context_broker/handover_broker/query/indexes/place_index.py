@@ -72,7 +72,7 @@ class PlaceIndex:
         hits: Ids = {}
         for one in turns:
             hits.update(grid.touched(one))
-        return [one for one in hits if any(boxes_touch(box, other) for other in self._boxes[one])]
+        return [hit for hit in hits if any(boxes_touch(box, other) for other in self._boxes[hit])]
 
     def _grid(self, box: Box) -> "_Grid":
         size = next((size for size in _SIZES_DEG if _count(box, size) <= _MOST_ASKED), _SIZES_DEG[-1])

@@ -38,7 +38,7 @@ Condition = Equality | Range
 def conditions(term: Term, expand: Callable[[str], str]) -> tuple[Condition, ...]:
     """Return conditions that every hit of `term` fulfils; none when an index does not help."""
     if isinstance(term, And):
-        return tuple(found for part in term.terms for found in conditions(part, expand))
+        return tuple(condition for part in term.terms for condition in conditions(part, expand))
     if not isinstance(term, Compare) or len(term.path.names) != 1:
         return ()
     if term.path.trail or term.path.link is not None or term.path.names[0] in METADATA:

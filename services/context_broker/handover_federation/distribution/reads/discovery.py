@@ -120,13 +120,14 @@ async def attribute_details(sources: Sources, request: RequestContext, perform: 
         return response
     for registration, dialect, document in documents:
         if not all(
-            is_listed(request, dialect.context.terms.expand(one)) for one in _texts(document.get("typeNames"))
+            is_listed(request, dialect.context.terms.expand(text))
+            for text in _texts(document.get("typeNames"))
         ):
             continue  # it counts entities that the client may not see
         body["attributeCount"] += _count(document, "attributeCount")
         body["attributeTypes"] = _union(body["attributeTypes"], document.get("attributeTypes"))
-        kinds = [dialect.context.terms.expand(one) for one in _texts(document.get("typeNames"))]
-        there = [context.terms.compact(one) for one in kinds if _has_type(registration, one)]
+        kinds = [dialect.context.terms.expand(text) for text in _texts(document.get("typeNames"))]
+        there = [context.terms.compact(kind) for kind in kinds if _has_type(registration, kind)]
         body["typeNames"] = _union(body["typeNames"], there)
     return Response(response.status, orjson.dumps(body), response.headers)
 
@@ -143,13 +144,13 @@ async def _list(
         sources, operation, _EVERYTHING, context, lambda _: listed.path, details=has_details
     )
     response = await perform(request)
-    documents = [_visible(request, listed, one) for one in documents] if has_details else documents
+    documents = [_visible(request, listed, document) for document in documents] if has_details else documents
     if not documents:
         return response
     if shows_details:
         return _add_entries(response, listed, documents, context)
     if has_details:
-        documents = [_as_list(listed, one) for one in documents]
+        documents = [_as_list(listed, document) for document in documents]
     return _add_names(response, listed, documents, context)
 
 
@@ -211,7 +212,7 @@ async def _query_sources(
         return None
 
     matches = sources.unvisited(sources.registry.matching(operation, target))
-    found = await gather_all(*(ask(one.registration) for one in matches))
+    found = await gather_all(*(ask(match.registration) for match in matches))
     return [one for one in found if one is not None]
 
 
@@ -278,7 +279,7 @@ def _counted(response: Response, body: Any, count: int) -> Response:
 
 def _has_type(registration: Registration, kind: str) -> bool:
     return any(
-        not piece.entities or any(kind in one.types for one in piece.entities)
+        not piece.entities or any(kind in entity.types for entity in piece.entities)
         for piece in registration.information
     )
 
@@ -294,7 +295,7 @@ def _entries(source_document: SourceDocument, listed: _SourceListing) -> Iterabl
     for entry in document:
         iri = _iri(entry, listed.names.name, dialect)
         if iri is not None and listed.is_registered(registration, iri):
-            others = [dialect.context.terms.expand(one) for one in _texts(entry.get(listed.names.related))]
+            others = [dialect.context.terms.expand(text) for text in _texts(entry.get(listed.names.related))]
             yield iri, [one for one in others if listed.is_related_registered(registration, one)]
 
 

@@ -162,7 +162,7 @@ async def _pages(
         entities = await read_entities(sources, registration, response, dialect)
         yield entities
         known = len(seen)
-        seen.update(one.id for one in entities)
+        seen.update(entity.id for entity in entities)
         if len(seen) == known:  # a source that ignores offset returns the same page again
             return
         if len(entities) < limit and not _NEXT.search(response.headers.get("link", "")):
@@ -201,7 +201,7 @@ def narrowed(
 
 
 def _types_at(registration: Registration) -> set[str]:
-    return {kind for piece in registration.information for one in piece.entities for kind in one.types}
+    return {kind for piece in registration.information for entity in piece.entities for kind in entity.types}
 
 
 async def _query_source_by_map(
@@ -238,4 +238,4 @@ def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str
 
 def joined_names(names: frozenset[str], dialect: SourceDialect) -> str:
     """Return attribute names as a query parameter in the dialect of a source."""
-    return ",".join(sorted(dialect.name(one) for one in names))
+    return ",".join(sorted(dialect.name(name) for name in names))

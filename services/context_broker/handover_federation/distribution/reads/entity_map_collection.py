@@ -76,7 +76,7 @@ class EntityMapCollector:
                 dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
                 questions = list(narrowed(match, parameters, self._context, dialect, is_split=is_split))
                 if len(questions) == 1:
-                    selection = [one for one in questions[0] if one[0] != "options"]
+                    selection = [question for question in questions[0] if question[0] != "options"]
                     source_request = SourceRequest(
                         "GET", "entityMaps", dialect, (*selection, *self._lifetime)
                     )
@@ -148,7 +148,11 @@ class EntityMapCollector:
             self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
 
     async def _read_ids(self, registration: Registration, source_request: SourceRequest) -> None:
-        selection = [one for one in source_request.parameters if one[0] not in {"lastN", "options", "format"}]
+        selection = [
+            parameter
+            for parameter in source_request.parameters
+            if parameter[0] not in {"lastN", "options", "format"}
+        ]
         for page in range(_MAX_PAGES):
             window = (("lastN", "1"), ("limit", str(_PAGE)), ("offset", str(page * _PAGE)))
             target = SourceRequest("GET", source_request.path, source_request.dialect, (*selection, *window))
@@ -162,10 +166,10 @@ class EntityMapCollector:
                 raise SourceError(registration, INVALID, 502, why)
             names = source_request.dialect.context
             ids = {
-                one.get("id")
-                for one in documents
-                if isinstance(one, dict)
-                and self._is_visible(registration, str(one.get("id")), types_in(one, names) or ())
+                document.get("id")
+                for document in documents
+                if isinstance(document, dict)
+                and self._is_visible(registration, str(document.get("id")), types_in(document, names) or ())
             }
             fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
             for entity_id in sorted(fresh):
@@ -224,6 +228,6 @@ def _may_have(registration: Registration, entity_id: Any) -> bool:
     except Problem:
         return False
     return any(
-        not piece.entities or any(one.has(entity_id) for one in piece.entities)
+        not piece.entities or any(entity.has(entity_id) for entity in piece.entities)
         for piece in registration.information
     )

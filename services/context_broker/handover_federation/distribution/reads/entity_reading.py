@@ -74,17 +74,17 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
     if not matches and (own is None or not _wants_links(request)):
         return await perform(request)
     collector = FragmentCollector(sources.admission)
-    await gather_all(*(fetch_entity(sources, one, entity_id, context, collector) for one in matches))
+    await gather_all(*(fetch_entity(sources, match, entity_id, context, collector) for match in matches))
     if (listed := listed_of(request)) is not None:
         listed.entities = collector.origins(request.tenant.store)
-    proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
+    proxied = [match.registration for match in matches if match.registration.mode.is_proxied]
     others = {entity_id: collector.entity(own, entity_id, proxied)}
     await _add_linked(sources, request, context, others)
     overlay_store = request.tenant.store.overlay((entity_id,), None, others)
     try:
         return await perform(_over(request, overlay_store))
     except Problem as problem:
-        silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
+        silent = [error for error in sources.source_errors if error.registration.mode.is_proxied]
         if problem.status == 404 and silent:  # the source that failed may have the entity
             return problem_response(gateway_problem(silent[0]))
         raise
@@ -160,7 +160,7 @@ async def _query(
         None if any(one.types is None for one in wanted) else [t for one in wanted for t in one.types or ()]
     )
     store = request.tenant.store
-    claims = [one for one in registrations.values() if one.mode.is_proxied]
+    claims = [registration for registration in registrations.values() if registration.mode.is_proxied]
     touched = set(collector.fragments)
     if claims or wants_links:
         own = store.candidates(ids, None if types is None else of_types(types))
@@ -191,7 +191,7 @@ async def _add_linked(
     store = request.tenant.store
     edge = [one for one in others.values() if one is not None]
     for _ in range(levels):
-        ids = [one for one in dict.fromkeys(_objects(edge)) if one not in others]
+        ids = [entity_id for entity_id in dict.fromkeys(_objects(edge)) if entity_id not in others]
         if not ids:
             return
         collector = FragmentCollector(sources.admission)
@@ -200,7 +200,7 @@ async def _add_linked(
         await gather_all(
             *(fetch_entities(sources, match, {}, context, collector, is_split=True) for match in matches)
         )
-        proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
+        proxied = [match.registration for match in matches if match.registration.mode.is_proxied]
         found = {one: collector.entity(store.get(one), one, proxied) for one in ids}
         edge = [one for one in found.values() if one is not None]
         others.update({one.id: one for one in edge})

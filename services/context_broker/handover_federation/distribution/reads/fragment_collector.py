@@ -53,9 +53,9 @@ class FragmentCollector:
             proxied = [one for one in proxied if self.admission.admits(one, own.id, own.types)]
         if proxied:
             fragments = [
-                Fragment(left, one.rank, one.fills_gaps)
-                for one in fragments
-                if (left := unclaimed(one, proxied)) is not None
+                Fragment(left, fragment.rank, fragment.fills_gaps)
+                for fragment in fragments
+                if (left := unclaimed(fragment, proxied)) is not None
             ]
         return merged(fragments) if fragments else None
 
@@ -103,6 +103,6 @@ def _of_datasets(entity: Entity, datasets: frozenset[str | None], *, keep: bool)
     selected = {
         name: some
         for name, instances in entity.attributes.items()
-        if (some := [one for one in instances if (dataset_of(one) in datasets) is keep])
+        if (some := [instance for instance in instances if (dataset_of(instance) in datasets) is keep])
     }
     return replace(entity, attributes=selected, rendered={})

@@ -45,13 +45,13 @@ def merged(fragments: Iterable[Fragment]) -> Entity:
     entities = [one.entity for one in ordered]
     return Entity(
         first.id,
-        tuple(dict.fromkeys(kind for one in entities for kind in one.types)),
+        tuple(dict.fromkeys(kind for entity in entities for kind in entity.types)),
         attributes,
-        min(one.created_at for one in entities),
-        max(one.modified_at for one in entities),
-        min(one.seq for one in entities),
-        tuple(dict.fromkeys(scope for one in entities for scope in one.scopes)),
-        next((one.expires_at for one in entities if one.expires_at is not None), None),
+        min(entity.created_at for entity in entities),
+        max(entity.modified_at for entity in entities),
+        min(entity.seq for entity in entities),
+        tuple(dict.fromkeys(scope for entity in entities for scope in entity.scopes)),
+        next((entity.expires_at for entity in entities if entity.expires_at is not None), None),
     )
 
 

@@ -122,7 +122,7 @@ def _pages_of_own(request: RequestContext, perform: Perform, temporal_request: T
             narrowed.raw = orjson.dumps({**document, "temporalQ": times})
             narrowed.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
         parts = await perform(narrowed)
-        return TemporalPart([without_context(one) for one in orjson.loads(parts.body)], edge_of(parts))
+        return TemporalPart([without_context(load) for load in orjson.loads(parts.body)], edge_of(parts))
 
     return _all_pages(of_own, temporal_request)
 
@@ -137,7 +137,7 @@ def _all_pages(ask: FetchPart, temporal_request: TemporalRequest) -> FetchPart:
             window = {"offset": str(number * MAX_LIMIT), "limit": str(MAX_LIMIT)}
             part = await ask({**parameters, **window})
             before = len(documents)
-            documents |= {one["id"]: one for one in part.documents}
+            documents |= {document["id"]: document for document in part.documents}
             edges.append(part.edge)
             if len(part.documents) < MAX_LIMIT or len(documents) == before:
                 break

@@ -51,16 +51,17 @@ def temporal_answer(
     """Return the answer with evolutions that are complete up to `edge`, None for all of them."""
     context = temporal_request.context
     if edge is not None:
-        documents = [temporal_merge.kept_to(one, edge, temporal_request.query) for one in documents]
+        documents = [temporal_merge.kept_to(document, edge, temporal_request.query) for document in documents]
     collected = (
         b"" if edge is None else temporal_merge.content_range_of(documents, edge, temporal_request.query)
     )
     documents = [
-        temporal_merge.with_members(one, temporal_request.query, temporal_request.view) for one in documents
+        temporal_merge.with_members(document, temporal_request.query, temporal_request.view)
+        for document in documents
     ]
     headers = json_headers(context)
     if request.accept() == JSON_LD:
-        documents = [{"@context": context.document, **one} for one in documents]
+        documents = [{"@context": context.document, **document} for document in documents]
         headers = [(b"content-type", JSON_LD.encode())]
     body = orjson.dumps(documents[0] if single else documents)
     if edge is None:

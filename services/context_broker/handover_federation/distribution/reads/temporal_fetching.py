@@ -186,14 +186,16 @@ def own_fetcher(request: RequestContext, perform: Perform, ids: tuple[str, ...])
         else:
             document = {name: value for name, value in request.document().items() if name not in hidden}
             selectors = document.get("entities") or [{}]
-            document["entities"] = [{**one, "id": list(ids)} for one in selectors]
+            document["entities"] = [{**selector, "id": list(ids)} for selector in selectors]
             times = {name: given[name] for name in TIME_PARAMETERS if name in given}
             document["temporalQ"] = {**times, **({"lastN": int(times["lastN"])} if "lastN" in times else {})}
             forms = {name: given[name] for name in ("options", "lang") if name in given}
             raw = orjson.dumps(document)
             wanted = derived(request, parameters={**forms, **narrowed}, raw=raw)
         answer = await perform(wanted)
-        return TemporalPart([without_context(one) for one in orjson.loads(answer.body)], edge_of(answer))
+        return TemporalPart(
+            [without_context(evolution) for evolution in orjson.loads(answer.body)], edge_of(answer)
+        )
 
     return ask
 
@@ -211,7 +213,7 @@ async def fetch_from_source(
     pieces = [match] if single else list(match.split_by_ids(MAX_IDS))
     if len(pieces) == 1:
         return await _fetch_once(sources, match, path, parameters, context, single=single)
-    parts = await gather_all(*(_fetch_once(sources, one, path, parameters, context) for one in pieces))
+    parts = await gather_all(*(_fetch_once(sources, piece, path, parameters, context) for piece in pieces))
     edges = [part.edge for part in parts if part.edge is not None]
     edge = None if not edges else max(edges) if "lastN" in parameters else min(edges)
     return TemporalPart([document for part in parts for document in part.documents], edge)
@@ -249,12 +251,12 @@ async def _fetch_once(
         sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         return _NOTHING
     in_ours = (
-        translated(without_context(one), there.terms, context.terms)
-        for one in documents
-        if _is_admitted(sources, registration, one, there)
+        translated(without_context(document), there.terms, context.terms)
+        for document in documents
+        if _is_admitted(sources, registration, document, there)
     )
     edge = temporal_merge.edge_in(response.headers.get("content-range")) if response.status == 206 else None
-    return TemporalPart([_limited(one, match.attributes, context) for one in in_ours], edge)
+    return TemporalPart([_limited(document, match.attributes, context) for document in in_ours], edge)
 
 
 def _is_admitted(sources: Sources, registration: Registration, document: Evolution, there: Context) -> bool:
@@ -275,7 +277,7 @@ def temporal_parameters_of(
     `same`: its dialect uses the names of the request.
     """
     names = match.attributes
-    wanted = [] if names is None else [("attrs", ",".join(sorted(dialect.name(one) for one in names)))]
+    wanted = [] if names is None else [("attrs", ",".join(sorted(dialect.name(name) for name in names)))]
     return wanted + [
         (name, value)
         for name, value in parameters.items()
@@ -288,7 +290,7 @@ def entity_parameters(
 ) -> list[tuple[str, str]]:
     """Return the query parameters that select the entities of a source."""
     types = {kind for part in match.parts for kind in part.types or ()} or {
-        kind for piece in match.registration.information for one in piece.entities for kind in one.types
+        kind for piece in match.registration.information for entity in piece.entities for kind in entity.types
     }
     wanted = [("type", ",".join(sorted(name(kind) for kind in types)))] if types else []
     ids = match.ids
@@ -309,7 +311,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     if documents == {} and single:
         return []
     if not isinstance(documents, list) or not all(
-        isinstance(one, dict) and isinstance(one.get("id"), str) for one in documents
+        isinstance(document, dict) and isinstance(document.get("id"), str) for document in documents
     ):
         raise SourceError(registration, INVALID, 502, f"{registration.shown} returns no temporal entities")
     return documents

@@ -134,7 +134,7 @@ def edge_in(content_range: str | None) -> int | None:
 
 def common_edge(edges: Iterable[int | None], query: TemporalQuery) -> int | None:
     """Return up to when all responses are complete; from when on, if the last instances were requested."""
-    found = [one for one in edges if one is not None]
+    found = [edge for edge in edges if edge is not None]
     if not found:
         return None
     return min(found) if query.last is None else max(found)
@@ -194,7 +194,7 @@ def _joined(own: Any, other: Any) -> Any:
         found = list(many.values())
         return found[0] if len(found) == 1 else found
     ours = _listed(own)
-    taken = {_slot_of(one) for one in ours}
+    taken = {_slot_of(instance) for instance in ours}
     return sorted([*ours, *(one for one in _listed(other) if _slot_of(one) not in taken)], key=_time_of)
 
 

@@ -170,8 +170,8 @@ async def _collect(  # noqa: PLR0917 - the parts of one query
         )
     )
     known: dict[str, list[temporal_merge.SourceEvolution]] = {
-        one["id"]: [(None, temporal_merge.shown(without_context(one), view, context))]
-        for one in orjson.loads(own.body)
+        evolution["id"]: [(None, temporal_merge.shown(without_context(evolution), view, context))]
+        for evolution in orjson.loads(own.body)
     }
     own_count = len(known)
     _add_in_order(known, matched, parts, temporal_request)
@@ -269,9 +269,11 @@ async def _page_of(
     def without(parameters: Mapping[str, str]) -> dict[str, str]:
         return {**{name: value for name, value in parameters.items() if name not in gone}, **shape}
 
-    target = _Query(given.context, without(given.parameters), [without(one) for one in given.selectors])
+    target = _Query(
+        given.context, without(given.parameters), [without(selector) for selector in given.selectors]
+    )
     result = await _query(sources, narrowed, perform, target)
-    headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
+    headers = [header for header in result.headers if header[0] != b"link" or b"json-ld#context" in header[1]]
     if window.count:
         headers.append((b"ngsild-results-count", str(len(hits)).encode()))
     if request.method == "GET":

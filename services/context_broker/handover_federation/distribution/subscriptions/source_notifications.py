@@ -71,8 +71,8 @@ def change_of_notification(
         updated.add(name)
     losses = set[str]()
     for name, instances in lost.attributes.items():
-        still = {dataset_of(one) for one in after.attributes.get(name, ())}
-        if left := [one for one in instances if dataset_of(one) not in still]:
+        still = {dataset_of(attribute) for attribute in after.attributes.get(name, ())}
+        if left := [instance for instance in instances if dataset_of(instance) not in still]:
             was[name] = [*was.get(name, []), *left]
             losses.add(name)
     return EntityChange(

@@ -113,7 +113,9 @@ class _Batch:
         names = ("options", "format", "observedAt", "lang")
         self._parameters = tuple((name, given[name]) for name in names if name in given)
         if operation == "updateBatch":  # other brokers refuse what changes nothing
-            self._parameters = tuple(one for one in self._parameters if one not in _WITHOUT_EFFECT)
+            self._parameters = tuple(
+                parameter for parameter in self._parameters if parameter not in _WITHOUT_EFFECT
+            )
 
     async def answer(self) -> Response:
         """Carry out the batch."""
@@ -121,7 +123,7 @@ class _Batch:
         if not isinstance(documents, list):
             return await self._perform(self._request)
         media_type = self._request.content_type()
-        items = [await self._item(given, media_type) for given in documents]
+        items = [await self._item(document, media_type) for document in documents]
         if not any(item.routing.others for item in items):
             return await self._perform(self._request)
         await self._do_own([item for item in items if item.routing.own is not None])
@@ -311,7 +313,7 @@ class _Batch:
 def _is_refused(item: _Item) -> bool:
     """Return whether the broker rejects an entity as invalid; "exists already" and "not found" do not
     count."""
-    return any(one.problem is not None and one.status not in {404, 409} for one in item.outcomes)
+    return any(outcome.problem is not None and outcome.status not in {404, 409} for outcome in item.outcomes)
 
 
 def _document(item: _Item, route: WriteRoute, dialect: SourceDialect) -> Any:

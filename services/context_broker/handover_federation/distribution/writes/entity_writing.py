@@ -219,7 +219,7 @@ class DistributedWrite:
                 is_held = problem.status == 409 or self._is_held()
                 found.append(Outcome(None, routing.own_names, problem.status, problem.body(), is_held))
         results = await gather_all(*(self.forwarded(route) for route in routing.others))
-        return own, [*found, *(one for parts in results for one in parts)]
+        return own, [*found, *(part for parts in results for part in parts)]
 
     def _is_held(self) -> bool:
         """Return whether the broker has the current entity in the path, of the requested type."""

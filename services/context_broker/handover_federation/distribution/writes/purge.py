@@ -56,7 +56,7 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
         named = EntityTarget(tuple(hits), None, target.types)
         matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where), changes=True)
     own = await perform(request)
-    pieces = [piece for one in matches for piece in one.split_by_ids(MAX_IDS)]
+    pieces = [piece for match in matches for piece in match.split_by_ids(MAX_IDS)]
     found: list[Outcome] = []
     for start in range(0, len(pieces), MAX_CONCURRENT_REQUESTS):
         some = pieces[start : start + MAX_CONCURRENT_REQUESTS]
@@ -126,7 +126,7 @@ def _narrowed(
     """Return the query parameters for a source, None if its registration covers nothing to purge."""
     source = match.registration
     types = {kind for part in match.parts for kind in part.types or ()} or {
-        kind for piece in source.information for each in piece.entities for kind in each.types
+        kind for piece in source.information for entity in piece.entities for kind in entity.types
     }
     wanted = [("type", _joined(types, dialect))] if types else []
     if match.ids:
@@ -152,4 +152,4 @@ def _attributes(given: str | None, context: Context) -> set[str] | None:
 
 
 def _joined(names: Iterable[str], dialect: SourceDialect) -> str:
-    return ",".join(sorted(dialect.name(one) for one in names))
+    return ",".join(sorted(dialect.name(name) for name in names))
