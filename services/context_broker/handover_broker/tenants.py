@@ -160,7 +160,11 @@ class Tenants:
 
     def named(self) -> list[str]:
         """Return the names of the tenants that something was stored for, without the default one."""
-        return [one.name for one in self if one.name and one.is_kept and outside(one.name)[1] is None]
+        return [
+            tenant.name
+            for tenant in self
+            if tenant.name and tenant.is_kept and outside(tenant.name)[1] is None
+        ]
 
     def of(self, header: bytes, *, makes: bool) -> Tenant:
         """Return the tenant that a request names; `makes` allows the request to create it.
@@ -189,10 +193,10 @@ class Tenants:
     def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
         """Return the tenant with the content of a snapshot; created if needed."""
         name = inside(tenant.name, snapshot_id)
-        found = self._tenants.get(name)
-        if found is None:
-            found = self._tenants[name] = Tenant(name, self, is_kept=False)
-        return found
+        existing = self._tenants.get(name)
+        if existing is None:
+            existing = self._tenants[name] = Tenant(name, self, is_kept=False)
+        return existing
 
     def drop(self, name: str) -> None:
         """Remove the content of a deleted snapshot."""

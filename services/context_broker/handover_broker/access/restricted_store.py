@@ -128,8 +128,8 @@ class RestrictedStore(Store):
             ids,
             types,
             {
-                one: None if entity is None or self.hides(one, entity.types) else entity
-                for one, entity in others.items()
+                entity_id: None if entity is None or self.hides(entity_id, entity.types) else entity
+                for entity_id, entity in others.items()
             },
         )
 

@@ -84,7 +84,7 @@ class Rights:
             if event.before is not None and self.performs(event.before):
                 return performer_refusal(event) or task_refusal(event, find)
             return self.denied(Permission.WRITE_ENTITIES, entity.id)
-        ends = [one for one in (event.before, event.after) if one is not None]
+        ends = [end for end in (event.before, event.after) if end is not None]
         is_service = self.caller.kind is CallerKind.SERVICE
         if not is_service and any(is_of(end, _PEOPLE) for end in ends):
             return (
@@ -109,7 +109,7 @@ class Rights:
         asked = [Permission.READ, Permission.WRITE_ENTITIES, Permission.READ_HEALTH_DATA]
         if self.caller.kind is not CallerKind.SERVICE:
             asked.append(Permission.MANAGE_PEOPLE)
-        return next((one for one in asked if not self.may_everywhere(one)), None)
+        return next((permission for permission in asked if not self.may_everywhere(permission)), None)
 
 
 def resource_prefix(tenant: str, own_tenant: str) -> str:

@@ -161,8 +161,8 @@ class ContextStore:
         The broker has many names (a mapped port, a proxy); an identifier belongs to one broker.
         """
         context = self._by_url.get(url)
-        if context is None and (found := _OURS.fullmatch(url)) is not None:
-            context = self._by_id.get(unquote(found[1]))
+        if context is None and (match := _OURS.fullmatch(url)) is not None:
+            context = self._by_id.get(unquote(match[1]))
         return context
 
     def named(self, name: str) -> StoredContext | None:

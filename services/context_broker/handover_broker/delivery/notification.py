@@ -123,13 +123,13 @@ def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> li
 
 def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
     if subscription.endpoint.accept != GEO_JSON:
-        return b",".join(orjson.dumps(one) for _, one in documents)
+        return b",".join(orjson.dumps(document) for _, document in documents)
     from handover_broker.model.representation import geojson  # noqa: PLC0415 - it knows requests, which know of us
 
     place, datasets = subscription.context.terms.expand(geojson.LOCATION), subscription.view.datasets
     return b",".join(
-        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place, datasets)))
-        for entity, one in documents
+        orjson.dumps(geojson.feature_of(document, geojson.geometry(entity, place, datasets)))
+        for entity, document in documents
     )
 
 
@@ -180,12 +180,12 @@ def _reports_deletions(subscription: Subscription, change: EntityChange) -> bool
 
 
 def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
-    before = {dataset_of(one): one for one in old}
+    before = {dataset_of(instance): instance for instance in old}
     return [
-        one
-        if (was := before.get(dataset_of(one))) is None or was is one
-        else {**one, _PREVIOUS[was["type"]]: was[VALUE_MEMBER[was["type"]]]}
-        for one in new
+        instance
+        if (was := before.get(dataset_of(instance))) is None or was is instance
+        else {**instance, _PREVIOUS[was["type"]]: was[VALUE_MEMBER[was["type"]]]}
+        for instance in new
     ]
 
 

@@ -137,7 +137,9 @@ class SubscriptionDispatcher:
         ]
         if len(bodies) < len(notices):
             waiting = {
-                name: one for name, one in notices.items() if one.body is None or one.waits_for_throttling
+                name: notice
+                for name, notice in notices.items()
+                if notice.body is None or notice.waits_for_throttling
             }
             composed = compose(subscription, waiting)
             bodies += [] if composed is None else [composed]

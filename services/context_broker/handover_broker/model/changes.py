@@ -300,7 +300,7 @@ def _without_nulls(instance: Instance) -> Instance:
             continue
         if ":" not in member:
             result[member] = value
-        elif remaining := [one for one in value if not is_deletion(one)]:
+        elif remaining := [part for part in value if not is_deletion(part)]:
             result[member] = remaining
     return result
 

@@ -44,14 +44,14 @@ class TypeSelection:
         return ",".join(_written(sorted(map(compact, alternative))) for alternative in self.alternatives)
 
 
-def type_selection(given: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
+def type_selection(text: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
     """Return the selection in the text `given`, its names expanded.
 
     Raises a problem (400) that names `what` when it is invalid.
     """
-    if not isinstance(given, str) or not given:
-        raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(given)}")
-    if given == EVERY:
+    if not isinstance(text, str) or not text:
+        raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(text)}")
+    if text == EVERY:
         return TypeSelection((frozenset(),))
 
     def leaf(name: str) -> str:
@@ -62,15 +62,15 @@ def type_selection(given: Any, expand: Callable[[str], str], what: str = "the ty
             raise without_iri(name, iri)
         return iri
 
-    if given.isalnum():  # it is nearly always one plain name
-        return TypeSelection((frozenset((leaf(given),)),))
-    found = alternatives(given, what, leaf)
-    return TypeSelection(tuple(dict.fromkeys(frozenset(one) for one in found)))
+    if text.isalnum():  # it is nearly always one plain name
+        return TypeSelection((frozenset((leaf(text),)),))
+    names = alternatives(text, what, leaf)
+    return TypeSelection(tuple(dict.fromkeys(frozenset(kinds) for kinds in names)))
 
 
 def of_types(types: Collection[str]) -> TypeSelection:
     """Return the selection of entities that have any of the types (IRIs)."""
-    return TypeSelection(tuple(frozenset((one,)) for one in types))
+    return TypeSelection(tuple(frozenset((kind,)) for kind in types))
 
 
 def _written(names: list[str]) -> str:

@@ -97,10 +97,10 @@ def _noted(request: RequestContext, entities: list[Entity], showing: Showing) ->
         return showing
 
     def lookup(entity_id: str) -> Entity | None:
-        found = showing.lookup(entity_id)
-        if found is not None:
-            store.note_read((found,))
-        return found
+        entity = showing.lookup(entity_id)
+        if entity is not None:
+            store.note_read((entity,))
+        return entity
 
     return showing._replace(lookup=lookup)
 
@@ -109,7 +109,9 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
     context, view, join = showing.context, showing.view, showing.join
     if join is None:
         return (rendered(entity, context, view) for entity in entities)
-    return (orjson.dumps(one) for _, one in joined(entities, context.terms, view, join, showing.lookup))
+    return (
+        orjson.dumps(document) for _, document in joined(entities, context.terms, view, join, showing.lookup)
+    )
 
 
 def _features(request: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:

@@ -67,18 +67,18 @@ async def _hint(request: RequestContext, what: str, name: str, iri: str, other: 
 
 def _names_in(parameters: Mapping[str, str], document: Any) -> tuple[list[str], list[str]]:
     """Return the names of types and of attributes in a query."""
-    given: dict[str, Any] = {**parameters, **(document or {})}
+    members: dict[str, Any] = {**parameters, **(document or {})}
     types, attributes = list[str](), list[str]()
-    selectors = given.get("entities")
-    texts = [given.get("type") if document is None else None]
+    selectors = members.get("entities")
+    texts = [members.get("type") if document is None else None]
     texts += (
         [selector.get("type") for selector in selectors if isinstance(selector, dict)] if selectors else []
     )
     for text in texts:
         if isinstance(text, str):
             types += [name for alternative in alternatives(text, "the type", str) for name in alternative]
-    attrs = given.get("attrs")
+    attrs = members.get("attrs")
     attributes += attrs.split(",") if isinstance(attrs, str) else attrs or []
-    if isinstance(q := given.get("q"), str):
+    if isinstance(q := members.get("q"), str):
         attributes += [path.names[0] for path in paths(parse(q))]
     return types, attributes

@@ -172,10 +172,10 @@ class Store:
         An argument that is None does not narrow them.
         """
         if ids is not None:
-            found = [
+            entities = [
                 entity for entity_id in dict.fromkeys(ids) if (entity := self._every.by_id.get(entity_id))
             ]
-            return by_sequence(found)
+            return by_sequence(entities)
         count = len(self._every.by_id)
         chosen: Iterable[str] | None = None
         for condition in conditions:
@@ -191,7 +191,7 @@ class Store:
         if types is not None and not types.is_every and self._count_of(types) <= count:
             return self._of_types(types)
         if chosen is not None:
-            return by_sequence(self._every.by_id[one] for one in chosen)
+            return by_sequence(self._every.by_id[entity_id] for entity_id in chosen)
         return self._every.all()
 
     def _count_of(self, types: TypeSelection) -> int:
@@ -224,7 +224,7 @@ class Store:
         for own in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if own.id not in others:
                 overlay.take(own)
-        for entity in by_sequence(one for one in others.values() if one is not None):
+        for entity in by_sequence(other for other in others.values() if other is not None):
             overlay.take(entity)
         return overlay
 
@@ -362,8 +362,8 @@ class OverlayStore(Store):
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the merged entity, or the committed one."""
-        found = super().get(entity_id)
-        return self._store.get(entity_id) if found is None and entity_id not in self._others else found
+        entity = super().get(entity_id)
+        return self._store.get(entity_id) if entity is None and entity_id not in self._others else entity
 
 
 def _has_room(indexes: dict[str, Any]) -> bool:

@@ -120,10 +120,10 @@ class RowContent:
         lists: list[tuple[str, list[Any]]] = [*self.attributes.items(), *self.deleted.items()]
         for name, instances in lists:
             if position < len(instances):
-                found = name == attribute and instances[position] is not None
-                if found:
+                is_wanted = name == attribute and instances[position] is not None
+                if is_wanted:
                     instances[position] = None
-                return found
+                return is_wanted
             position -= len(instances)
         if attribute == SCOPE and position == 0 and self.scopes is not None:
             self.scopes = None
@@ -132,21 +132,21 @@ class RowContent:
 
     def cut(self, attribute: str, concerns: Callable[[str | None], bool]) -> bool:
         """Remove all instances of an attribute with certain datasetIds; return whether there were any."""
-        found = False
+        has_cut = False
         instances = self.attributes.get(attribute, [])
         for position, instance in enumerate(instances):
             if instance is not None and concerns(dataset_of(instance)):
                 instances[position] = None
-                found = True
+                has_cut = True
         deletions = self.deleted.get(attribute, [])
         for position, gone in enumerate(deletions):
             if gone is not None and concerns(gone[1]):
                 deletions[position] = None
-                found = True
+                has_cut = True
         if attribute == SCOPE and self.scopes is not None and concerns(None):
             self.scopes = None
-            found = True
-        return found
+            has_cut = True
+        return has_cut
 
     def put(self, position: int, instance: Instance) -> None:
         """Replace the instance at `position`."""
@@ -294,11 +294,11 @@ def change_of(event: Event) -> RowContent | None:
 def _compare(
     name: str, was: list[Instance], instances: list[Instance], attributes: Attributes, deleted: Deletions
 ) -> None:
-    known = {id(one) for one in was}
-    if new := [instance for instance in instances if id(instance) not in known]:
+    identities = {id(instance) for instance in was}
+    if new := [instance for instance in instances if id(instance) not in identities]:
         attributes[name] = new
     datasets = {dataset_of(instance) for instance in instances}
-    if gone := [one for one in was if dataset_of(one) not in datasets]:
+    if gone := [instance for instance in was if dataset_of(instance) not in datasets]:
         deleted[name] = _kinds(gone)
 
 
@@ -309,10 +309,10 @@ def instance_id(entity_seq: int, seq: int, position: int) -> str:
 
 def parse_instance_id(instance: str) -> tuple[int, int, int] | None:
     """Return sequence number, seq and position in an instanceId; None for one of another broker."""
-    found = _ID.fullmatch(instance)
-    if found is None:
+    match = _ID.fullmatch(instance)
+    if match is None:
         return None
-    entity_seq, seq, position = (int(part, 16) for part in found.groups())
+    entity_seq, seq, position = (int(part, 16) for part in match.groups())
     return entity_seq, seq, position
 
 

@@ -42,7 +42,10 @@ class Representation(StrEnum):
     AGGREGATED = "aggregatedValues"
 
 
-_REPRESENTATIONS: Final = {**{one.value: one for one in Representation}, "simplified": Representation.VALUES}
+_REPRESENTATIONS: Final = {
+    **{representation.value: representation for representation in Representation},
+    "simplified": Representation.VALUES,
+}
 _OPTIONS: Final = frozenset({*_REPRESENTATIONS, "sysAttrs", "count"})
 
 
@@ -231,21 +234,21 @@ def _window(parameters: Mapping[str, str]) -> tuple[str | None, int | None, int 
 
 
 def _time(parameters: Mapping[str, str], name: str) -> int | None:
-    given = parameters.get(name)
-    if given is None:
+    text = parameters.get(name)
+    if text is None:
         return None
-    at_s = moment(require_time(given, name))
+    at_s = moment(require_time(text, name))
     assert at_s is not None  # noqa: S101 - require_time has seen to it
     return round(at_s * MICROS)
 
 
 def _aggregation(parameters: Mapping[str, str]) -> Aggregation:
-    given = parameters.get("aggrMethods")
-    if not given:
+    text = parameters.get("aggrMethods")
+    if not text:
         raise bad_request_data(
             f"aggregatedValues needs aggrMethods, a list of {', '.join(METHODS)}; add it to the request"
         )
-    methods = tuple(dict.fromkeys(given.split(",")))
+    methods = tuple(dict.fromkeys(text.split(",")))
     if unknown := next((method for method in methods if method not in METHODS), None):
         raise bad_request_data(f"aggrMethods has {shown(unknown)}; it takes {', '.join(METHODS)}")
     return Aggregation(

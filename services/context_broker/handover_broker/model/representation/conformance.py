@@ -52,7 +52,7 @@ def conformed(document: Any, version: Version, *, simplified: bool = False) -> A
     if version >= OURS:
         return document
     if isinstance(document, list):
-        parts = [conformed(one, version, simplified=simplified) for one in document]
+        parts = [conformed(part, version, simplified=simplified) for part in document]
         return document if all(new is old for new, old in zip(parts, document, strict=True)) else parts
     if not isinstance(document, dict) or "type" not in document:
         return document
@@ -79,11 +79,11 @@ def _entity(document: dict[str, Any], version: Version, *, simplified: bool) -> 
 
 def _attribute(attribute: Any, version: Version) -> Any:
     if isinstance(attribute, list):
-        instances = [one for one in attribute if isinstance(one, dict)]
+        instances = [instance for instance in attribute if isinstance(instance, dict)]
         if version < _ONE_OF_EACH and instances and len(instances) == len(attribute):
             default = next((instance for instance in instances if "datasetId" not in instance), instances[0])
             return _attribute(default, version)
-        parts = [_attribute(one, version) for one in attribute]
+        parts = [_attribute(instance, version) for instance in attribute]
         return attribute if all(new is old for new, old in zip(parts, attribute, strict=True)) else parts
     if not isinstance(attribute, dict):
         return attribute
@@ -92,7 +92,7 @@ def _attribute(attribute: Any, version: Version) -> Any:
         if version < since and member in reduced:
             reduced = {instead if name == member else name: value for name, value in reduced.items()}
             if member == "objectList" and isinstance(reduced["object"], list):
-                reduced["object"] = [_object_of(one) for one in reduced["object"]]
+                reduced["object"] = [_object_of(member_object) for member_object in reduced["object"]]
             if "type" in reduced:
                 reduced["type"] = kind
     for name in [name for name in reduced if name not in _OPAQUE]:
@@ -100,9 +100,9 @@ def _attribute(attribute: Any, version: Version) -> Any:
     return reduced
 
 
-def _object_of(one: Any) -> Any:
+def _object_of(member: Any) -> Any:
     """Return the URI in a member of an objectList."""
-    return one.get("object", one) if isinstance(one, dict) else one
+    return member.get("object", member) if isinstance(member, dict) else member
 
 
 def _without(document: dict[str, Any], since: dict[str, Version], version: Version) -> dict[str, Any]:

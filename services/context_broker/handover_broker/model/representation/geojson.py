@@ -28,16 +28,16 @@ def geometry(entity: Entity, place: str, datasets: frozenset[str | None] | None 
     """
     instances = entity.attributes.get(place, [])
     if datasets is not None:
-        instances = [one for one in instances if one.get("datasetId") in datasets]
-    instance = next((one for one in instances if "datasetId" not in one), None)
+        instances = [candidate for candidate in instances if candidate.get("datasetId") in datasets]
+    instance = next((candidate for candidate in instances if "datasetId" not in candidate), None)
     if instance is None and instances and (datasets is not None or len(instances) == 1):
         instance = instances[0]
     return instance["value"] if instance is not None and instance["type"] == "GeoProperty" else None
 
 
-def feature_body(one: dict[str, Any], context: Context, *, with_context: bool) -> bytes:
+def feature_body(feature: dict[str, Any], context: Context, *, with_context: bool) -> bytes:
     """Return a Feature as text, with its @context if requested."""
-    return _body(orjson.dumps(one), context, with_context=with_context)
+    return _body(orjson.dumps(feature), context, with_context=with_context)
 
 
 def collection_body(features: Iterable[dict[str, Any]], context: Context, *, with_context: bool) -> bytes:

@@ -19,25 +19,27 @@ WITHOUT_TAG: Final = "@none"
 
 
 @lru_cache(maxsize=1024)
-def preferences(given: str) -> tuple[str, ...]:
+def preferences(languages: str) -> tuple[str, ...]:
     """Return the language ranges of `lang`, best first, in lower case; raise a problem (400) for invalid
     ones."""
-    if len(given) > LONGEST:
-        raise bad_request_data(f"lang has {len(given)} characters; {LONGEST} are read")
+    if len(languages) > LONGEST:
+        raise bad_request_data(f"lang has {len(languages)} characters; {LONGEST} are read")
     weighed: list[tuple[float, str]] = []
-    for part in given.split(","):
+    for part in languages.split(","):
         tag, *options = (piece.strip().lower() for piece in part.split(";"))
-        if tag != ANY and not (tag and all(one.isascii() and one.isalnum() for one in tag.split("-"))):
+        if tag != ANY and not (
+            tag and all(subtag.isascii() and subtag.isalnum() for subtag in tag.split("-"))
+        ):
             raise bad_request_data(
-                f"lang={shown(given)} has no language tag such as en or fr-CH in {shown(part)}"
+                f"lang={shown(languages)} has no language tag such as en or fr-CH in {shown(part)}"
             )
-        weight = _weight(options, given)
+        weight = _weight(options, languages)
         if weight > 0:
             weighed.append((-weight, tag))
-    return tuple(tag for _, tag in sorted(weighed, key=lambda one: one[0]))
+    return tuple(tag for _, tag in sorted(weighed, key=lambda weighed_tag: weighed_tag[0]))
 
 
-def _weight(options: list[str], given: str) -> float:
+def _weight(options: list[str], languages: str) -> float:
     for option in options:
         name, _, value = option.partition("=")
         try:
@@ -45,7 +47,9 @@ def _weight(options: list[str], given: str) -> float:
         except ValueError:
             weight = -1.0
         if not 0 <= weight <= 1:
-            raise bad_request_data(f"lang={shown(given)}: after a tag only a weight such as ;q=0.5 is read")
+            raise bad_request_data(
+                f"lang={shown(languages)}: after a tag only a weight such as ;q=0.5 is read"
+            )
         return weight
     return 1.0
 
@@ -56,8 +60,8 @@ def best_tag(wordings: Mapping[str, Any], wanted: tuple[str, ...]) -> str:
     for language in wanted:
         if language == ANY:
             break
-        if (found := _found(tags, language)) is not None:
-            return found
+        if (best := _found(tags, language)) is not None:
+            return best
     return WITHOUT_TAG if WITHOUT_TAG in wordings else next(iter(wordings))
 
 
@@ -75,7 +79,7 @@ def in_language(instance: Instance, wanted: tuple[str, ...]) -> Instance:
     result: Instance = {}
     for member, value in instance.items():
         if ":" in member:
-            result[member] = [in_language(one, wanted) for one in value]
+            result[member] = [in_language(part, wanted) for part in value]
         elif member == "languageMap" and instance["type"] == "LanguageProperty" and value:
             tag = best_tag(value, wanted)
             result["type"], result["value"], result["lang"] = "Property", value[tag], tag

@@ -41,7 +41,7 @@ class Projection:
 
     def below(self, relationship: str) -> "Projection | None":
         """Return the projection of entities that a relationship (IRI) links to, None for all members."""
-        return next((one for name, one in self.linked if name == relationship), None)
+        return next((names for name, names in self.linked if name == relationship), None)
 
 
 Names = dict[str, "Names | None"]
@@ -60,12 +60,12 @@ def read_projection(pick: str | None, omit: str | None, terms: Terms) -> Project
     return _projection(picked, omitted, terms)
 
 
-def read_names(given: str, what: str, terms: Terms) -> Names:
+def read_names(text: str, what: str, terms: Terms) -> Names:
     """Return the names of a projection with attributes as IRIs; raise a problem (400) for a syntax error."""
-    signs = iter(_SIGN.findall(given))
-    names, end = _read_list(signs, given, what, terms, 0)
+    signs = iter(_SIGN.findall(text))
+    names, end = _read_list(signs, text, what, terms, 0)
     if end == "}":
-        raise bad_request_data(f"{what}={shown(given)} closes a brace that was not opened; leave it out")
+        raise bad_request_data(f"{what}={shown(text)} closes a brace that was not opened; leave it out")
     return names
 
 
@@ -83,7 +83,7 @@ def _projection(picked: Names | None, omitted: Names, terms: Terms) -> Projectio
 
 
 def _read_list(
-    signs: Iterator[str], given: str, what: str, terms: Terms, depth: int
+    signs: Iterator[str], text: str, what: str, terms: Terms, depth: int
 ) -> tuple[Names, str | None]:
     """Return the names up to the end or to the closing brace, and which of the two it was."""
     if depth > DEEPEST_LINK:
@@ -93,7 +93,7 @@ def _read_list(
         sign = next(signs, None)
         if sign is None or sign in "{},|":
             raise bad_request_data(
-                f"{what}={shown(given)} lacks a name where there should be one; write names with commas "
+                f"{what}={shown(text)} lacks a name where there should be one; write names with commas "
                 "between them, and those of linked entities in braces: a,b{c,d}"
             )
         name = sign if sign in ENTITY_MEMBERS else expand(require_name(sign, f"a name in {what}"), terms)
@@ -102,13 +102,13 @@ def _read_list(
         if sign == "{":
             if name in ENTITY_MEMBERS:
                 raise bad_request_data(
-                    f"{what}={shown(given)}: {name} is not a relationship; leave the braces out"
+                    f"{what}={shown(text)}: {name} is not a relationship; leave the braces out"
                 )
-            names[name], end = _read_list(signs, given, what, terms, depth + 1)
+            names[name], end = _read_list(signs, text, what, terms, depth + 1)
             if end is None:
-                raise bad_request_data(f"{what}={shown(given)} opens a brace that it does not close")
+                raise bad_request_data(f"{what}={shown(text)} opens a brace that it does not close")
             sign = next(signs, None)
         if sign is None or sign == "}":
             return names, sign
         if sign not in ",|":
-            raise bad_request_data(f"{what}={shown(given)} has {shown(sign)} where a comma belongs")
+            raise bad_request_data(f"{what}={shown(text)} has {shown(sign)} where a comma belongs")

@@ -120,9 +120,9 @@ def _wanted(attributes: Attributes, view: View) -> Attributes:
             continue
         shown = instances
         if datasets is not None:
-            shown = [one for one in shown if one.get("datasetId") in datasets]
+            shown = [instance for instance in shown if instance.get("datasetId") in datasets]
         if languages is not None:
-            shown = [in_language(one, languages) for one in shown]
+            shown = [in_language(instance, languages) for instance in shown]
         if shown:
             result[name] = shown
     return result
@@ -159,7 +159,7 @@ def _compacted(value: Any, terms: Terms) -> Any:
 
 def _concise(instances: list[Instance], terms: Terms, sys_attrs: bool) -> Any:
     if len(instances) > 1:  # instances keep their type, or the list could be the value of a Property
-        return [{"type": one["type"], **_concise_members(one, terms, sys_attrs)} for one in instances]
+        return [{"type": part["type"], **_concise_members(part, terms, sys_attrs)} for part in instances]
     instance = instances[0]
     kind = instance["type"]
     members = _concise_members(instance, terms, sys_attrs)
@@ -196,7 +196,7 @@ def _bare(instance: Instance, terms: Terms) -> Any:
     if kind in {"LanguageProperty", "JsonProperty"}:
         return {VALUE_MEMBER[kind]: value}
     if kind == "ListRelationship":
-        return [one["object"] for one in value]
+        return [part["object"] for part in value]
     return value
 
 

@@ -67,9 +67,9 @@ class AttributeIndex:
             del self._numbers[bisect_left(self._numbers, value)]
 
 
-def ids_of(found: Iterable[Ids]) -> Iterator[str]:
+def ids_of(groups: Iterable[Ids]) -> Iterator[str]:
     """Yield the ids, each once."""
     merged: Ids = {}
-    for ids in found:
+    for ids in groups:
         merged.update(ids)
     yield from merged

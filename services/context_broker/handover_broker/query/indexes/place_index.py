@@ -70,8 +70,8 @@ class PlaceIndex:
         ]
         grid = self._grid(turns[0])
         hits: Ids = {}
-        for one in turns:
-            hits.update(grid.touched(one))
+        for shift in turns:
+            hits.update(grid.touched(shift))
         return [hit for hit in hits if any(boxes_touch(box, other) for other in self._boxes[hit])]
 
     def _grid(self, box: Box) -> "_Grid":

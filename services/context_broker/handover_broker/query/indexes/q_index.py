@@ -43,8 +43,8 @@ def conditions(term: Term, expand: Callable[[str], str]) -> tuple[Condition, ...
         return ()
     if term.path.trail or term.path.link is not None or term.path.names[0] in METADATA:
         return ()
-    found = _condition(term, expand)
-    return () if found is None else (found,)
+    single = _condition(term, expand)
+    return () if single is None else (single,)
 
 
 def _condition(term: Compare, expand: Callable[[str], str]) -> Condition | None:
