@@ -73,7 +73,7 @@ class Sources:
         If an entity map answers the request, each match is narrowed to the entities that the map lists for
         its source (clause 5.7.2.4).
         """
-        found = [
+        admitted = [
             some
             for match in matches
             if not self.has_visited(match.registration)
@@ -81,8 +81,8 @@ class Sources:
         ]
         entity_map = entity_map_of(self.request) if uses_map else None
         if entity_map is None:
-            return found
-        return [some for one in found if (some := one.among(entity_map.entities)).parts]
+            return admitted
+        return [some for match in admitted if (some := match.among(entity_map.entities)).parts]
 
     def map_headers(self, registration: Registration) -> tuple[tuple[str, str], ...]:
         """Return the header that names the source's own entity map, if an entity map answers the request."""

@@ -36,8 +36,8 @@ def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, st
 
 def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | None:
     """Return the types (IRIs) in a document, None if there are none."""
-    given = document.get("type", document.get("@type"))
-    names: Iterable[Any] = given if isinstance(given, list) else [given]
+    kinds = document.get("type", document.get("@type"))
+    names: Iterable[Any] = kinds if isinstance(kinds, list) else [kinds]
     return frozenset(context.terms.expand(name) for name in names if isinstance(name, str) and name) or None
 
 
@@ -49,9 +49,9 @@ def instances_in(document: Mapping[str, Any], names: Mapping[str, str]) -> Insta
 def datasets_in(value: Any) -> set[str | None]:
     """Return the datasetIds in the value of one attribute, in any representation."""
     if _is_list_of_instances(value):
-        return {_dataset_of(one) for one in value}
+        return {_dataset_of(instance) for instance in value}
     if _is_many_simplified(value):
-        return {_named(one) for one in value[_MANY]}
+        return {_named(dataset) for dataset in value[_MANY]}
     return {_dataset_of(value)}
 
 
@@ -69,10 +69,14 @@ def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Insta
             continue
         elif _is_many_simplified(value):
             part[member] = {
-                _MANY: {one: each for one, each in value[_MANY].items() if _named(one) in datasets}
+                _MANY: {
+                    linked: instance
+                    for linked, instance in value[_MANY].items()
+                    if _named(linked) in datasets
+                }
             }
         else:
-            part[member] = [one for one in value if _dataset_of(one) in datasets]
+            part[member] = [instance for instance in value if _dataset_of(instance) in datasets]
     return part
 
 
@@ -91,7 +95,9 @@ def instances_of_source(
 
 
 def _is_list_of_instances(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
+    return (
+        isinstance(value, list) and bool(value) and all(isinstance(instance, Mapping) for instance in value)
+    )
 
 
 def _is_many_simplified(value: Any) -> bool:
@@ -99,8 +105,8 @@ def _is_many_simplified(value: Any) -> bool:
 
 
 def _dataset_of(value: Any) -> str | None:
-    given = value.get("datasetId") if isinstance(value, Mapping) else None
-    return _named(given) if isinstance(given, str) else None
+    dataset = value.get("datasetId") if isinstance(value, Mapping) else None
+    return _named(dataset) if isinstance(dataset, str) else None
 
 
 def _named(dataset: str) -> str | None:

@@ -30,7 +30,7 @@ def selector_parameters(
     common = {name: value for name, value in {**parameters, **document}.items() if isinstance(value, str)}
     for name in ("attrs", "pick", "omit", "datasetId", "expandValues", "jsonKeys"):
         if isinstance(document.get(name), list):
-            common[name] = ",".join(str(one) for one in document[name])
+            common[name] = ",".join(str(part) for part in document[name])
     geo = document.get("geoQ")
     if isinstance(geo, dict):
         for name in ("georel", "geometry", "geoproperty", "coordinates"):
@@ -38,7 +38,7 @@ def selector_parameters(
                 value = geo[name]
                 common[name] = value if isinstance(value, str) else orjson.dumps(value).decode()
     if isinstance(document.get("ordering"), dict):
-        common["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
+        common["orderBy"] = ",".join(str(part) for part in document["ordering"].get("orderBy") or ())
     common.pop("type", None)  # the type of the document, "Query"
     selectors = document.get("entities")
     if not isinstance(selectors, list) or not selectors:
@@ -97,21 +97,21 @@ def source_filter(csf: str | None, context: Context, coverage: CoverageQuery) ->
     holds = compiled(csf, context).holds if csf else None
     if holds is None:
         return None if coverage.is_unrestricted else coverage.may_match
-    return lambda one: holds(one.described) and coverage.may_match(one)
+    return lambda registration: holds(registration.described) and coverage.may_match(registration)
 
 
-def types_of(given: str | None, context: Context) -> frozenset[str] | None:
+def types_of(text: str | None, context: Context) -> frozenset[str] | None:
     """Return all types (IRIs) in a type selection, None if there is none."""
-    names = [one.strip() for one in _TYPE_SIGNS.split(given or "") if one.strip()]
+    names = [name.strip() for name in _TYPE_SIGNS.split(text or "") if name.strip()]
     return frozenset(context.terms.expand(name) for name in names) if names else None
 
 
 def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
     """Return the attributes that the response needs, None if it may need all."""
-    given = parameters.get("attrs") or parameters.get("pick")
-    if not given or any(name in parameters for name in _NEEDS_MORE) or not _PLAIN_NAMES.fullmatch(given):
+    text = parameters.get("attrs") or parameters.get("pick")
+    if not text or any(name in parameters for name in _NEEDS_MORE) or not _PLAIN_NAMES.fullmatch(text):
         return None
-    names = [one for one in given.split(",") if one not in {"id", "type", "scope"}]
+    names = [name for name in text.split(",") if name not in {"id", "type", "scope"}]
     return frozenset(expand(name, context.terms) for name in names) or None
 
 
@@ -124,7 +124,7 @@ def may_be_split(parameters: Mapping[str, str], matches: Iterable[Match]) -> boo
     The standard leaves this to the deployment if splitEntities is absent (clause 5.7.2.4). Here entities
     count as split if a registration names attributes: then its source has a part of them.
     """
-    given = parameters.get("splitEntities")
-    if given is not None:
-        return given == "true"
+    text = parameters.get("splitEntities")
+    if text is not None:
+        return text == "true"
     return any(piece.attributes is not None for match in matches for piece in match.registration.information)

@@ -120,15 +120,15 @@ class EntityMaps:
     def find(self, map_id: str) -> EntityMap | None:
         """Return a map; None if it does not exist or has expired."""
         require_uri(map_id, "the id of an entity map")
-        found = self._all.get(map_id)
-        return None if found is None or found.has_expired_at(time.time()) else found
+        entity_map = self._all.get(map_id)
+        return None if entity_map is None or entity_map.has_expired_at(time.time()) else entity_map
 
     def get(self, map_id: str) -> EntityMap:
         """Return a map; raise a problem (404) if it does not exist or has expired."""
-        found = self.find(map_id)
-        if found is None:
+        entity_map = self.find(map_id)
+        if entity_map is None:
             raise self.absent(map_id)
-        return found
+        return entity_map
 
     @staticmethod
     def absent(map_id: str) -> Problem:
@@ -173,7 +173,7 @@ class EntityMaps:
 
     async def update(self, map_id: str, document: Any) -> None:
         """Change the expiry of a map, its only mutable member (clauses 5.14.2 and 5.5.14)."""
-        found = self.get(map_id)
+        entity_map = self.get(map_id)
         if not isinstance(document, Mapping):
             raise bad_request_data(f"a change of an entity map is a JSON object, not {shown(document)}")
         if document.get("type", TYPE) != TYPE:
@@ -182,16 +182,20 @@ class EntityMaps:
             return  # other members are set by the broker and ignored
         wanted_s = moment(require_future(document["expiresAt"], '"expiresAt"')) or 0.0
         ends_s = min(wanted_s, time.time() + MAX_LIFETIME_S)
-        changed = replace(found, expires_at=timestamp(datetime.fromtimestamp(ends_s, UTC)))
+        changed = replace(entity_map, expires_at=timestamp(datetime.fromtimestamp(ends_s, UTC)))
         await self._commits.store(self._entries(changed))
         self._all[map_id] = changed
 
     async def drop(self, map_id: str, gone: Collection[str]) -> None:
         """Remove entities from a map if it still exists; readers see the change at once."""
-        found = self._all.get(map_id)
-        if found is not None:
-            left = {one: who_has for one, who_has in found.entities.items() if one not in gone}
-            self._all[map_id] = changed = replace(found, entities=left)
+        entity_map = self._all.get(map_id)
+        if entity_map is not None:
+            left = {
+                entity_id: who_has
+                for entity_id, who_has in entity_map.entities.items()
+                if entity_id not in gone
+            }
+            self._all[map_id] = changed = replace(entity_map, entities=left)
             await self._commits.store(self._entries(changed))
 
     async def delete(self, map_id: str) -> None:
@@ -208,8 +212,8 @@ class EntityMaps:
     def _in_excess_of(self, more: int) -> list[str]:
         """Return the maps to delete: expired ones, and those that expire next if there are too many."""
         now_s = time.time()
-        ordered = sorted(self._all.values(), key=lambda one: one.expires_at)
-        held = more + sum(1 + len(one.entities) for one in ordered)
+        ordered = sorted(self._all.values(), key=lambda other: other.expires_at)
+        held = more + sum(1 + len(other.entities) for other in ordered)
         gone: list[str] = []
         for entity_map in ordered:
             if not entity_map.has_expired_at(now_s) and held <= MAX_TOTAL_ENTITIES:
@@ -219,8 +223,8 @@ class EntityMaps:
         return gone
 
 
-def lifetime_s(given: str | None) -> float:
+def lifetime_s(text: str | None) -> float:
     """Return the lifetime of a map: the requested one within the broker's limits."""
-    if given is None:
+    if text is None:
         return DEFAULT_LIFETIME_S
-    return min(max(duration_s(given, "entityMapLifetime"), 1.0), MAX_LIFETIME_S)
+    return min(max(duration_s(text, "entityMapLifetime"), 1.0), MAX_LIFETIME_S)

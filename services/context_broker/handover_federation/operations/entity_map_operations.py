@@ -113,7 +113,7 @@ class EntityMapOperations:
                 return result
             page = [entity["id"] for entity in orjson.loads(result.body)]
             before = len(mapped)
-            mapped.update((one, [OWN]) for one in page)
+            mapped.update((entity_id, [OWN]) for entity_id in page)
             if len(page) < _PAGE or len(mapped) == before:
                 break
         return await self._kept(request, mapped)
@@ -182,9 +182,9 @@ class EntityMapOperations:
     async def _kept(self, request: RequestContext, entities: dict[str, list[str]]) -> Response:
         """Store a map of the broker's own matches and of those in the maps of sources."""
         elsewhere = listed_of(request) or Listed()
-        for one, registrations in elsewhere.entities.items():
-            known = entities.setdefault(one, [])
-            known += [registration for registration in registrations if registration not in known]
+        for entity_id, registrations in elsewhere.entities.items():
+            holders = entities.setdefault(entity_id, [])
+            holders += [registration for registration in registrations if registration not in holders]
         return await _map_response(request, await self._create(request, entities, elsewhere), 201)
 
 
@@ -230,8 +230,8 @@ def _origins(store: Store, entity_id: str) -> list[str]:
     return result or [OWN]
 
 
-def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
-    return {name: value for name, value in given.items() if name not in names}
+def _without(parameters: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
+    return {name: value for name, value in parameters.items() if name not in names}
 
 
 def _plainly(request: RequestContext, parameters: Mapping[str, str]) -> RequestContext:

@@ -77,8 +77,8 @@ class _Page:
         self._perform = perform
         self._is_temporal = "/temporal/" in wanted.path
         self._window: Window = (temporal_window if self._is_temporal else window_of)(wanted)
-        given = _ids_in(wanted)
-        self._ids = [entity for entity in entity_map.entities if given is None or entity in given]
+        ids = _ids_in(wanted)
+        self._ids = [entity for entity in entity_map.entities if ids is None or entity in ids]
         self._gone: set[str] = set()
 
     async def answer(self) -> Response:
@@ -89,8 +89,8 @@ class _Page:
                 await self._check(self._ids[start : start + CHECK_BATCH_SIZE])
         while True:
             some = self._left(window.limit)
-            result, found = await self._shown(some)
-            if found >= len(some) or _is_warned(result):
+            result, count = await self._shown(some)
+            if count >= len(some) or _is_warned(result):
                 break
             before = len(self._gone)
             await self._check(self._left(CHECK_BATCH_SIZE))
@@ -163,7 +163,9 @@ class _Page:
             end += 1
         has_more = any(entity not in self._gone for entity in self._ids[end:])
         if is_dropped:
-            start, end = (at - sum(one in self._gone for one in self._ids[:at]) for at in (start, end))
+            start, end = (
+                at - sum(entity_id in self._gone for entity_id in self._ids[:at]) for at in (start, end)
+            )
         media_type = next((value for name, value in headers if name == b"content-type"), b"").decode()
         links = [_page_link(self._wanted, max(0, start - limit), "prev", media_type)] if start else []
         return [*links, _page_link(self._wanted, end, "next", media_type)] if has_more else links
@@ -209,17 +211,19 @@ def _narrowed(document: Any, ids: list[str]) -> bytes | None:
 def _ids_in(request: RequestContext) -> set[str] | None:
     """Return the requested ids; None for any."""
     if request.method == "GET":
-        given = request.parameter("id")
-        return None if given is None else set(given.split(","))
+        text = request.parameter("id")
+        return None if text is None else set(text.split(","))
     document = request.document()
     selectors = document.get("entities") if isinstance(document, dict) else None
-    found: set[str] = set()
-    for one in selectors if isinstance(selectors, list) else [None]:
-        ids = one.get("id") if isinstance(one, dict) else None
+    result: set[str] = set()
+    for selector in selectors if isinstance(selectors, list) else [None]:
+        ids = selector.get("id") if isinstance(selector, dict) else None
         if ids is None:
             return None
-        found |= {each for each in (ids if isinstance(ids, list) else [ids]) if isinstance(each, str)}
-    return found
+        result |= {
+            entity_id for entity_id in (ids if isinstance(ids, list) else [ids]) if isinstance(entity_id, str)
+        }
+    return result
 
 
 def _is_warned(answer: Response) -> bool:
@@ -244,5 +248,5 @@ def _page_link(request: RequestContext, offset: int, relation: str, media_type: 
     return b"link", f'<{request.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
 
 
-def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
-    return {name: value for name, value in given.items() if name not in names}
+def _without(parameters: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
+    return {name: value for name, value in parameters.items() if name not in names}

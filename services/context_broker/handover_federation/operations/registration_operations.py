@@ -97,14 +97,14 @@ class RegistrationOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        all_of_them, one = "csourceRegistrations", "csourceRegistrations/{id}"
+        all_of_them, by_id = "csourceRegistrations", "csourceRegistrations/{id}"
         searching = PAGE_PARAMETERS | SEARCH_PARAMETERS
         return (
             Operation("POST", all_of_them, "createCSR", "6.8.3.1", self.create, makes_tenant=True),
             Operation("GET", all_of_them, "queryCSR", "6.8.3.2", self.search, searching),
-            Operation("GET", one, "retrieveCSR", "6.9.3.1", self.retrieve, _VIEW),
-            Operation("PATCH", one, "updateCSR", "6.9.3.2", self.update),
-            Operation("DELETE", one, "deleteCSR", "6.9.3.3", self.delete),
+            Operation("GET", by_id, "retrieveCSR", "6.9.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", by_id, "updateCSR", "6.9.3.2", self.update),
+            Operation("DELETE", by_id, "deleteCSR", "6.9.3.3", self.delete),
         )
 
     async def restore(self, tenant: Tenant, stored: Iterable[tuple[str, bytes, bytes | None]]) -> None:
@@ -118,7 +118,7 @@ class RegistrationOperations:
                 _require_readable(restored)
                 require_id(restored.id, registration_id)
                 loaded.append((restored, counts))
-        for restored, counts in sorted(loaded, key=lambda one: str(one[0].document.get("createdAt"))):
+        for restored, counts in sorted(loaded, key=lambda pair: str(pair[0].document.get("createdAt"))):
             registry.load(restored)
             if counts is not None:
                 registry.restore_attempts(restored.id, counts)
@@ -140,8 +140,8 @@ class RegistrationOperations:
 
     async def create(self, request: RequestContext) -> Response:
         """POST csourceRegistrations."""
-        given, context = await request.body()
-        document = kept_members(kept_document(given, context), {}, *SECRETS)
+        body, context = await request.body()
+        document = kept_members(kept_document(body, context), {}, *SECRETS)
         named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
         at = timestamp_now()
         created = registration(
@@ -172,8 +172,8 @@ class RegistrationOperations:
 
     async def update(self, request: RequestContext) -> Response:
         """PATCH csourceRegistrations/{id}."""
-        given, context = await request.body()
-        change = kept_document(given, context, is_change=True)
+        body, context = await request.body()
+        change = kept_document(body, context, is_change=True)
         async with self._lock:
             before = _existing(request)
             require_changeable(request, before.id, before.owner, "registration")
@@ -232,18 +232,20 @@ class RegistrationOperations:
         window = window_of(request)
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
         search = search_of(request.parameters, context)
-        found = federated(request.tenant).registry.matching_any(search.targets, search.wants)
-        page = found[window.offset : window.offset + window.limit]
+        registrations = federated(request.tenant).registry.matching_any(search.targets, search.wants)
+        page = registrations[window.offset : window.offset + window.limit]
         documents = [
-            await _shown(request, one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
-            for one in page
+            await _shown(
+                request, listed, context, sys_attrs=sys_attrs, pieces=listed.relevant(search.targets)
+            )
+            for listed in page
         ]
         result = document_response(
             [in_media_type(document, media_type, context) for document in documents], media_type, context
         )
         if window.count:
-            result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
-        more = window.offset + window.limit < len(found)
+            result.headers.append((b"ngsild-results-count", str(len(registrations)).encode()))
+        more = window.offset + window.limit < len(registrations)
         result.headers += page_links(request, window, media_type, more=more)
         return result
 
@@ -320,10 +322,10 @@ def _existing(request: RequestContext) -> Registration:
     reason = federated(request.tenant).registry.unusable.get(registration_id)
     if reason is not None:
         raise is_unusable("registration", registration_id, reason)
-    found = federated(request.tenant).registry.get(registration_id)
-    if found is None:
+    existing = federated(request.tenant).registry.get(registration_id)
+    if existing is None:
         raise _absent(registration_id)
-    return found
+    return existing
 
 
 def _refuse_conflicts(tenant: Tenant, candidate: Registration) -> None:
@@ -337,8 +339,8 @@ def _refuse_conflicts(tenant: Tenant, candidate: Registration) -> None:
     if not candidate.mode.is_proxied:
         return
     for piece in candidate.information:
-        ids = [one.id for one in piece.entities if one.id is not None]
-        types = {kind for one in piece.entities for kind in one.types}
+        ids = [selector.id for selector in piece.entities if selector.id is not None]
+        types = {kind for selector in piece.entities for kind in selector.types}
         has_groups = not piece.entities or len(ids) < len(piece.entities)
         for entity in tenant.store.candidates(
             None if has_groups else ids, of_types(types) if types else None

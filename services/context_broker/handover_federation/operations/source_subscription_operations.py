@@ -23,15 +23,15 @@ class SourceSubscriptionOperations(SubscriptionOperations):
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        all_of_them, one = "csourceSubscriptions", "csourceSubscriptions/{id}"
+        all_of_them, by_id = "csourceSubscriptions", "csourceSubscriptions/{id}"
         return (
             Operation(
                 "POST", all_of_them, "createCSRSubscription", "6.12.3.1", self.create, makes_tenant=True
             ),
             Operation("GET", all_of_them, "queryCSRSubscription", "6.12.3.2", self.list, PAGE_PARAMETERS),
-            Operation("GET", one, "retrieveCSRSubscription", "6.13.3.1", self.retrieve, _VIEW),
-            Operation("PATCH", one, "updateCSRSubscription", "6.13.3.2", self.update),
-            Operation("DELETE", one, "deleteCSRSubscription", "6.13.3.3", self.delete),
+            Operation("GET", by_id, "retrieveCSRSubscription", "6.13.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", by_id, "updateCSRSubscription", "6.13.3.2", self.update),
+            Operation("DELETE", by_id, "deleteCSRSubscription", "6.13.3.3", self.delete),
         )
 
     def dispatcher(self, tenant: Tenant) -> SubscriptionDispatcher:

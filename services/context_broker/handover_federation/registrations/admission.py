@@ -56,8 +56,8 @@ class Admission:
         may_all = may_client and (receiver is None or receiver.may_see_private())
         parts = [
             part
-            for one in match.parts
-            if (part := self._part(match.registration, one, may_all=may_all)) is not None
+            for matched in match.parts
+            if (part := self._part(match.registration, matched, may_all=may_all)) is not None
             and (may_all or not changes or part.types or part.ids is not None)
         ]
         return Match(match.registration, tuple(parts)) if parts else None
@@ -68,9 +68,9 @@ class Admission:
         if part.ids is not None:
             types = kinds if kinds and private == kinds else ()
             ids = tuple(
-                one
-                for one in part.ids
-                if self.admits(registration, one, types) and not self.store.hides(one, types)
+                entity_id
+                for entity_id in part.ids
+                if self.admits(registration, entity_id, types) and not self.store.hides(entity_id, types)
             )
             return replace(part, ids=ids) if ids else None
         if may_all or not private:

@@ -67,19 +67,19 @@ class CoverageQuery:
         )
 
 
-def period_of(given: Mapping[str, Any]) -> TimeRange | None:
+def period_of(period: Mapping[str, Any]) -> TimeRange | None:
     """Return the time range of a temporal query (clause 4.11); None if it has none."""
-    relation = given.get("timerel")
+    relation = period.get("timerel")
     if relation is None:
         return None
-    at_s = moment(require_time(given.get("timeAt"), "timeAt")) or 0.0
-    is_managed = given.get("timeproperty") in _MANAGED_TIMES
+    at_s = moment(require_time(period.get("timeAt"), "timeAt")) or 0.0
+    is_managed = period.get("timeproperty") in _MANAGED_TIMES
     if relation == "before":
         return TimeRange((float("-inf"), at_s), is_managed)
     if relation == "after":
         return TimeRange((at_s, float("inf")), is_managed)
     if relation == "between":
-        end_s = moment(require_time(given.get("endTimeAt"), "endTimeAt")) or 0.0
+        end_s = moment(require_time(period.get("endTimeAt"), "endTimeAt")) or 0.0
         return TimeRange((at_s, end_s), is_managed)
     raise bad_request_data(f"timerel is before, after or between, not {shown(relation)}")
 
@@ -91,12 +91,12 @@ def has_matching_place(query: GeoQuery, registration: Registration) -> bool:
 
 def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
     """Return a filter for sources that may hold a document with its locations and scopes; None for all."""
-    places = {name: found for name in _PLACES if (found := _places_in(document.get(name)))}
-    given = document.get("scope")
-    scopes = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, str)]
+    places = {name: shapes for name in _PLACES if (shapes := _places_in(document.get(name)))}
+    scope = document.get("scope")
+    scopes = [text for text in (scope if isinstance(scope, list) else [scope]) if isinstance(text, str)]
     if not places and not scopes:
         return None
-    return lambda one: _may_contain(one, places, scopes)
+    return lambda registration: _may_contain(registration, places, scopes)
 
 
 def may_hold(registration: Registration, entity: Entity) -> bool:
@@ -104,9 +104,9 @@ def may_hold(registration: Registration, entity: Entity) -> bool:
     if not registration.places and not registration.scopes:
         return True
     places = {
-        name: found
+        name: shapes
         for name in registration.places
-        if (found := _places_in(entity.attributes.get(expand(name, registration.context.terms))))
+        if (shapes := _places_in(entity.attributes.get(expand(name, registration.context.terms))))
     }
     return _may_contain(registration, places, entity.scopes)
 
@@ -158,7 +158,7 @@ def _touch(area: Geometry, place: Geometry) -> bool:
 
 def _places_in(value: Any) -> list[Geometry]:
     if isinstance(value, list):
-        return [place for one in value for place in _places_in(one)]
+        return [place for part in value for place in _places_in(part)]
     geometry = value.get("value", value) if isinstance(value, Mapping) else None
     return [geometry] if isinstance(geometry, dict) and fault_of(geometry) is None else []
 
@@ -180,4 +180,4 @@ def _may_fit(pattern: ScopePattern, scope: str) -> bool:
 
 def _is_in(scope: str, scopes: tuple[str, ...]) -> bool:
     inner = scope.strip("/") + "/"
-    return any(inner.startswith(one.strip("/") + "/") for one in scopes)
+    return any(inner.startswith(outer.strip("/") + "/") for outer in scopes)

@@ -48,7 +48,7 @@ NAMES: Final = _ASSOCIATING | _ENTITY_MAPS | _CHANGING | TEMPORAL | BATCHES
 
 def operations_of(names: Iterable[str]) -> frozenset[str]:
     """Return the single operations for names of operations and groups."""
-    found: set[str] = set()
+    result: set[str] = set()
     for name in names:
-        found |= GROUPS.get(name, {name})
-    return frozenset(found)
+        result |= GROUPS.get(name, {name})
+    return frozenset(result)

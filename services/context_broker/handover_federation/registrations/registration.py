@@ -87,7 +87,7 @@ class EntityInfo:
         if not types:
             return None
         if target.ids is not None:
-            ids = tuple(one for one in target.ids if self.has(one))
+            ids = tuple(entity_id for entity_id in target.ids if self.has(entity_id))
             return (ids, types) if ids else None
         if self.id is None:  # two patterns are not compared; they may have a common match
             return None, types
@@ -117,13 +117,14 @@ class Information:
             attributes = target.attributes
         if not self.entities:
             return (MatchedPart(target.ids, target.types, attributes),)
-        found = (entity.served(target) for entity in self.entities)
-        return tuple(MatchedPart(*one, attributes) for one in found if one is not None)
+        parts = (entity.served(target) for entity in self.entities)
+        return tuple(MatchedPart(*part, attributes) for part in parts if part is not None)
 
     def is_about(self, entity: Entity) -> bool:
         """Return whether the information is about an entity."""
         return not self.entities or any(
-            one.has(entity.id) and not one.types.isdisjoint(entity.types) for one in self.entities
+            selector.has(entity.id) and not selector.types.isdisjoint(entity.types)
+            for selector in self.entities
         )
 
 
@@ -270,33 +271,33 @@ class Match:
     @property
     def ids(self) -> tuple[str, ...] | None:
         """Return the distinct ids to query the source for; None if the target's own selection applies."""
-        found: dict[str, None] = {}
+        result: dict[str, None] = {}
         for part in self.parts:
             if part.ids is None:
                 return None
-            found.update(dict.fromkeys(part.ids))
-        return tuple(found)
+            result.update(dict.fromkeys(part.ids))
+        return tuple(result)
 
     @property
     def attributes(self) -> frozenset[str] | None:
         """Return the attributes (IRIs) to query the source for; None for all."""
-        found: set[str] = set()
+        result: set[str] = set()
         for part in self.parts:
             if part.attributes is None:
                 return None
-            found |= part.attributes
-        return frozenset(found)
+            result |= part.attributes
+        return frozenset(result)
 
     def attributes_for(self, entity_id: str) -> frozenset[str] | None:
         """Return the attributes (IRIs) of one entity to read from the source or to write to it; None for
         all."""
-        found: set[str] = set()
+        result: set[str] = set()
         for part in self.parts:
             if part.ids is None or entity_id in part.ids:
                 if part.attributes is None:
                     return None
-                found |= part.attributes
-        return frozenset(found)
+                result |= part.attributes
+        return frozenset(result)
 
     def split_by_ids(self, most_ids: int) -> Iterator["Match"]:
         """Yield matches with at most so many ids each; this match itself if it has no ids."""
@@ -315,7 +316,12 @@ class Match:
         """Return the match limited to entities of which the registration is one of the `holders`."""
         mine = self.registration.id
         narrowed = (
-            replace(part, ids=tuple(one for one in part.ids or holders if mine in holders.get(one, ())))
+            replace(
+                part,
+                ids=tuple(
+                    entity_id for entity_id in part.ids or holders if mine in holders.get(entity_id, ())
+                ),
+            )
             for part in self.parts
         )
         return Match(self.registration, tuple(part for part in narrowed if part.ids))
@@ -370,9 +376,9 @@ def _shown_information(stored: Mapping[str, Any], compact: Callable[[str], str])
     piece: dict[str, Any] = {}
     for name, value in stored.items():
         if name == "entities":
-            piece[name] = [_shown_entity_info(one, compact) for one in value]
+            piece[name] = [_shown_entity_info(entity_info, compact) for entity_info in value]
         else:
-            piece[name] = [compact(one) for one in value]
+            piece[name] = [compact(term) for term in value]
     return piece
 
 

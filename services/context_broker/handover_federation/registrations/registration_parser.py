@@ -55,20 +55,20 @@ _FROM_THE_BROKER: Final = frozenset(
 _ATTRIBUTE_LISTS: Final = ("propertyNames", "relationshipNames")
 
 
-def kept_document(given: Any, context: Context, *, is_change: bool = False) -> dict[str, Any]:
+def kept_document(body: Any, context: Context, *, is_change: bool = False) -> dict[str, Any]:
     """Return the document to store for a registration, or for an update, from a client's document.
 
     Members that the standard does not name are Context Source Properties, which filters (csf) can use. A null
     stays as None: in an update it deletes the member.
     """
-    if not isinstance(given, Mapping):
-        raise bad_request_data(f"a registration is a JSON object, not {shown(given)}")
-    if given.get("type", TYPE) != TYPE:
-        raise bad_request_data(f'the type of a registration is "{TYPE}", not {shown(given["type"])}')
-    refuse_null(given, "a registration", deleting=1 if is_change else 0)
+    if not isinstance(body, Mapping):
+        raise bad_request_data(f"a registration is a JSON object, not {shown(body)}")
+    if body.get("type", TYPE) != TYPE:
+        raise bad_request_data(f'the type of a registration is "{TYPE}", not {shown(body["type"])}')
+    refuse_null(body, "a registration", deleting=1 if is_change else 0)
     document: dict[str, Any] = {}
     properties: dict[str, Any] = {}
-    for name, value in given.items():
+    for name, value in body.items():
         if name in _PLAIN:
             document[name] = value
         elif name not in _FROM_THE_BROKER and name not in {"type", "@context"}:
@@ -103,7 +103,7 @@ def registration(document: Mapping[str, Any], context: Context) -> Registration:
         )
     _check_texts(document)
     mode = _mode(document.get("mode", "inclusive"))
-    pieces = tuple(_information(one) for one in information)
+    pieces = tuple(_information(piece) for piece in information)
     observed = _interval(document, "observationInterval")
     managed = _interval(document, "managementInterval")
     operations = _operations(document.get("operations"), mode, is_temporal=bool(observed or managed))
@@ -141,56 +141,66 @@ def _without_null(document: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in document.items() if value is not None}
 
 
-def _kept_information(given: Any, context: Context) -> list[dict[str, Any]]:
-    if not isinstance(given, list) or not given:
-        raise bad_request_data(f'"information" is a list with at least one object, not {shown(given)}')
-    return [_kept_piece(one, context) for one in given]
+def _kept_information(information: Any, context: Context) -> list[dict[str, Any]]:
+    if not isinstance(information, list) or not information:
+        raise bad_request_data(f'"information" is a list with at least one object, not {shown(information)}')
+    return [_kept_piece(piece, context) for piece in information]
 
 
-def _kept_piece(given: Any, context: Context) -> dict[str, Any]:
-    known = {"entities", *_ATTRIBUTE_LISTS}
-    if not isinstance(given, Mapping) or not given or not known.issuperset(given):
+def _kept_piece(document: Any, context: Context) -> dict[str, Any]:
+    members = {"entities", *_ATTRIBUTE_LISTS}
+    if not isinstance(document, Mapping) or not document or not members.issuperset(document):
         raise bad_request_data(
-            f"a piece of information has entities, propertyNames or relationshipNames, not {shown(given)}"
+            f"a piece of information has entities, propertyNames or relationshipNames, not {shown(document)}"
         )
     piece = {
-        name: [expand(require_name(one, f"a name in {name}"), context.terms) for one in _list(given, name)]
+        name: [
+            expand(require_name(listed_name, f"a name in {name}"), context.terms)
+            for listed_name in _list(document, name)
+        ]
         for name in _ATTRIBUTE_LISTS
-        if name in given
+        if name in document
     }
-    if "entities" in given:
-        piece["entities"] = [_kept_entity_info(one, context) for one in _list(given, "entities")]
+    if "entities" in document:
+        piece["entities"] = [
+            _kept_entity_info(entity_info, context) for entity_info in _list(document, "entities")
+        ]
     return piece
 
 
-def _list(given: Mapping[str, Any], name: str) -> list[Any]:
-    found = given[name]
-    if not isinstance(found, list) or not found:
-        raise bad_request_data(f'"{name}" is a list with at least one item, not {shown(found)}; leave it out')
-    return found
-
-
-def _kept_entity_info(given: Any, context: Context) -> Any:
-    if not isinstance(given, Mapping) or not {"id", "idPattern", "type"}.issuperset(given):
+def _list(piece: Mapping[str, Any], name: str) -> list[Any]:
+    listed = piece[name]
+    if not isinstance(listed, list) or not listed:
         raise bad_request_data(
-            f"an item of entities has a type and maybe an id or an idPattern, not {shown(given)}"
+            f'"{name}" is a list with at least one item, not {shown(listed)}; leave it out'
         )
-    if "type" not in given:
-        raise bad_request_data(f"{shown(dict(given))} in entities has no type; name the type of the entities")
-    kinds = given["type"] if isinstance(given["type"], list) else [given["type"]]
+    return listed
+
+
+def _kept_entity_info(entity_info: Any, context: Context) -> Any:
+    if not isinstance(entity_info, Mapping) or not {"id", "idPattern", "type"}.issuperset(entity_info):
+        raise bad_request_data(
+            f"an item of entities has a type and maybe an id or an idPattern, not {shown(entity_info)}"
+        )
+    if "type" not in entity_info:
+        raise bad_request_data(
+            f"{shown(dict(entity_info))} in entities has no type; name the type of the entities"
+        )
+    kinds = entity_info["type"] if isinstance(entity_info["type"], list) else [entity_info["type"]]
     types = [expand(require_name(kind, "a type in entities"), context.terms) for kind in kinds]
     if not types:
         raise bad_request_data("the list of types in entities is empty; name at least one")
-    info = {**given, "type": types[0] if len(types) == 1 else types}
+    info = {**entity_info, "type": types[0] if len(types) == 1 else types}
     if "id" in info:
         require_uri(info["id"], "an id in entities")
     return info
 
 
 def _information(stored: Mapping[str, Any]) -> Information:
-    attributes = [name for one in _ATTRIBUTE_LISTS for name in stored.get(one, ())]
+    attributes = [name for member in _ATTRIBUTE_LISTS for name in stored.get(member, ())]
     return Information(
-        tuple(_entity_info(one) for one in stored.get("entities", ())), frozenset(attributes) or None
+        tuple(_entity_info(entity_info) for entity_info in stored.get("entities", ())),
+        frozenset(attributes) or None,
     )
 
 
@@ -215,33 +225,33 @@ def _check_texts(document: Mapping[str, Any]) -> None:
         duration_s(document["refreshRate"], '"refreshRate"')
 
 
-def _mode(given: Any) -> Mode:
+def _mode(text: Any) -> Mode:
     try:
-        return Mode[given.upper()]
+        return Mode[text.upper()]
     except (KeyError, AttributeError):
-        known = ", ".join(one.name.lower() for one in Mode)
-        raise bad_request_data(f'"mode" is one of {known}, not {shown(given)}') from None
+        modes = ", ".join(mode.name.lower() for mode in Mode)
+        raise bad_request_data(f'"mode" is one of {modes}, not {shown(text)}') from None
 
 
-def _operations(given: Any, mode: Mode, *, is_temporal: bool) -> frozenset[str]:
+def _operations(listed: Any, mode: Mode, *, is_temporal: bool) -> frozenset[str]:
     """Return the single operations; the default depends on the mode and on the intervals."""
-    if given is None:
+    if listed is None:
         if mode is Mode.AUXILIARY:
             return names.AUXILIARY_OPERATIONS
         defaults = names.GROUPS[names.DEFAULT_GROUP]
         return defaults | names.TEMPORAL_READING if is_temporal else defaults
-    known = names.NAMES | names.GROUPS.keys()
-    for one in given if isinstance(given, list) else [given]:
-        if not isinstance(one, str) or one not in known:
+    all_names = names.NAMES | names.GROUPS.keys()
+    for name in listed if isinstance(listed, list) else [listed]:
+        if not isinstance(name, str) or name not in all_names:
             raise bad_request_data(
                 f'"operations" is a list of operations and groups such as {", ".join(names.GROUPS)}, '
-                f"which {shown(one)} is not"
+                f"which {shown(name)} is not"
             )
-    if not isinstance(given, list) or not given:
+    if not isinstance(listed, list) or not listed:
         raise bad_request_data(
             '"operations" is a list with at least one operation; leave it out for the default'
         )
-    return names.operations_of(given)
+    return names.operations_of(listed)
 
 
 def _check_mode(mode: Mode, pieces: tuple[Information, ...], operations: frozenset[str]) -> None:
@@ -262,10 +272,10 @@ def _check_mode(mode: Mode, pieces: tuple[Information, ...], operations: frozens
             )
 
 
-def _endpoint(given: Any) -> str:
-    if given is None:
+def _endpoint(url: Any) -> str:
+    if url is None:
         raise bad_request_data('a registration has an "endpoint" such as http://127.0.0.1:1027; add it')
-    uri = require_uri(given, '"endpoint"')
+    uri = require_uri(url, '"endpoint"')
     try:
         parts = urlsplit(uri)
         usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
@@ -278,13 +288,13 @@ def _endpoint(given: Any) -> str:
     return root_of(uri)
 
 
-def _source_info(given: Any) -> tuple[tuple[str, str], ...]:
-    if not isinstance(given, list):
+def _source_info(listed: Any) -> tuple[tuple[str, str], ...]:
+    if not isinstance(listed, list):
         raise bad_request_data(
             'contextSourceInfo is a list of objects such as {"key": "X-Cell", "value": "4"}'
         )
     pairs: list[tuple[str, str]] = []
-    for pair in given:
+    for pair in listed:
         key, value = (pair.get("key"), pair.get("value")) if isinstance(pair, Mapping) else (None, None)
         if not isinstance(key, str) or not isinstance(value, str):
             raise bad_request_data(
@@ -297,25 +307,25 @@ def _source_info(given: Any) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def _scopes(given: Any) -> tuple[str, ...]:
-    return tuple(require_scope(one) for one in (given if isinstance(given, list) else [given]))
+def _scopes(scopes: Any) -> tuple[str, ...]:
+    return tuple(require_scope(scope) for scope in (scopes if isinstance(scopes, list) else [scopes]))
 
 
-def _datasets(given: Any) -> frozenset[str | None] | None:
-    if given is None:
+def _datasets(datasets: Any) -> frozenset[str | None] | None:
+    if datasets is None:
         return None
-    if isinstance(given, list) and not given:
+    if isinstance(datasets, list) and not datasets:
         raise bad_request_data('"datasetId" is a list with at least one datasetId; leave it out for all')
     return frozenset(
-        None if one == DEFAULT_INSTANCE else require_uri(one, "a datasetId of a registration")
-        for one in (given if isinstance(given, list) else [given])
+        None if dataset == DEFAULT_INSTANCE else require_uri(dataset, "a datasetId of a registration")
+        for dataset in (datasets if isinstance(datasets, list) else [datasets])
     )
 
 
-def _place(given: Any, name: str) -> Mapping[str, Any]:
+def _place(place: Any, name: str) -> Mapping[str, Any]:
     """Return a geometry; one wrapped into a GeoProperty is accepted too, as in published examples."""
-    is_wrapped = isinstance(given, Mapping) and given.get("type") == "GeoProperty"
-    geometry = given.get("value") if is_wrapped else given
+    is_wrapped = isinstance(place, Mapping) and place.get("type") == "GeoProperty"
+    geometry = place.get("value") if is_wrapped else place
     fault = fault_of(geometry)
     if fault or not isinstance(geometry, Mapping):
         raise bad_request_data(f'"{name}" of a registration: {fault}')
@@ -323,31 +333,35 @@ def _place(given: Any, name: str) -> Mapping[str, Any]:
 
 
 def _interval(document: Mapping[str, Any], name: str) -> Interval | None:
-    given = document.get(name)
-    if given is None:
+    period = document.get(name)
+    if period is None:
         return None
-    if not isinstance(given, Mapping) or "startAt" not in given or not {"startAt", "endAt"}.issuperset(given):
-        raise bad_request_data(f'"{name}" has a startAt and maybe an endAt, not {shown(given)}')
-    start_s = moment(require_time(given["startAt"], f"startAt of {name}")) or 0.0
+    if (
+        not isinstance(period, Mapping)
+        or "startAt" not in period
+        or not {"startAt", "endAt"}.issuperset(period)
+    ):
+        raise bad_request_data(f'"{name}" has a startAt and maybe an endAt, not {shown(period)}')
+    start_s = moment(require_time(period["startAt"], f"startAt of {name}")) or 0.0
     end_s = float("inf")
-    if "endAt" in given:
-        end_s = moment(require_time(given["endAt"], f"endAt of {name}")) or 0.0
+    if "endAt" in period:
+        end_s = moment(require_time(period["endAt"], f"endAt of {name}")) or 0.0
     if end_s < start_s:
         raise bad_request_data(f'"{name}" ends before it starts; exchange startAt and endAt')
     return start_s, end_s
 
 
-def _management(given: Any) -> Management:
-    known = {"localOnly", "cacheDuration", "timeout", "cooldown"}
-    if not isinstance(given, Mapping) or not known.issuperset(given):
+def _management(management: Any) -> Management:
+    members = {"localOnly", "cacheDuration", "timeout", "cooldown"}
+    if not isinstance(management, Mapping) or not members.issuperset(management):
         raise bad_request_data(
-            f'"management" is an object with {", ".join(sorted(known))}, not {shown(given)}'
+            f'"management" is an object with {", ".join(sorted(members))}, not {shown(management)}'
         )
-    local_only = given.get("localOnly", False)
+    local_only = management.get("localOnly", False)
     if not isinstance(local_only, bool):
         raise bad_request_data(f"management.localOnly is true or false, not {shown(local_only)}")
-    cache = given.get("cacheDuration")
-    timeout_ms, cooldown_ms = (_milliseconds(given, name) for name in ("timeout", "cooldown"))
+    cache = management.get("cacheDuration")
+    timeout_ms, cooldown_ms = (_milliseconds(management, name) for name in ("timeout", "cooldown"))
     return Management(
         local_only=local_only,
         cache_s=0.0 if cache is None else duration_s(cache, "management.cacheDuration"),
@@ -356,8 +370,8 @@ def _management(given: Any) -> Management:
     )
 
 
-def _milliseconds(given: Mapping[str, Any], name: str) -> float | None:
-    value = given.get(name)
+def _milliseconds(management: Mapping[str, Any], name: str) -> float | None:
+    value = management.get(name)
     if value is None:
         return None
     if not isinstance(value, int | float) or isinstance(value, bool) or value <= 0:
@@ -365,10 +379,10 @@ def _milliseconds(given: Mapping[str, Any], name: str) -> float | None:
     return float(value)
 
 
-def _expiry(given: Any) -> float:
-    if given is None:
+def _expiry(text: Any) -> float:
+    if text is None:
         return float("inf")
-    return moment(require_time(given, '"expiresAt"')) or 0.0
+    return moment(require_time(text, '"expiresAt"')) or 0.0
 
 
 def _described(document: Mapping[str, Any], context: Context) -> Entity:

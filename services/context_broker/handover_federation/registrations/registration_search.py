@@ -56,23 +56,26 @@ class Search:
 
 def search_of(parameters: Mapping[str, str], context: Context) -> Search:
     """Return the search in the parameters of GET csourceRegistrations. Empty parameters are ignored."""
-    given = {name: value for name, value in parameters.items() if value}
-    if not any(name in given for name in _ENOUGH):
+    texts = {name: value for name, value in parameters.items() if value}
+    if not any(name in texts for name in _ENOUGH):
         raise bad_request_data(
             f"a search for registrations has at least one of {', '.join(_ENOUGH)}; add one"
         )
-    ids = given.get("id")
+    ids = texts.get("id")
     target = target_for(
-        None if ids is None else ids.split(","), given.get("idPattern"), given.get("type"), context
+        None if ids is None else ids.split(","),
+        texts.get("idPattern"),
+        texts.get("type"),
+        context,
     )
-    attrs = given.get("attrs")
+    attrs = texts.get("attrs")
     names = None if attrs is None else frozenset(_expanded(attrs.split(","), context))
     return Search(
         (EntityTarget(target.ids, target.id_pattern, target.types, names),),
-        tuple(Selection(query=compiled(given[name], context)) for name in ("csf", "q") if name in given),
-        period_of(given),
-        geo_query.geo_query(given, context.terms.expand),
-        scope_query(given["scopeQ"]) if "scopeQ" in given else None,
+        tuple(Selection(query=compiled(texts[name], context)) for name in ("csf", "q") if name in texts),
+        period_of(texts),
+        geo_query.geo_query(texts, context.terms.expand),
+        scope_query(texts["scopeQ"]) if "scopeQ" in texts else None,
     )
 
 
@@ -82,7 +85,7 @@ def target_for(ids: list[str] | None, id_pattern: Any, types: Any, context: Cont
         raise bad_request_data(f"idPattern is text, not {shown(id_pattern)}")
     chosen = None if types is None else type_selection(types, context.terms.expand)
     return EntityTarget(
-        ids=None if ids is None else tuple(require_uri(one, "an id of an entity") for one in ids),
+        ids=None if ids is None else tuple(require_uri(entity_id, "an id of an entity") for entity_id in ids),
         id_pattern=None if id_pattern is None else pattern(id_pattern),
         types=None if chosen is None or chosen.is_every else frozenset(chosen.names()),
     )

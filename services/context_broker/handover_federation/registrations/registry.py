@@ -60,8 +60,8 @@ class Registry:
 
     def get(self, registration_id: str) -> Registration | None:
         """Return a registration unless it has expired."""
-        found = self._all.get(registration_id)
-        return None if found is None or found.has_expired(time.time()) else found
+        registration = self._all.get(registration_id)
+        return None if registration is None or registration.has_expired(time.time()) else registration
 
     def holds(self, registration: Registration) -> bool:
         """Return whether this version of a registration is current, neither changed nor deleted since."""
@@ -107,7 +107,7 @@ class Registry:
             return []
         now_s = time.time()
         names = (operation,) if isinstance(operation, str) else operation
-        found = [
+        matches = [
             Match(candidate, parts)
             for candidate in self._candidates(target)
             if any(candidate.takes(name) for name in names)
@@ -115,7 +115,9 @@ class Registry:
             and (parts := candidate.parts(target))
             and (where is None or where(candidate))
         ]
-        return sorted(found, key=lambda match: (match.registration.mode, self._places[match.registration.id]))
+        return sorted(
+            matches, key=lambda match: (match.registration.mode, self._places[match.registration.id])
+        )
 
     def matching_any(
         self, targets: Sequence[EntityTarget], where: SourceFilter | None = None
@@ -130,9 +132,11 @@ class Registry:
             if candidate.parts(target)
         }
         return [
-            one
-            for one in self._all.values()
-            if one.id in matching_any and not one.has_expired(now_s) and (where is None or where(one))
+            registration
+            for registration in self._all.values()
+            if registration.id in matching_any
+            and not registration.has_expired(now_s)
+            and (where is None or where(registration))
         ]
 
     def conflicting_with(self, registration: Registration) -> Registration | None:
@@ -185,9 +189,9 @@ class Registry:
 
     def restore_attempts(self, registration_id: str, stored: bytes) -> None:
         """Restore the stored counts of a registration."""
-        found = self._all.get(registration_id)
-        if found is not None:
-            attempts, fields = found.attempts, orjson.loads(stored)
+        registration = self._all.get(registration_id)
+        if registration is not None:
+            attempts, fields = registration.attempts, orjson.loads(stored)
             attempts.sent, attempts.failed = fields["sent"], fields["failed"]
             attempts.last_success, attempts.last_failure = fields["lastSuccess"], fields["lastFailure"]
 
@@ -197,17 +201,17 @@ class Registry:
         return time.monotonic() < registration.attempts.cooldown_until_s
 
     def _candidates(self, target: EntityTarget) -> Iterable[Registration]:
-        found: dict[str, Registration] = dict(self._of_anything)
+        candidates: dict[str, Registration] = dict(self._of_anything)
         if target.types is not None:
             for kind in target.types:
-                found.update(self._by_type.get(kind, {}))
+                candidates.update(self._by_type.get(kind, {}))
         elif target.ids is not None:
             for entity_id in target.ids:
-                found.update(self._by_id.get(entity_id, {}))
-            found.update(self._of_groups)
+                candidates.update(self._by_id.get(entity_id, {}))
+            candidates.update(self._of_groups)
         else:
             return self._all.values()
-        return found.values()
+        return candidates.values()
 
     def _index(self, registration: Registration) -> None:
         self._all[registration.id] = registration

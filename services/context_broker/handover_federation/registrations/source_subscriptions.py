@@ -71,7 +71,7 @@ class SourceNotifier(SubscriptionDispatcher):
         """Return the first notices with the same reason, because a notification has one reason for all its
         data."""
         reason = _reason_in(next(iter(notices)))
-        alike = takewhile(lambda one: _reason_in(one[0]) == reason, notices.items())
+        alike = takewhile(lambda keyed_notice: _reason_in(keyed_notice[0]) == reason, notices.items())
         return dict(islice(alike, MAX_ITEMS_PER_NOTIFICATION))
 
     def notification_of(
@@ -149,8 +149,8 @@ def notices_of_all(
     search = search_of(subscription)  # an invalid search is refused, also for a paused subscription
     if not subscription.is_active(time.time()):
         return []
-    found = registry.matching_any(search.targets, search.wants)
-    return _notices(book, subscription, search, found, Reason.NEWLY_MATCHING)
+    registrations = registry.matching_any(search.targets, search.wants)
+    return _notices(book, subscription, search, registrations, Reason.NEWLY_MATCHING)
 
 
 def _reason(*, matched: bool, matches: bool) -> Reason | None:
@@ -163,26 +163,30 @@ def _notices(
     book: SubscriptionDispatcher,
     subscription: Subscription,
     search: Search,
-    found: list[Registration],
+    registrations: list[Registration],
     reason: Reason,
 ) -> list[PendingNotification]:
     now_s = time.time()
     documents = [
         shown_document(
-            one,
+            registration,
             subscription.context,
             sys_attrs=subscription.view.sys_attrs,
-            pieces=one.relevant(search.targets),
+            pieces=registration.relevant(search.targets),
             has_counts=False,  # they change without a notification, and not every subscriber may see them
         )
-        for one in found
+        for registration in registrations
     ]
     if subscription.throttling_s:
         return [
             PendingNotification(
-                book.tenant, subscription.id, f"{reason.value} {one.id}", now_s, orjson.dumps([document])
+                book.tenant,
+                subscription.id,
+                f"{reason.value} {registration.id}",
+                now_s,
+                orjson.dumps([document]),
             )
-            for one, document in zip(found, documents, strict=True)
+            for registration, document in zip(registrations, documents, strict=True)
         ]
     return [
         PendingNotification(

@@ -20,12 +20,12 @@ class SnapshotContent:
     entities: list[Entity] = field(default_factory=list)
     _known: set[str] = field(default_factory=set)
 
-    def add(self, found: Iterable[Entity], attributes: frozenset[str] | None) -> None:
+    def add(self, originals: Iterable[Entity], attributes: frozenset[str] | None) -> None:
         """Add entities with the `attributes` (IRIs, None for all). Their expiry is removed."""
-        for one in found:
-            if one.id not in self._known:
-                self._known.add(one.id)
-                entity = one if attributes is None else select_attributes(one, attributes)
+        for original in originals:
+            if original.id not in self._known:
+                self._known.add(original.id)
+                entity = original if attributes is None else select_attributes(original, attributes)
                 self.entities.append(replace(entity, expires_at=None, rendered={}))
 
     def keep_only(self, count: int) -> None:
@@ -36,7 +36,7 @@ class SnapshotContent:
 
 async def write_content(inner: Tenant, content: SnapshotContent) -> None:
     """Write the content of a snapshot; it becomes visible all at once. Raises `NotStored`."""
-    copies = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
+    copies = [replace(original, seq=inner.store.next_seq(), rendered={}) for original in content.entities]
     for start in range(0, len(copies), ENTITIES_PER_COMMIT):
         rows = {
             copy.seq: EntityRow(inner.name, copy.id, copy.stored())
@@ -55,15 +55,17 @@ def deletion_entries(inner: Tenant, temporal_only: Sequence[tuple[int, str]]) ->
     for start in range(0, len(temporal_only), ENTITIES_PER_COMMIT):
         gone_by = temporal_only[start : start + ENTITIES_PER_COMMIT]
         yield Entries(
-            temporal_only={place: TemporalOnlyRow(inner.name, one, None) for place, one in gone_by},
+            temporal_only={
+                place: TemporalOnlyRow(inner.name, entity_id, None) for place, entity_id in gone_by
+            },
             cleared=[(place, END_OF_TIME) for place, _ in gone_by],
         )
     entities = inner.store.candidates()
     for start in range(0, len(entities), ENTITIES_PER_COMMIT):
         some = entities[start : start + ENTITIES_PER_COMMIT]
         yield Entries(
-            entities={one.seq: EntityRow(inner.name, one.id, None) for one in some},
-            cleared=[(one.seq, END_OF_TIME) for one in some],
+            entities={entity.seq: EntityRow(inner.name, entity.id, None) for entity in some},
+            cleared=[(entity.seq, END_OF_TIME) for entity in some],
         )
     gone: dict[DocumentKey, bytes | None] = dict.fromkeys(inner.federation.document_keys())
     for subscription in inner.notifier.all():

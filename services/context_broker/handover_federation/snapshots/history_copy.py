@@ -27,9 +27,9 @@ async def copy_history(perform: PerformByName, request: RequestContext, inner: T
     """Copy the results of a temporal query (the body of `request`); return its details (clause 5.2.42)."""
     headers = {name: value for name, value in request.headers.items() if name != b"link"}
     writing_headers = {**headers, b"content-type": JSON_LD.encode()}
-    found, is_partial = 0, False
-    while found < MAX_EVOLUTIONS:
-        parameters = {**request.parameters, "limit": str(PAGE), "offset": str(found)}
+    count, is_partial = 0, False
+    while count < MAX_EVOLUTIONS:
+        parameters = {**request.parameters, "limit": str(PAGE), "offset": str(count)}
         asking = {**request.headers, b"accept": JSON_LD.encode()}
         answer = await perform("queryTemporalBatch", derived(request, parameters=parameters, headers=asking))
         if answer.status >= 300:
@@ -42,11 +42,11 @@ async def copy_history(perform: PerformByName, request: RequestContext, inner: T
                 request, tenant=inner, raw=orjson.dumps(subject), parameters={}, headers=writing_headers
             )
             await perform("upsertTemporal", writing)
-        found += len(page)
+        count += len(page)
         if len(page) < PAGE:
             break
     else:
         is_partial = True
     if is_partial:
         return details(Status.PARTIAL)
-    return details(Status.SUCCESS if found else Status.EMPTY)
+    return details(Status.SUCCESS if count else Status.EMPTY)

@@ -80,13 +80,13 @@ class BrokerSnapshots:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        all_of_them, one, clone = "snapshots", "snapshots/{id}", "snapshots/{id}/clone"
+        all_of_them, by_id, clone = "snapshots", "snapshots/{id}", "snapshots/{id}/clone"
         return (
             Operation("POST", all_of_them, "createSnapshot", "6.36.3.1", self.create),
             Operation("DELETE", all_of_them, "purgeSnapshots", "6.36.3.2", self.purge, _PURGE),
-            Operation("GET", one, "retrieveSnapshotStatus", "6.37.3.1", self.retrieve),
-            Operation("PATCH", one, "updateSnapshotStatus", "6.37.3.2", self.update),
-            Operation("DELETE", one, "deleteSnapshot", "6.37.3.3", self.delete),
+            Operation("GET", by_id, "retrieveSnapshotStatus", "6.37.3.1", self.retrieve),
+            Operation("PATCH", by_id, "updateSnapshotStatus", "6.37.3.2", self.update),
+            Operation("DELETE", by_id, "deleteSnapshot", "6.37.3.3", self.delete),
             Operation("POST", clone, "cloneSnapshot", "6.38.3.1", self.clone),
         )
 
@@ -100,11 +100,11 @@ class BrokerSnapshots:
         for stored in journal.documents(kind):
             with isolated(kind.value, stored[0], stored[1], {}):
                 pending.append(restored(*stored))
-        for notification in sorted(pending, key=lambda one: one.at):
+        for notification in sorted(pending, key=lambda pending_notification: pending_notification.at):
             self.notifier.add(notification)
         ids: set[str] = set()
         for tenant in self._tenants:
-            ids.update(inside(tenant.name, one) for one in self._snapshots.of(tenant))
+            ids.update(inside(tenant.name, snapshot_id) for snapshot_id in self._snapshots.of(tenant))
             for snapshot in self._snapshots.of(tenant).values():
                 self._snapshots.schedule_expiry(tenant, snapshot)
         self._creator.fail_interrupted()
@@ -131,29 +131,29 @@ class BrokerSnapshots:
     def _inside(self, request: RequestContext) -> Tenant:
         """Return the tenant with the content of the requested snapshot; raise a problem (404)."""
         tenant = request.tenant
-        found = self._existing(tenant, request.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
-        found.used()
-        if time.monotonic() - found.written_s > USE_WRITE_INTERVAL_S:
-            found.written_s = time.monotonic()
-            tenant.commits.store_later(entries(tenant, found))
-        return self._tenants.inside(tenant, found.id)
+        snapshot = self._existing(tenant, request.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
+        snapshot.used()
+        if time.monotonic() - snapshot.written_s > USE_WRITE_INTERVAL_S:
+            snapshot.written_s = time.monotonic()
+            tenant.commits.store_later(entries(tenant, snapshot))
+        return self._tenants.inside(tenant, snapshot.id)
 
     async def create(self, request: RequestContext) -> Response:
         """POST snapshots."""
-        given, _ = await request.body()
-        snapshot = new_snapshot(_named(given), require_valid(given, has_queries=True))
+        document, _ = await request.body()
+        snapshot = new_snapshot(_named(document), require_valid(document, has_queries=True))
         await self._start(request, snapshot)
-        self._creator.start(request, snapshot, given.get("@context"))
+        self._creator.start(request, snapshot, document.get("@context"))
         return _created(snapshot)
 
     async def clone(self, request: RequestContext) -> Response:
         """POST snapshots/{id}/clone: an independent copy with its own expiry (clause 5.16.2)."""
         original = await self._permitted(request)
-        given = require_valid((await request.body())[0], has_queries=False)
+        document = require_valid((await request.body())[0], has_queries=False)
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
         }
-        snapshot = new_snapshot(_named(given), {**given, **queries})
+        snapshot = new_snapshot(_named(document), {**document, **queries})
         await self._start(request, snapshot)
         self._creator.start_copy(request, original, snapshot)
         return _created(snapshot)
@@ -196,7 +196,9 @@ class BrokerSnapshots:
         context = await request.reader_context()
         wants = purge_filter(request.parameter("q"), context)
         async with self._snapshots.lock:
-            for snapshot in [found for found in self._snapshots.of(request.tenant).values() if wants(found)]:
+            for snapshot in [
+                candidate for candidate in self._snapshots.of(request.tenant).values() if wants(candidate)
+            ]:
                 if await shows_results(request, snapshot.owner):
                     await self._snapshots.remove(request.tenant, snapshot)
         return _DONE
@@ -217,26 +219,26 @@ class BrokerSnapshots:
 
     async def _permitted(self, request: RequestContext) -> Snapshot:
         """Return the snapshot that is named; raise a problem (403) if its results are not for the caller."""
-        found = self._existing(request.tenant, request.names[0])
-        if not await shows_results(request, found.owner):
+        snapshot = self._existing(request.tenant, request.names[0])
+        if not await shows_results(request, snapshot.owner):
             raise not_allowed(request.caller, Permission.READ_HEALTH_DATA)
-        return found
+        return snapshot
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")
         reason = self._snapshots.unusable.get(tenant.name, {}).get(snapshot_id)
         if reason is not None:
             raise is_unusable("snapshot", snapshot_id, reason)
-        found = self._snapshots.of(tenant).get(snapshot_id)
-        if found is None or found.expires_s <= time.time():
+        snapshot = self._snapshots.of(tenant).get(snapshot_id)
+        if snapshot is None or snapshot.expires_s <= time.time():
             raise not_found(
                 f"there is no snapshot {snapshot_id}, or it has expired; create one with POST snapshots"
             )
-        return found
+        return snapshot
 
 
-def _named(given: Any) -> str:
-    named = given.get("id") if isinstance(given, Mapping) else None
+def _named(document: Any) -> str:
+    named = document.get("id") if isinstance(document, Mapping) else None
     return named if isinstance(named, str) else f"urn:ngsi-ld:Snapshot:{uuid4()}"
 
 

@@ -130,19 +130,19 @@ def restored(snapshot_id: str, body: bytes) -> Snapshot:
     return snapshot
 
 
-def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
+def new_snapshot(snapshot_id: str, members: Mapping[str, Any]) -> Snapshot:
     """Return a new snapshot with the given members and the status `preparing`."""
     now = datetime.now(UTC)
     at = timestamp(now)
     document = {
         "id": snapshot_id,
         "type": TYPE,
-        **{name: given[name] for name in (*QUERIES, *sorted(SETTABLE)) if given.get(name) is not None},
+        **{name: members[name] for name in (*QUERIES, *sorted(SETTABLE)) if members.get(name) is not None},
         "snapshotStatus": Status.PREPARING.value,
         "createdAt": at,
         "modifiedAt": at,
         "lastUsedAt": at,
-        "expiresAt": expiry_of(now, given.get("snapshotLifetime")),
+        "expiresAt": expiry_of(now, members.get("snapshotLifetime")),
     }
     document.setdefault("snapshotPriority", DEFAULT_PRIORITY)
     return Snapshot(snapshot_id, document)
@@ -155,29 +155,29 @@ def expiry_of(start: datetime, lifetime: str | None) -> str:
     return timestamp(datetime.fromtimestamp(start.timestamp() + lasts_s, UTC))
 
 
-def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
+def require_valid(document: Any, *, has_queries: bool) -> Mapping[str, Any]:
     """Return the document of a new snapshot; raise a problem (400) if it is invalid."""
-    if not isinstance(given, Mapping):
-        raise bad_request_data(f"a snapshot is a JSON object, not {shown(given)}")
-    if given.get("type", TYPE) != TYPE:
-        raise bad_request_data(f'the type of a snapshot is "{TYPE}", not {shown(given["type"])}')
-    refuse_null(given, "a snapshot")
-    if "id" in given and not require_uri(given["id"], "the snapshot id").isascii():
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f"a snapshot is a JSON object, not {shown(document)}")
+    if document.get("type", TYPE) != TYPE:
+        raise bad_request_data(f'the type of a snapshot is "{TYPE}", not {shown(document["type"])}')
+    refuse_null(document, "a snapshot")
+    if "id" in document and not require_uri(document["id"], "the snapshot id").isascii():
         raise bad_request_data("the id of a snapshot is used in headers; use ASCII characters")
     allowed = SETTABLE | {"id", "type", "@context"} | (set(QUERIES) if has_queries else set())
-    _check_members(given, allowed)
+    _check_members(document, allowed)
     if has_queries:
-        _check_queries(given)
-    return kept_members(given, {}, *SECRETS)
+        _check_queries(document)
+    return kept_members(document, {}, *SECRETS)
 
 
-def require_valid_change(given: Any) -> Mapping[str, Any]:
+def require_valid_change(document: Any) -> Mapping[str, Any]:
     """Return the document of a change; raise a problem (400) if it is invalid."""
-    if not isinstance(given, Mapping):
-        raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(given)}")
-    refuse_null(given, "a snapshot", deleting=1)
-    _check_members(without_null(given), SETTABLE | {"@context", "type"})
-    return given
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(document)}")
+    refuse_null(document, "a snapshot", deleting=1)
+    _check_members(without_null(document), SETTABLE | {"@context", "type"})
+    return document
 
 
 def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
 
 def status_of(results: list[dict[str, Any]]) -> Status:
     """Return the status of a snapshot with these query results (clause 5.16.1.4)."""
-    seen = {one["resultStatus"] for one in results}
+    seen = {detail["resultStatus"] for detail in results}
     if len(seen) == 1:
         return Status(seen.pop())
     if Status.FAILURE in seen or Status.PARTIAL in seen:
@@ -198,24 +198,24 @@ def status_of(results: list[dict[str, Any]]) -> Status:
     return Status.SUCCESS
 
 
-def _check_members(given: Mapping[str, Any], allowed: set[str] | frozenset[str]) -> None:
-    for name in given:
+def _check_members(document: Mapping[str, Any], allowed: set[str] | frozenset[str]) -> None:
+    for name in document:
         if name not in allowed:
             why = "is set by the broker" if name in MEMBERS else "is no member of a snapshot"
             raise bad_request_data(f"{shown(name)} {why}; leave it out")
-    priority = given.get("snapshotPriority", DEFAULT_PRIORITY)
+    priority = document.get("snapshotPriority", DEFAULT_PRIORITY)
     if not isinstance(priority, int) or isinstance(priority, bool) or not 1 <= priority <= 10:
         raise bad_request_data(f'"snapshotPriority" is a whole number from 1 to 10, not {shown(priority)}')
-    if given.get("snapshotLifetime") is not None:
-        duration_s(given["snapshotLifetime"], '"snapshotLifetime"')
-    if given.get("endpoint") is not None:
-        _check_endpoint(given["endpoint"])
-    pairs = given.get("receiverInfo") or []
+    if document.get("snapshotLifetime") is not None:
+        duration_s(document["snapshotLifetime"], '"snapshotLifetime"')
+    if document.get("endpoint") is not None:
+        _check_endpoint(document["endpoint"])
+    pairs = document.get("receiverInfo") or []
     if not isinstance(pairs, list):
         raise bad_request_data('receiverInfo is a list of objects such as {"key": "X-Cell", "value": "4"}')
     for pair in pairs:
         values = [pair.get("key"), pair.get("value")] if isinstance(pair, Mapping) else [None]
-        if not all(isinstance(one, str) and one.isascii() and one.isprintable() for one in values):
+        if not all(isinstance(text, str) and text.isascii() and text.isprintable() for text in values):
             raise bad_request_data(
                 f'each receiverInfo has a "key" and a "value" of plain text, not {shown(pair)}'
             )
@@ -223,24 +223,26 @@ def _check_members(given: Mapping[str, Any], allowed: set[str] | frozenset[str])
             raise bad_request_data(f"receiverInfo {shown(values[0])} cannot be an HTTP header")
 
 
-def _check_endpoint(given: Any) -> None:
+def _check_endpoint(endpoint: Any) -> None:
     try:
-        parts = urlsplit(require_uri(given, '"endpoint"'))
+        parts = urlsplit(require_uri(endpoint, '"endpoint"'))
         usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
     except ValueError:
         usable = False
-    if not usable or not given.isascii():
+    if not usable or not endpoint.isascii():
         raise bad_request_data(
-            f'"endpoint" is an address such as http://127.0.0.1:9000/ready, not {shown(given)}'
+            f'"endpoint" is an address such as http://127.0.0.1:9000/ready, not {shown(endpoint)}'
         )
 
 
-def _check_queries(given: Mapping[str, Any]) -> None:
-    if not any(given.get(name) for name in QUERIES):
+def _check_queries(document: Mapping[str, Any]) -> None:
+    if not any(document.get(name) for name in QUERIES):
         raise bad_request_data('a snapshot has "snapshotQueries" or "snapshotTemporalQueries"; add one')
     for name in QUERIES:
-        queries = given.get(name, [])
-        if not isinstance(queries, list) or not all(isinstance(one, Mapping) for one in queries):
+        queries = document.get(name, [])
+        if not isinstance(queries, list) or not all(
+            isinstance(stored_query, Mapping) for stored_query in queries
+        ):
             raise bad_request_data(f'"{name}" is a list of Query objects, not {shown(queries)}')
         for query in queries:
             if ("temporalQ" in query) is not (name == QUERIES[1]):

@@ -156,7 +156,7 @@ class SnapshotCreator:
     async def _finish(
         self, tenant: Tenant, snapshot: Snapshot, results: Mapping[str, list[dict[str, Any]]]
     ) -> None:
-        status = status_of([one for several in results.values() for one in several])
+        status = status_of([detail for several in results.values() for detail in several])
         async with self._snapshots.lock:
             now = self._snapshots.of(tenant).get(snapshot.id)
             if now is None:  # deleted during its creation

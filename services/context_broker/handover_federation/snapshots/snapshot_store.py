@@ -101,7 +101,9 @@ class SnapshotStore:
         temporal_only = await asyncio.to_thread(
             lambda: list(inner.notifier.journal.archive.temporal_only_entities(inner.name))
         )
-        for deletions in deletion_entries(inner, [(place, one) for place, one, _ in temporal_only]):
+        for deletions in deletion_entries(
+            inner, [(place, entity_id) for place, entity_id, _ in temporal_only]
+        ):
             await _write(inner, deletions)
         if inner.is_kept:
             await _write(inner, Entries(documents={(DocumentKind.TENANT, DEFAULT, inner.name): None}))
@@ -116,8 +118,10 @@ class SnapshotStore:
 
     async def evict_for(self, tenant: Tenant, snapshot: Snapshot, more: int) -> None:
         """Evict snapshots so that another can have so many entities."""
-        others = [one for one in _by_worth(self.of(tenant).values()) if one.id != snapshot.id]
-        sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
+        others = [
+            candidate for candidate in _by_worth(self.of(tenant).values()) if candidate.id != snapshot.id
+        ]
+        sizes = [len(self._tenants.inside(tenant, candidate.id).store) for candidate in others]
         held, gone = more + sum(sizes), 0
         while held > MAX_TOTAL_ENTITIES and gone < len(others):
             held -= sizes[gone]
@@ -140,7 +144,7 @@ def _by_worth(snapshots: Iterable[Snapshot]) -> list[Snapshot]:
     """Return the snapshots in the order of eviction."""
     return sorted(
         snapshots,
-        key=lambda one: (one.document["snapshotPriority"], one.document["lastUsedAt"]),
+        key=lambda snapshot: (snapshot.document["snapshotPriority"], snapshot.document["lastUsedAt"]),
     )
 
 

@@ -264,7 +264,7 @@ def _body(registration: Registration, source_request: SourceRequest) -> bytes:
 
 def _with_context(document: Any, context: Any) -> Any:
     if isinstance(document, list):
-        return [_with_context(one, context) for one in document]
+        return [_with_context(part, context) for part in document]
     return {"@context": context, **document} if isinstance(document, dict) else document
 
 
@@ -300,7 +300,7 @@ _TOKEN: Final = frozenset("!#$%&'*+-.^_`|~0123456789abcdefghijklmnopqrstuvwxyzAB
 def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
     """Return a document with its names in `context` translated to the dialect, without @context."""
     if isinstance(document, list):
-        return [in_dialect(one, context, dialect) for one in document]
+        return [in_dialect(part, context, dialect) for part in document]
     without_context = {name: value for name, value in document.items() if name != "@context"}
     return (
         without_context

@@ -41,7 +41,7 @@ def older(document: Any, version: str) -> Any:
     if at is None or at >= conformance.OURS:
         return document
     if isinstance(document, list):
-        return [older(one, version) for one in document]
+        return [older(part, version) for part in document]
     if not isinstance(document, dict) or document.get("type") in {"Query", "Subscription"}:
         return _older_question(document, at) if isinstance(document, dict) else document
     if "id" in document and "type" in document:
@@ -71,15 +71,17 @@ _PART: Final = "part"
 
 def _terms(value: Any, before: Terms, after: Terms) -> Any:
     if isinstance(value, list):
-        return [_terms(one, before, after) for one in value]
+        return [_terms(part, before, after) for part in value]
     if not isinstance(value, str) or value in _KINDS:
         return value
     return after.compact(before.expand(value))
 
 
 def _attribute(value: Any, before: Terms, after: Terms) -> Any:
-    if isinstance(value, list) and all(isinstance(one, dict) and one.get("type") in _KINDS for one in value):
-        return [_attribute(one, before, after) for one in value]
+    if isinstance(value, list) and all(
+        isinstance(instance, dict) and instance.get("type") in _KINDS for instance in value
+    ):
+        return [_attribute(instance, before, after) for instance in value]
     if isinstance(value, dict) and (value.get("type") in _KINDS or not _KEYS.isdisjoint(value)):
         return translated(value, before, after)
     return value

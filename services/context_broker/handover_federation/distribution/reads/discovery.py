@@ -88,7 +88,7 @@ async def type_details(sources: Sources, request: RequestContext, perform: Perfo
     body = orjson.loads(response.body)
     if not documents or not isinstance(body, dict):
         return response
-    details = {one["id"]: one for one in body["attributeDetails"]}
+    details = {attribute["id"]: attribute for attribute in body["attributeDetails"]}
     for registration, dialect, document in documents:
         body["entityCount"] += _count(document, "entityCount")
         details_there = document.get("attributeDetails")
@@ -154,28 +154,30 @@ async def _list(
     return _add_names(response, listed, documents, context)
 
 
-def _visible(request: RequestContext, listed: _SourceListing, given: SourceDocument) -> SourceDocument:
+def _visible(request: RequestContext, listed: _SourceListing, answer: SourceDocument) -> SourceDocument:
     """Return the entries of a source (with details) without the types that the client may not see."""
-    registration, dialect, document = given
+    registration, dialect, document = answer
     if request.tenant.store.may_see_private(somewhere=False):
-        return given
+        return answer
     expand, names = dialect.context.terms.expand, listed.names
     if names is TYPES:
-        entries = [one for one in document if is_listed(request, _iri(one, names.name, dialect) or "")]
+        entries = [
+            detail for detail in document if is_listed(request, _iri(detail, names.name, dialect) or "")
+        ]
         return registration, dialect, entries
     entries = []
     for entry in document:
         there = _texts(entry.get(names.related))
-        some = [one for one in there if is_listed(request, expand(one))]
+        some = [name for name in there if is_listed(request, expand(name))]
         if some:
             entries.append({**entry, names.related: some})
     return registration, dialect, entries
 
 
-def _as_list(listed: _SourceListing, given: SourceDocument) -> SourceDocument:
+def _as_list(listed: _SourceListing, answer: SourceDocument) -> SourceDocument:
     """Return the plain list of names in the entries of a source."""
-    registration, dialect, entries = given
-    return registration, dialect, {listed.names.member: [one.get(listed.names.name) for one in entries]}
+    registration, dialect, entries = answer
+    return registration, dialect, {listed.names.member: [detail.get(listed.names.name) for detail in entries]}
 
 
 async def _query_sources(
@@ -212,14 +214,14 @@ async def _query_sources(
         return None
 
     matches = sources.unvisited(sources.registry.matching(operation, target))
-    found = await gather_all(*(ask(match.registration) for match in matches))
-    return [one for one in found if one is not None]
+    documents = await gather_all(*(ask(match.registration) for match in matches))
+    return [document for document in documents if document is not None]
 
 
 def _has_expected_shape(document: Any, *, details: bool) -> bool:
     """Return whether a document has the shape of a discovery response."""
     if details:
-        return isinstance(document, list) and all(isinstance(one, dict) for one in document)
+        return isinstance(document, list) and all(isinstance(detail, dict) for detail in document)
     return isinstance(document, dict) and any(isinstance(document.get(name), list) for name in _LISTS)
 
 
@@ -241,14 +243,14 @@ def _add_names(
     """Add the types or attributes of sources to a plain list."""
     member = listed.names.member
     body = orjson.loads(response.body)
-    known = {context.terms.expand(one) for one in body[member]}
+    listed_iris = {context.terms.expand(name) for name in body[member]}
     there = {
         iri
         for registration, dialect, document in documents
         for iri in map(dialect.context.terms.expand, _texts(document.get(member)))
         if listed.is_registered(registration, iri)
     }
-    iris = sorted(known | there)
+    iris = sorted(listed_iris | there)
     body[member] = [context.terms.compact(iri) for iri in iris]
     return _counted(response, body, len(iris))
 
@@ -258,15 +260,15 @@ def _add_entries(
 ) -> Response:
     """Add the entries of sources to a detailed list."""
     body = orjson.loads(response.body)
-    known = {one["id"]: one for one in body}
+    by_id = {detail["id"]: detail for detail in body}
     shape = {"@context": context.document} if body and "@context" in body[0] else {}
     related = listed.names.related
     for source_document in documents:
         for iri, others in _entries(source_document, listed):
             fresh = {**shape, **entry_document(listed.names, iri, (), context)}
-            own = known.setdefault(iri, fresh)
-            own[related] = _union(own[related], [context.terms.compact(one) for one in others])
-    return _counted(response, [known[iri] for iri in sorted(known)], len(known))
+            own = by_id.setdefault(iri, fresh)
+            own[related] = _union(own[related], [context.terms.compact(name) for name in others])
+    return _counted(response, [by_id[iri] for iri in sorted(by_id)], len(by_id))
 
 
 def _counted(response: Response, body: Any, count: int) -> Response:
@@ -296,7 +298,7 @@ def _entries(source_document: SourceDocument, listed: _SourceListing) -> Iterabl
         iri = _iri(entry, listed.names.name, dialect)
         if iri is not None and listed.is_registered(registration, iri):
             others = [dialect.context.terms.expand(text) for text in _texts(entry.get(listed.names.related))]
-            yield iri, [one for one in others if listed.is_related_registered(registration, one)]
+            yield iri, [name for name in others if listed.is_related_registered(registration, name)]
 
 
 def _iri(document: Any, name: str, dialect: SourceDialect) -> str | None:
@@ -314,8 +316,8 @@ def _count(document: Mapping[str, Any], member: str) -> int:
     return documents if isinstance(documents, int) and not isinstance(documents, bool) else 0
 
 
-def _texts(given: Any) -> list[str]:
-    return [one for one in given if isinstance(one, str)] if isinstance(given, list) else []
+def _texts(texts: Any) -> list[str]:
+    return [text for text in texts if isinstance(text, str)] if isinstance(texts, list) else []
 
 
 def _union(own: list[str], others: Any) -> list[str]:

@@ -65,11 +65,11 @@ def queryable_matches(
 ) -> list[Match]:
     """Return the matches whose sources can be queried for entities, or take the operation `or_takes`."""
     operations = MANY if or_takes is None else (*MANY, or_takes)
-    found = sources.unvisited(sources.registry.matching(operations, target, where), uses_map=uses_map)
+    candidates = sources.unvisited(sources.registry.matching(operations, target, where), uses_map=uses_map)
     return [
-        one
-        for one in found
-        if is_queryable(one) or (or_takes is not None and one.registration.takes(or_takes))
+        match
+        for match in candidates
+        if is_queryable(match) or (or_takes is not None and match.registration.takes(or_takes))
     ]
 
 
@@ -85,8 +85,8 @@ async def fetch_entity(
     """Read one entity from a source."""
     registration = match.registration
     if not registration.takes("retrieveEntity"):
-        found = Match(registration, tuple(replace(part, ids=(entity_id,)) for part in match.parts))
-        await fetch_entities(sources, found, {}, context, into, is_split=True)
+        narrowed_match = Match(registration, tuple(replace(part, ids=(entity_id,)) for part in match.parts))
+        await fetch_entities(sources, narrowed_match, {}, context, into, is_split=True)
         return
     try:
         dialect = await sources.forwarder.dialect(registration, context, body=None)
@@ -118,13 +118,13 @@ async def fetch_entities(
     if operation == "retrieveEntity":
         for start in range(0, len(match.ids or ()), MAX_CONCURRENT_REQUESTS):
             some = (match.ids or ())[start : start + MAX_CONCURRENT_REQUESTS]
-            await gather_all(*(fetch_entity(sources, match, one, context, into) for one in some))
+            await gather_all(*(fetch_entity(sources, match, entity_id, context, into) for entity_id in some))
         return
     body = JSON if operation == "queryBatch" else None
     try:
         dialect = await sources.forwarder.dialect(registration, context, body=body)
-        for given in narrowed(match, parameters, context, dialect, is_split=is_split):
-            async for entities in _pages(sources, registration, dialect, given, operation):
+        for piece in narrowed(match, parameters, context, dialect, is_split=is_split):
+            async for entities in _pages(sources, registration, dialect, piece, operation):
                 into.add(registration, entities)
     except SourceError as error:
         sources.add_error(error)
@@ -136,7 +136,7 @@ async def _pages(
     sources: Sources,
     registration: Registration,
     dialect: SourceDialect,
-    given: list[tuple[str, str]],
+    parameters: list[tuple[str, str]],
     operation: str,
 ) -> AsyncIterator[list[Entity]]:
     """Yield the entities in all pages of a source's response."""
@@ -148,7 +148,7 @@ async def _pages(
             sources.add_warning(SILENT, f"{registration.shown} takes too long to return all its entities")
             return
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
-        paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
+        paged = [*parameters, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
         try:
             source_request = _question(operation, dialect, paged)
             response = await _query_source_by_map(sources, registration, source_request)
@@ -161,9 +161,9 @@ async def _pages(
             return
         entities = await read_entities(sources, registration, response, dialect)
         yield entities
-        known = len(seen)
+        count_before = len(seen)
         seen.update(entity.id for entity in entities)
-        if len(seen) == known:  # a source that ignores offset returns the same page again
+        if len(seen) == count_before:  # a source that ignores offset returns the same page again
             return
         if len(entities) < limit and not _NEXT.search(response.headers.get("link", "")):
             return
@@ -220,19 +220,22 @@ def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str
     """Return query parameters as the request that the source takes."""
     if operation == "queryEntity":
         return SourceRequest("GET", "entities", dialect, tuple(parameters))
-    given = dict(parameters)
-    selector = {name: given[name] for name in ("type", "idPattern") if name in given}
-    ids = given["id"].split(",") if "id" in given else []
-    entities = [{"id": one, **selector} for one in ids] or ([selector] if selector else [])
+    texts = dict(parameters)
+    selector = {name: texts[name] for name in ("type", "idPattern") if name in texts}
+    ids = texts["id"].split(",") if "id" in texts else []
+    entities = [{"id": entity_id, **selector} for entity_id in ids] or ([selector] if selector else [])
     document: dict[str, Any] = {"type": "Query", **({"entities": entities} if entities else {})}
     for name in ("attrs", "expandValues", "jsonKeys"):
-        if name in given:
-            document[name] = given[name].split(",")
-    document |= {name: given[name] for name in FORWARDED_TEXTS if name in given}
-    if "georel" in given:
-        coordinates = orjson.loads(given["coordinates"])
-        document["geoQ"] = {"coordinates": coordinates, **{one: given[one] for one in _GEO if one in given}}
-    rest = tuple((name, given[name]) for name in ("options", "limit", "offset") if name in given)
+        if name in texts:
+            document[name] = texts[name].split(",")
+    document |= {name: texts[name] for name in FORWARDED_TEXTS if name in texts}
+    if "georel" in texts:
+        coordinates = orjson.loads(texts["coordinates"])
+        document["geoQ"] = {
+            "coordinates": coordinates,
+            **{member: texts[member] for member in _GEO if member in texts},
+        }
+    rest = tuple((name, texts[name]) for name in ("options", "limit", "offset") if name in texts)
     return SourceRequest("POST", "entityOperations/query", dialect, rest, document)
 
 

@@ -89,9 +89,9 @@ class EntityMapCollector:
                 return
         if is_queryable(match) and (not is_listed or _needs_entities(registration, parameters, is_split)):
             self.listed.entities = {
-                one: rest
-                for one, who_has in self.listed.entities.items()
-                if (rest := [each for each in who_has if each != registration.id])
+                entity_id: rest
+                for entity_id, who_has in self.listed.entities.items()
+                if (rest := [holder for holder in who_has if holder != registration.id])
             }  # the ids in the map are candidates; the entities that are read decide
             await fetch_entities(self._sources, match, parameters, self._context, into, is_split=is_split)
 
@@ -171,7 +171,11 @@ class EntityMapCollector:
                 if isinstance(document, dict)
                 and self._is_visible(registration, str(document.get("id")), types_in(document, names) or ())
             }
-            fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
+            fresh = [
+                listed_id
+                for listed_id in ids
+                if isinstance(listed_id, str) and self._is_new(listed_id, registration)
+            ]
             for entity_id in sorted(fresh):
                 self.listed.entities.setdefault(entity_id, []).append(registration.id)
             if not fresh or len(documents) < _PAGE:
@@ -203,9 +207,9 @@ async def map_temporal(sources: Sources, request: RequestContext, perform: Perfo
     asking = []
     for question in questions:
         target, where = target_of(question, context, None)
-        found = sources.registry.matching((CREATE_TEMPORAL_MAP, "queryTemporal"), target, where)
-        refuse_order(question, sources.unvisited(found, uses_map=False))
-        asking += [map_collector.collect_temporal(match, question) for match in sources.unvisited(found)]
+        matches = sources.registry.matching((CREATE_TEMPORAL_MAP, "queryTemporal"), target, where)
+        refuse_order(question, sources.unvisited(matches, uses_map=False))
+        asking += [map_collector.collect_temporal(match, question) for match in sources.unvisited(matches)]
     if not asking:
         return await perform(request)
     local = {**request.parameters, "local": "true"}

@@ -155,17 +155,19 @@ async def _query(
     if not requests and not wants_links:
         return await perform(request)
     await gather_all(*requests)
-    ids = None if any(one.ids is None for one in wanted) else [i for one in wanted for i in one.ids or ()]
+    ids = None if any(part.ids is None for part in wanted) else [i for part in wanted for i in part.ids or ()]
     types = (
-        None if any(one.types is None for one in wanted) else [t for one in wanted for t in one.types or ()]
+        None
+        if any(part.types is None for part in wanted)
+        else [t for part in wanted for t in part.types or ()]
     )
     store = request.tenant.store
     claims = [registration for registration in registrations.values() if registration.mode.is_proxied]
     touched = set(collector.fragments)
     if claims or wants_links:
         own = store.candidates(ids, None if types is None else of_types(types))
-        touched |= {one.id for one in (own if claims else own[:MAX_LINKING_ENTITIES])}
-    others = {one: collector.entity(store.get(one), one, claims) for one in touched}
+        touched |= {entity_id.id for entity_id in (own if claims else own[:MAX_LINKING_ENTITIES])}
+    others = {entity_id: collector.entity(store.get(entity_id), entity_id, claims) for entity_id in touched}
     await _add_linked(sources, request, context, others)
     overlay_store = store.overlay(ids, None if ids is not None else types, others)
     overlay_store.origins = collector.origins(store)
@@ -186,10 +188,10 @@ async def _add_linked(
     4.5.23)."""
     if not _wants_links(request):
         return
-    given = request.parameter("joinLevel") or "1"
-    levels = min(int(given), MAX_LEVELS) if given.isascii() and given.isdecimal() else 1
+    level = request.parameter("joinLevel") or "1"
+    levels = min(int(level), MAX_LEVELS) if level.isascii() and level.isdecimal() else 1
     store = request.tenant.store
-    edge = [one for one in others.values() if one is not None]
+    edge = [entity for entity in others.values() if entity is not None]
     for _ in range(levels):
         ids = [entity_id for entity_id in dict.fromkeys(_objects(edge)) if entity_id not in others]
         if not ids:
@@ -201,9 +203,11 @@ async def _add_linked(
             *(fetch_entities(sources, match, {}, context, collector, is_split=True) for match in matches)
         )
         proxied = [match.registration for match in matches if match.registration.mode.is_proxied]
-        found = {one: collector.entity(store.get(one), one, proxied) for one in ids}
-        edge = [one for one in found.values() if one is not None]
-        others.update({one.id: one for one in edge})
+        collected = {
+            entity_id: collector.entity(store.get(entity_id), entity_id, proxied) for entity_id in ids
+        }
+        edge = [entity for entity in collected.values() if entity is not None]
+        others.update({entity.id: entity for entity in edge})
 
 
 def _objects(entities: Iterable[Entity]) -> Iterable[str]:
@@ -212,9 +216,9 @@ def _objects(entities: Iterable[Entity]) -> Iterable[str]:
             for instance in instances:
                 value = instance.get("object")
                 yield from value if isinstance(value, list) else [value] if isinstance(value, str) else ()
-                for one in instance.get("objectList") or ():
-                    if isinstance(one, dict) and isinstance(one.get("object"), str):
-                        yield one["object"]
+                for target in instance.get("objectList") or ():
+                    if isinstance(target, dict) and isinstance(target.get("object"), str):
+                        yield target["object"]
 
 
 def _over(request: RequestContext, overlay_store: Any) -> RequestContext:

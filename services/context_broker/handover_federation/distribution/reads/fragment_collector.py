@@ -36,9 +36,9 @@ class FragmentCollector:
         """Return the registrations that returned each entity; `@none` is the broker itself (clause
         5.2.39)."""
         return {
-            one: ([] if store.get(one) is None else ["@none"])
+            entity_id: ([] if store.get(entity_id) is None else ["@none"])
             + list(dict.fromkeys(fragment.rank[1] for fragment in fragments))
-            for one, fragments in self.fragments.items()
+            for entity_id, fragments in self.fragments.items()
         }
 
     def entity(self, own: Entity | None, entity_id: str, proxied: list[Registration]) -> Entity | None:
@@ -50,7 +50,11 @@ class FragmentCollector:
         if own is not None:
             fragments.append(Fragment(own, (0, "")))
         if own is not None:
-            proxied = [one for one in proxied if self.admission.admits(one, own.id, own.types)]
+            proxied = [
+                registration
+                for registration in proxied
+                if self.admission.admits(registration, own.id, own.types)
+            ]
         if proxied:
             fragments = [
                 Fragment(left, fragment.rank, fragment.fills_gaps)

@@ -38,11 +38,13 @@ def merged(fragments: Iterable[Fragment]) -> Entity:
     if len(ordered) == 1:
         return ordered[0].entity
     first = ordered[0].entity
-    primary = [one for one in ordered if not one.fills_gaps]
+    primary = [fragment for fragment in ordered if not fragment.fills_gaps]
     attributes = _merged_attributes(primary)
-    for name, instances in _merged_attributes(one for one in ordered if one.fills_gaps).items():
+    for name, instances in _merged_attributes(
+        fragment for fragment in ordered if fragment.fills_gaps
+    ).items():
         attributes.setdefault(name, instances)
-    entities = [one.entity for one in ordered]
+    entities = [fragment.entity for fragment in ordered]
     return Entity(
         first.id,
         tuple(dict.fromkeys(kind for entity in entities for kind in entity.types)),
@@ -64,8 +66,8 @@ def without_expired(document: Any, now_s: float) -> Any:
         return None
     valid: dict[str, Any] = {}
     for name, value in document.items():
-        if isinstance(value, list) and any(_is_over(one, now_s) for one in value):
-            valid[name] = [one for one in value if not _is_over(one, now_s)]
+        if isinstance(value, list) and any(_is_over(instance, now_s) for instance in value):
+            valid[name] = [instance for instance in value if not _is_over(instance, now_s)]
         elif name in _NO_ATTRIBUTES or not _is_over(value, now_s):
             valid[name] = value
     return {name: value for name, value in valid.items() if value != [] or document[name] == []}
@@ -87,9 +89,9 @@ def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
     change = read_entity({name: value for name, value in document.items() if name != "@context"}, terms)
     entity_id = change.id or ""
     attributes = dict(change.attributes)
-    for name, given in document.items():
+    for name, attribute in document.items():
         if name not in _NO_ATTRIBUTES and (iri := expand(name, terms)) in attributes:
-            attributes[iri] = _with_times(attributes[iri], given)
+            attributes[iri] = _with_times(attributes[iri], attribute)
     now = timestamp_now()
     created = _time(document.get("createdAt")) or now
     return Entity(
@@ -109,20 +111,20 @@ _NO_ATTRIBUTES: Final = frozenset(
 )
 
 
-def _with_times(instances: list[Instance], given: Any) -> list[Instance]:
-    value = given if isinstance(given, list) else [given]
+def _with_times(instances: list[Instance], attribute: Any) -> list[Instance]:
+    value = attribute if isinstance(attribute, list) else [attribute]
     if len(value) != len(instances):
         return instances
     return [
-        {**instance, **{name: one[name] for name in _TIMES if _time(one.get(name))}}
-        if isinstance(one, Mapping)
+        {**instance, **{name: part[name] for name in _TIMES if _time(part.get(name))}}
+        if isinstance(part, Mapping)
         else instance
-        for instance, one in zip(instances, value, strict=True)
+        for instance, part in zip(instances, value, strict=True)
     ]
 
 
-def _time(given: Any) -> str | None:
-    return given if isinstance(given, str) and moment(given) is not None else None
+def _time(text: Any) -> str | None:
+    return text if isinstance(text, str) and moment(text) is not None else None
 
 
 def _strength(fragment: Fragment) -> tuple[bool, tuple[int, str], bytes]:
@@ -133,13 +135,13 @@ def _merged_attributes(fragments: Iterable[Fragment]) -> Attributes:
     best: dict[str, dict[str | None, tuple[Any, Instance]]] = {}
     for fragment in fragments:
         for name, instances in fragment.entity.attributes.items():
-            found = best.setdefault(name, {})
+            by_dataset = best.setdefault(name, {})
             for instance in instances:
                 dataset = dataset_of(instance)
                 age = _age(instance)
-                if dataset not in found or age > found[dataset][0]:
-                    found[dataset] = age, instance
-    return {name: [instance for _, instance in found.values()] for name, found in best.items()}
+                if dataset not in by_dataset or age > by_dataset[dataset][0]:
+                    by_dataset[dataset] = age, instance
+    return {name: [instance for _, instance in by_dataset.values()] for name, by_dataset in best.items()}
 
 
 def _age(instance: Instance) -> tuple[float, float]:

@@ -62,16 +62,16 @@ async def read_entities(
 ) -> list[Entity]:
     """Return the entities in a response; raises `SourceError` (111) if it is not NGSI-LD."""
     try:
-        found = orjson.loads(response.body) if response.body else ({} if single else [])
-        documents = [found] if single else found
+        body = orjson.loads(response.body) if response.body else ({} if single else [])
+        documents = [body] if single else body
         if not isinstance(documents, list):
             raise TypeError("it is no list of entities")  # noqa: TRY301 - one way out for all that is wrong
         context = await answered_context(sources, response, dialect)
         entities = []
-        for number, given in enumerate(documents, 1):
+        for number, entity_document in enumerate(documents, 1):
             if not number % _ENTITIES_PER_STEP:
                 await asyncio.sleep(0)
-            document = without_expired(given, time.time())
+            document = without_expired(entity_document, time.time())
             if document is None or (not document and single):
                 continue
             inline = document.get("@context") if isinstance(document, dict) else None
@@ -87,10 +87,10 @@ async def read_entities(
 async def answered_context(sources: Sources, response: HttpResponse, dialect: SourceDialect) -> Context:
     """Return the @context of a plain JSON response: the one in its Link header, else the one of the
     request."""
-    found = _CONTEXT_LINK.search(response.headers.get("link", ""))
-    if found is None or found.group(1) == dialect.link:
+    match = _CONTEXT_LINK.search(response.headers.get("link", ""))
+    if match is None or match.group(1) == dialect.link:
         return dialect.context
-    return await sources.forwarder.contexts.of(found.group(1))
+    return await sources.forwarder.contexts.of(match.group(1))
 
 
 _CONTEXT_LINK: Final = re.compile(r'<([^>]*)>[^,<]*rel\s*=\s*"?http://www\.w3\.org/ns/json-ld#context"?')

@@ -68,13 +68,13 @@ async def split_hits(
         (None, _pages_of_own(request, perform, temporal_request))
     ]
     readers += [(match.registration, _pages_of(sources, match, temporal_request)) for match, _ in matched]
-    known: dict[str, list[temporal_merge.SourceEvolution]] = {}
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]] = {}
     for registration, document in await fetch_values(readers, whole):
-        known.setdefault(document["id"], []).append((registration, document))
+        evolutions.setdefault(document["id"], []).append((registration, document))
     selection = _selection(request, temporal_request)
     return [
-        one
-        for one, parts in known.items()
+        entity_id
+        for entity_id, parts in evolutions.items()
         if selection.wants(
             _as_entity(
                 temporal_merge.merge_evolutions(parts, temporal_request.context, None), temporal_request
@@ -93,8 +93,8 @@ def narrowed_to(request: RequestContext, ids: list[str]) -> RequestContext:
     document = {name: value for name, value in request.document().items() if name not in _CONDITIONS}
     document.pop("entityMap", None)
     document["entities"] = [
-        {"id": ids, **({"type": one["type"]} if "type" in one else {})}
-        for one in document.get("entities") or [{}]
+        {"id": ids, **({"type": selector["type"]} if "type" in selector else {})}
+        for selector in document.get("entities") or [{}]
     ]
     return derived(request, parameters={**parameters, **shape}, raw=orjson.dumps(document))
 
@@ -154,15 +154,15 @@ def _as_entity(document: Evolution, temporal_request: TemporalRequest) -> Entity
     attributes: dict[str, list[Instance]] = {}
     for name in document.keys() - temporal_merge.MEMBERS:
         instances = document[name]
-        for one in instances if isinstance(instances, list) else [instances]:
-            if not isinstance(one, dict) or "deletedAt" in one:
+        for part in instances if isinstance(instances, list) else [instances]:
+            if not isinstance(part, dict) or "deletedAt" in part:
                 continue
-            given = {member: value for member, value in one.items() if member not in _NOT_SAID}
+            said = {member: value for member, value in part.items() if member not in _NOT_SAID}
             try:
-                (instance,) = read_attribute(name, given, terms)
+                (instance,) = read_attribute(name, said, terms)
             except (Problem, ValueError):  # no filter can refer to it
                 continue
-            times = {member: one[member] for member in _TIMES if isinstance(one.get(member), str)}
+            times = {member: part[member] for member in _TIMES if isinstance(part.get(member), str)}
             attributes.setdefault(expand(name, terms), []).append({**instance, **times})
     kinds = document.get("type")
     types = [kind for kind in (kinds if isinstance(kinds, list) else [kinds]) if isinstance(kind, str)]
@@ -178,6 +178,6 @@ def _as_entity(document: Evolution, temporal_request: TemporalRequest) -> Entity
 
 def _scopes(value: Any) -> Iterator[str]:
     """Yield all scopes that the entity has had, from plain values or from instances."""
-    for one in value if isinstance(value, list) else [value]:
-        parts = one.get("value") if isinstance(one, dict) else one
-        yield from (each for each in (parts if isinstance(parts, list) else [parts]) if isinstance(each, str))
+    for part in value if isinstance(value, list) else [value]:
+        parts = part.get("value") if isinstance(part, dict) else part
+        yield from (text for text in (parts if isinstance(parts, list) else [parts]) if isinstance(text, str))

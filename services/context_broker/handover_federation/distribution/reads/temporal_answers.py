@@ -34,10 +34,10 @@ def temporal_request_of(
 
 def attributes_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
     """Return the attributes (IRIs) that a request is limited to; None for all."""
-    given = parameters.get("attrs")
-    if not given or "q" in parameters:
+    text = parameters.get("attrs")
+    if not text or "q" in parameters:
         return None
-    return frozenset(expand(one, context.terms) for one in given.split(",") if one) or None
+    return frozenset(expand(name, context.terms) for name in text.split(",") if name) or None
 
 
 def temporal_answer(

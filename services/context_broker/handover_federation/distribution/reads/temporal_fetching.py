@@ -104,7 +104,7 @@ async def fetch_values(
     """
 
     async def read(registration: Registration | None, ask: FetchPart) -> list[temporal_merge.SourceEvolution]:
-        known: dict[str, Evolution] = {}
+        by_id: dict[str, Evolution] = {}
         parameters: dict[str, str] | None = temporal_request.for_values()
         parts, until_s = 0, time.monotonic() + timeout_s
         while parameters is not None:
@@ -112,20 +112,20 @@ async def fetch_values(
             for document in part.documents:
                 value = temporal_merge.shown(document, temporal_request.view, temporal_request.context)
                 entity_id = document["id"]
-                known[entity_id] = (
+                by_id[entity_id] = (
                     temporal_merge.merge_evolutions(
-                        [(None, known[entity_id]), (None, value)], temporal_request.context, None
+                        [(None, by_id[entity_id]), (None, value)], temporal_request.context, None
                     )
-                    if entity_id in known
+                    if entity_id in by_id
                     else value
                 )
             parts += 1
             parameters = None if part.edge is None else _after(parameters, part.edge, temporal_request.query)
             if parameters is not None and (parts >= MAX_PARTS or time.monotonic() > until_s):
                 raise _too_many()
-        return [(registration, document) for document in known.values()]
+        return [(registration, document) for document in by_id.values()]
 
-    return [one for some in await gather_all(*(read(*teller) for teller in readers)) for one in some]
+    return [pair for some in await gather_all(*(read(*teller) for teller in readers)) for pair in some]
 
 
 def _after(parameters: dict[str, str], edge: int, query: TemporalQuery) -> dict[str, str] | None:
@@ -162,16 +162,16 @@ def source_fetchers(
 
         return ask
 
-    found: list[tuple[Registration | None, FetchPart]] = []
+    readers: list[tuple[Registration | None, FetchPart]] = []
     for match, _ in matched:
         parts = tuple(
             replace(part, ids=some)
             for part in match.parts
-            if (some := tuple(one for one in ids if part.ids is None or one in part.ids))
+            if (some := tuple(entity_id for entity_id in ids if part.ids is None or entity_id in part.ids))
         )
         if parts:
-            found.append((match.registration, of_source(Match(match.registration, parts))))
-    return found
+            readers.append((match.registration, of_source(Match(match.registration, parts))))
+    return readers
 
 
 def own_fetcher(request: RequestContext, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
@@ -180,16 +180,16 @@ def own_fetcher(request: RequestContext, perform: Perform, ids: tuple[str, ...])
     hidden = {"aggrParams", *SHOWING}
 
     async def ask(parameters: Mapping[str, str]) -> TemporalPart:
-        given = {name: value for name, value in parameters.items() if name != "count"}
+        rest = {name: value for name, value in parameters.items() if name != "count"}
         if request.method == "GET":
-            wanted = derived(request, parameters={**given, **narrowed, "id": ",".join(ids)})
+            wanted = derived(request, parameters={**rest, **narrowed, "id": ",".join(ids)})
         else:
             document = {name: value for name, value in request.document().items() if name not in hidden}
             selectors = document.get("entities") or [{}]
             document["entities"] = [{**selector, "id": list(ids)} for selector in selectors]
-            times = {name: given[name] for name in TIME_PARAMETERS if name in given}
+            times = {name: rest[name] for name in TIME_PARAMETERS if name in rest}
             document["temporalQ"] = {**times, **({"lastN": int(times["lastN"])} if "lastN" in times else {})}
-            forms = {name: given[name] for name in ("options", "lang") if name in given}
+            forms = {name: rest[name] for name in ("options", "lang") if name in rest}
             raw = orjson.dumps(document)
             wanted = derived(request, parameters={**forms, **narrowed}, raw=raw)
         answer = await perform(wanted)
@@ -303,11 +303,11 @@ def entity_parameters(
 
 def _documents(registration: Registration, response: HttpResponse, *, single: bool) -> list[Evolution]:
     try:
-        found = orjson.loads(response.body) if response.body else ({} if single else [])
+        body = orjson.loads(response.body) if response.body else ({} if single else [])
     except orjson.JSONDecodeError as error:
         why = f"{registration.shown} returns invalid JSON: {error}"
         raise SourceError(registration, INVALID, 502, why) from None
-    documents = [found] if single and found else found
+    documents = [body] if single and body else body
     if documents == {} and single:
         return []
     if not isinstance(documents, list) or not all(

@@ -37,10 +37,12 @@ SourceEvolution = tuple[Registration | None, Evolution]
 """An evolution and its source; None is the broker itself."""
 
 
-def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: int | None) -> Evolution:
+def merge_evolutions(parts: Iterable[SourceEvolution], context: Context, last: int | None) -> Evolution:
     """Return the merged evolution, with the `last` instances of each attribute."""
-    ranked = sorted(given, key=lambda one: (0, "") if one[0] is None else (int(one[0].mode) + 1, one[0].id))
-    proxied = [one for one, _ in ranked if one is not None and one.mode.is_proxied]
+    ranked = sorted(
+        parts, key=lambda part: (0, "") if part[0] is None else (int(part[0].mode) + 1, part[0].id)
+    )
+    proxied = [member for member, _ in ranked if member is not None and member.mode.is_proxied]
     result: Evolution = {}
     for registration, document in ranked:
         gone = _claimed(proxied, registration, context)
@@ -110,8 +112,8 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
         many = []
         for dataset, unsorted in points.get(name, {}).items():
             series = sorted(unsorted, key=lambda point: point[0])
-            found = periods([(at, value) for at, _, value in series], wanted.period, origin, until)
-            if len(found) > MAX_INSTANCES_PER_ATTRIBUTE:
+            spans = periods([(at, value) for at, _, value in series], wanted.period, origin, until)
+            if len(spans) > MAX_INSTANCES_PER_ATTRIBUTE:
                 raise too_many_results(
                     f"there are more than {MAX_INSTANCES_PER_ATTRIBUTE} periods of {name} of "
                     f"{document['id']}; ask for a shorter time with timerel, timeAt and "
@@ -119,7 +121,7 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
                 )
             kind = series[-1][1]
             head = {"type": kind} if dataset is None else {"type": kind, "datasetId": dataset}
-            many.append(head | written_totals(totals(found, kind, wanted.methods), wanted.methods))
+            many.append(head | written_totals(totals(spans, kind, wanted.methods), wanted.methods))
         if many:
             result[name] = many[0] if len(many) == 1 else many
     return result
@@ -127,17 +129,17 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
 
 def edge_in(content_range: str | None) -> int | None:
     """Return where a partial response ends (microseconds since 1970); None for a complete one."""
-    found = _RANGE.search(content_range or "")
-    at_s = None if found is None else moment(found[2])
+    match = _RANGE.search(content_range or "")
+    at_s = None if match is None else moment(match[2])
     return None if at_s is None else round(at_s * MICROS)
 
 
 def common_edge(edges: Iterable[int | None], query: TemporalQuery) -> int | None:
     """Return up to when all responses are complete; from when on, if the last instances were requested."""
-    found = [edge for edge in edges if edge is not None]
-    if not found:
+    certain = [edge for edge in edges if edge is not None]
+    if not certain:
         return None
-    return min(found) if query.last is None else max(found)
+    return min(certain) if query.last is None else max(certain)
 
 
 def kept_to(document: Evolution, edge: int, query: TemporalQuery) -> Evolution:
@@ -148,7 +150,9 @@ def kept_to(document: Evolution, edge: int, query: TemporalQuery) -> Evolution:
         return _time_of(instance) >= edge_s if latest else _time_of(instance) <= edge_s
 
     members = {
-        name: value if name in MEMBERS else _each(value, lambda some: [one for one in some if is_within(one)])
+        name: value
+        if name in MEMBERS
+        else _each(value, lambda some: [instance for instance in some if is_within(instance)])
         for name, value in document.items()
     }
     return {name: value for name, value in members.items() if value != []}
@@ -165,8 +169,8 @@ def content_range_of(documents: Iterable[Evolution], edge: int, query: TemporalQ
     return f"date-time {written_time(start)}-{written_time(edge)}/{size}".encode()
 
 
-def _seconds(given: Any) -> float:
-    return (moment(given) if isinstance(given, str) else None) or 0.0
+def _seconds(text: Any) -> float:
+    return (moment(text) if isinstance(text, str) else None) or 0.0
 
 
 def _claimed(
@@ -187,15 +191,17 @@ def _claimed(
 def _joined(own: Any, other: Any) -> Any:
     """Return two series of one attribute merged; for one time the first series counts."""
     if _has_pairs(own) and _has_pairs(other):
-        many = {_dataset_of(one): one for one in _listed(own)}
+        many = {_dataset_of(member): member for member in _listed(own)}
         for instance in _listed(other):
-            known = many.get(_dataset_of(instance))
-            many[_dataset_of(instance)] = instance if known is None else _joined_pairs(known, instance)
-        found = list(many.values())
-        return found[0] if len(found) == 1 else found
+            same = many.get(_dataset_of(instance))
+            many[_dataset_of(instance)] = instance if same is None else _joined_pairs(same, instance)
+        series = list(many.values())
+        return series[0] if len(series) == 1 else series
     ours = _listed(own)
     taken = {_slot_of(instance) for instance in ours}
-    return sorted([*ours, *(one for one in _listed(other) if _slot_of(one) not in taken)], key=_time_of)
+    return sorted(
+        [*ours, *(member for member in _listed(other) if _slot_of(member) not in taken)], key=_time_of
+    )
 
 
 def _joined_pairs(own: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
@@ -211,12 +217,12 @@ def _joined_pairs(own: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str,
 
 
 def _newest(series: Any, count: int) -> Any:
-    if _has_pairs(series) or not all(isinstance(one, dict) for one in _listed(series)):
+    if _has_pairs(series) or not all(isinstance(instance, dict) for instance in _listed(series)):
         return _each(series, lambda pairs: pairs[-count:])
-    found: list[Any] = []
+    latest: list[Any] = []
     for dataset in dict.fromkeys(map(_dataset_of, _listed(series))):
-        found += [one for one in _listed(series) if _dataset_of(one) == dataset][-count:]
-    return found
+        latest += [instance for instance in _listed(series) if _dataset_of(instance) == dataset][-count:]
+    return latest
 
 
 def _each(series: Any, narrow: Callable[[list[Any]], list[Any]]) -> Any:
@@ -226,16 +232,18 @@ def _each(series: Any, narrow: Callable[[list[Any]], list[Any]]) -> Any:
     many = [
         {
             name: narrow(value) if name in _SERIES and isinstance(value, list) else value
-            for name, value in one.items()
+            for name, value in instance.items()
         }
-        for one in _listed(series)
+        for instance in _listed(series)
     ]
     return many if isinstance(series, list) else many[0]
 
 
 def _has_pairs(series: Any) -> bool:
     listed = _listed(series)
-    return bool(listed) and all(isinstance(one, dict) and not _SERIES.isdisjoint(one) for one in listed)
+    return bool(listed) and all(
+        isinstance(instance, dict) and not _SERIES.isdisjoint(instance) for instance in listed
+    )
 
 
 def _listed(series: Any) -> list[Any]:
@@ -243,8 +251,8 @@ def _listed(series: Any) -> list[Any]:
 
 
 def _dataset_of(instance: Any) -> str | None:
-    given = instance.get("datasetId") if isinstance(instance, dict) else None
-    return given if isinstance(given, str) else None
+    dataset = instance.get("datasetId") if isinstance(instance, dict) else None
+    return dataset if isinstance(dataset, str) else None
 
 
 def _slot_of(instance: Any) -> Any:

@@ -88,31 +88,32 @@ class _Query:
     selectors: list[dict[str, str]]
 
 
-async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Query) -> Response:
-    matched = _matches_of(sources, given)
+async def _query(sources: Sources, request: RequestContext, perform: Perform, temporal: _Query) -> Response:
+    matched = _matches_of(sources, temporal)
     if not matched:
         return await perform(request)
-    temporal_request = temporal_request_of(request, given.context, given.parameters)
-    conditions = {name for name in FILTERS if name in given.parameters}
-    if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
+    temporal_request = temporal_request_of(request, temporal.context, temporal.parameters)
+    conditions = {name for name in FILTERS if name in temporal.parameters}
+    if conditions and may_be_split(temporal.parameters, [match for match, _ in matched]):
         hits = await split_hits(sources, request, perform, matched, temporal_request)
-        return await _page_of(hits, sources, request, perform, given)
+        return await _page_of(hits, sources, request, perform, temporal)
     window = _window(request)
     collected = await _collect(sources, request, perform, matched, temporal_request, window)
-    order = list(collected.known)
+    order = list(collected.evolutions)
     page = order[window.offset : window.offset + window.limit]
     if page and collected.full:
-        await _add_rest(collected.known, sources, collected.full, page, temporal_request)
+        await _add_rest(collected.evolutions, sources, collected.full, page, temporal_request)
     edge = temporal_merge.common_edge(collected.edges, temporal_request.query)
     if temporal_request.is_for_totals:
         edge = None
         documents = await _aggregated_page(
-            sources, request, perform, matched, collected.known, page, temporal_request
+            sources, request, perform, matched, collected.evolutions, page, temporal_request
         )
     else:
         last = temporal_request.query.last
         documents = [
-            temporal_merge.merge_evolutions(collected.known[one], given.context, last) for one in page
+            temporal_merge.merge_evolutions(collected.evolutions[entity_id], temporal.context, last)
+            for entity_id in page
         ]
     result = temporal_answer(request, temporal_request, documents, edge)
     result.headers += [
@@ -126,14 +127,14 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
     return result
 
 
-def _matches_of(sources: Sources, given: _Query) -> list[tuple[Match, dict[str, str]]]:
+def _matches_of(sources: Sources, temporal: _Query) -> list[tuple[Match, dict[str, str]]]:
     """Return the sources to query, each with the parameters of the selector that it matches."""
     matched: list[tuple[Match, dict[str, str]]] = []
-    for parameters in given.selectors:
-        target, where = target_of(parameters, given.context, attributes_of(parameters, given.context))
-        found = sources.registry.matching("queryTemporal", target, where)
-        refuse_order(parameters, sources.unvisited(found, uses_map=False))
-        matched += [(match, parameters) for match in sources.unvisited(found)]
+    for parameters in temporal.selectors:
+        target, where = target_of(parameters, temporal.context, attributes_of(parameters, temporal.context))
+        matches = sources.registry.matching("queryTemporal", target, where)
+        refuse_order(parameters, sources.unvisited(matches, uses_map=False))
+        matched += [(match, parameters) for match in sources.unvisited(matches)]
     return matched
 
 
@@ -141,7 +142,7 @@ def _matches_of(sources: Sources, given: _Query) -> list[tuple[Match, dict[str, 
 class _Collected:
     """What the broker and the sources have of a query, from its start to the end of the requested page."""
 
-    known: dict[str, list[temporal_merge.SourceEvolution]]
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]]
     """By entity, in the order of the whole result."""
     edges: list[int | None]
     own_count: int
@@ -169,18 +170,18 @@ async def _collect(  # noqa: PLR0917 - the parts of one query
             for match, parameters in matched
         )
     )
-    known: dict[str, list[temporal_merge.SourceEvolution]] = {
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]] = {
         evolution["id"]: [(None, temporal_merge.shown(without_context(evolution), view, context))]
         for evolution in orjson.loads(own.body)
     }
-    own_count = len(known)
-    _add_in_order(known, matched, parts, temporal_request)
+    own_count = len(evolutions)
+    _add_in_order(evolutions, matched, parts, temporal_request)
     return _Collected(
-        known,
+        evolutions,
         edges=[edge_of(own), *(part.edge for part in parts)],
         own_count=own_count,
         own_headers=own.headers,
-        full=[one for one, part in zip(matched, parts, strict=True) if len(part.documents) >= most],
+        full=[match for match, part in zip(matched, parts, strict=True) if len(part.documents) >= most],
     )
 
 
@@ -189,43 +190,45 @@ async def _aggregated_page(  # noqa: PLR0917 - the parts of one query
     request: RequestContext,
     perform: Perform,
     matched: list[tuple[Match, dict[str, str]]],
-    known: dict[str, list[temporal_merge.SourceEvolution]],
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]],
     page: list[str],
     temporal_request: TemporalRequest,
 ) -> list[Evolution]:
     """Return the aggregated entities of a page; those split over several sources are read again by value."""
-    documents = [known[one][0][1] for one in page]
-    split = tuple(one for one in page if len(known[one]) > 1)
+    documents = [evolutions[entity_id][0][1] for entity_id in page]
+    split = tuple(entity_id for entity_id in page if len(evolutions[entity_id]) > 1)
     if not split:
         return documents
     context, query = temporal_request.context, temporal_request.query
     fetchers = source_fetchers(sources, matched, context, split)
     fetchers.insert(0, (None, own_fetcher(request, perform, split)))
-    by_entity: dict[str, list[temporal_merge.SourceEvolution]] = {one: [] for one in split}
+    by_entity: dict[str, list[temporal_merge.SourceEvolution]] = {entity_id: [] for entity_id in split}
     for part in await fetch_values(fetchers, temporal_request):
         if part[1]["id"] in by_entity:
             by_entity[part[1]["id"]].append(part)
     aggregated = {
-        one: temporal_merge.aggregated(temporal_merge.merge_evolutions(parts, context, query.last), query)
-        for one, parts in by_entity.items()
+        entity_id: temporal_merge.aggregated(
+            temporal_merge.merge_evolutions(parts, context, query.last), query
+        )
+        for entity_id, parts in by_entity.items()
     }
     return [aggregated.get(document["id"], document) for document in documents]
 
 
 def _add_in_order(
-    known: dict[str, list[temporal_merge.SourceEvolution]],
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]],
     matched: list[tuple[Match, dict[str, str]]],
-    found: list[TemporalPart],
+    parts: list[TemporalPart],
     temporal_request: TemporalRequest,
 ) -> None:
     """Add the results of the sources in order: the next source is added once the previous one is exhausted.
 
     So pages neither repeat nor skip entities, although each page is read from the start.
     """
-    for (match, _), part in zip(matched, found, strict=True):
+    for (match, _), part in zip(matched, parts, strict=True):
         for document in part.documents:
-            collected = known.setdefault(document["id"], [])
-            if not any(one is match.registration for one, _ in collected):
+            collected = evolutions.setdefault(document["id"], [])
+            if not any(source is match.registration for source, _ in collected):
                 collected.append(
                     (
                         match.registration,
@@ -235,7 +238,7 @@ def _add_in_order(
 
 
 async def _add_rest(
-    known: dict[str, list[temporal_merge.SourceEvolution]],
+    evolutions: dict[str, list[temporal_merge.SourceEvolution]],
     sources: Sources,
     full: list[tuple[Match, dict[str, str]]],
     page: list[str],
@@ -246,8 +249,8 @@ async def _add_rest(
     parts = await gather_all(*(ask(temporal_request.parameters) for _, ask in asking))
     for (registration, _), part in zip(asking, parts, strict=True):
         for document in part.documents:
-            collected = known.get(document["id"])
-            if collected is not None and not any(one is registration for one, _ in collected):
+            collected = evolutions.get(document["id"])
+            if collected is not None and not any(source is registration for source, _ in collected):
                 collected.append(
                     (
                         registration,
@@ -257,7 +260,7 @@ async def _add_rest(
 
 
 async def _page_of(
-    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, given: _Query
+    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, temporal: _Query
 ) -> Response:
     """Return a page of the entities that match all filters, in the requested representation."""
     window = _window(request)
@@ -270,7 +273,7 @@ async def _page_of(
         return {**{name: value for name, value in parameters.items() if name not in gone}, **shape}
 
     target = _Query(
-        given.context, without(given.parameters), [without(selector) for selector in given.selectors]
+        temporal.context, without(temporal.parameters), [without(selector) for selector in temporal.selectors]
     )
     result = await _query(sources, narrowed, perform, target)
     headers = [header for header in result.headers if header[0] != b"link" or b"json-ld#context" in header[1]]
@@ -297,8 +300,8 @@ def _for_all_members(request: RequestContext, window: Mapping[str, str]) -> Requ
 
 def _window(request: RequestContext) -> Window:
     def number(name: str, default: int) -> int:
-        given = request.parameter(name) or ""
-        return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
+        text = request.parameter(name) or ""
+        return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else default
 
     options = (request.parameter("options") or "").split(",")
     counts = request.parameter("count") == "true" or "count" in options

@@ -63,8 +63,8 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
     if not matches:
         return await perform(request)
     temporal_request = temporal_request_of(request, context, request.parameters)
-    found = await _find(sources, matches, entity_id, temporal_request)
-    if not found:
+    parts = await _find(sources, matches, entity_id, temporal_request)
+    if not parts:
         return await _retrieve_own(sources, request, perform)
     try:
         own: Response | None = await perform(request)
@@ -74,15 +74,15 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
         own = None
     if (listed := listed_of(request)) is not None:
         own_name = [] if own is None else [OWN]
-        listed.entities = {entity_id: own_name + [one.registration.id for one in found]}
-    if temporal_request.is_for_totals and (own is not None or len(found) > 1):
+        listed.entities = {entity_id: own_name + [part.registration.id for part in parts]}
+    if temporal_request.is_for_totals and (own is not None or len(parts) > 1):
         readers: list[tuple[Registration | None, FetchPart]] = [
-            (one.registration, one.fetch) for one in found
+            (part.registration, part.fetch) for part in parts
         ]
         if own is not None:
             readers.insert(0, (None, _own_fetcher(request, perform)))
         return await _aggregate(request, temporal_request, readers)
-    return _merge(request, temporal_request, own, found)
+    return _merge(request, temporal_request, own, parts)
 
 
 async def _find(
@@ -136,16 +136,16 @@ async def _aggregate(
 
 
 def _merge(
-    request: RequestContext, temporal_request: TemporalRequest, own: Response | None, found: list[_SourcePart]
+    request: RequestContext, temporal_request: TemporalRequest, own: Response | None, parts: list[_SourcePart]
 ) -> Response:
     """Return the entity of all sources, up to the instant to which all parts are complete."""
     context, query = temporal_request.context, temporal_request.query
     evolutions: list[temporal_merge.SourceEvolution] = [
-        (one.registration, temporal_merge.shown(document, temporal_request.view, context))
-        for one in found
-        for document in one.part.documents
+        (part.registration, temporal_merge.shown(document, temporal_request.view, context))
+        for part in parts
+        for document in part.part.documents
     ]
-    edges = [one.part.edge for one in found]
+    edges = [part.part.edge for part in parts]
     if own is not None:
         evolutions.insert(0, (None, without_context(orjson.loads(own.body))))
         edges.append(edge_of(own))

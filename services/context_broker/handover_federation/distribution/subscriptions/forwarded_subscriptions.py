@@ -95,14 +95,14 @@ def questions(subscription: Subscription) -> list[EntityTarget]:
     names = None if watched is None else frozenset(watched)
     if not subscription.selectors:
         return [EntityTarget(attributes=names)]
-    found = []
+    result = []
     for selector in subscription.selectors:
         types = None
         if selector.types is not None and not selector.types.is_every:
             types = frozenset(selector.types.names())
         ids = None if selector.ids is None else tuple(sorted(selector.ids))
-        found.append(EntityTarget(ids, selector.id_pattern, types, names))
-    return found
+        result.append(EntityTarget(ids, selector.id_pattern, types, names))
+    return result
 
 
 def forwarded_document(
@@ -138,7 +138,7 @@ def _entities(
     subscription: Subscription, source: Registration, dialect: SourceDialect
 ) -> list[dict[str, Any]] | None:
     """Return the entity selectors within the registration of a source; None for any entity."""
-    found: dict[str, dict[str, Any]] = {}
+    selectors: dict[str, dict[str, Any]] = {}
     for selector, target in zip(subscription.selectors or (None,), questions(subscription), strict=True):
         for part in source.parts(target):
             narrowed: dict[str, Any] = {}
@@ -150,11 +150,11 @@ def _entities(
                 narrowed["type"] = TypeSelection(types).written(dialect.name)
             if part.ids is None and selector is not None and selector.id_pattern is not None:
                 narrowed["idPattern"] = selector.id_pattern.text
-            for each in part.ids or (None,):
-                chosen = narrowed if each is None else {"id": each, **narrowed}
+            for entity_id in part.ids or (None,):
+                chosen = narrowed if entity_id is None else {"id": entity_id, **narrowed}
                 if chosen:
-                    found[str(chosen)] = chosen
-    return list(found.values()) or None
+                    selectors[str(chosen)] = chosen
+    return list(selectors.values()) or None
 
 
 def _watched(subscription: Subscription, source: Registration) -> frozenset[str] | None:

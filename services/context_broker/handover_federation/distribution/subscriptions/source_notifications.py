@@ -84,8 +84,10 @@ def _previous_instances(
     now: list[Instance], registered: list[Instance], before: list[Instance]
 ) -> list[Instance]:
     """Return the previous instances of an attribute where the current ones come from the source."""
-    old = {dataset_of(one): one for one in before}
-    return [old.get(dataset_of(one), one) if one in registered else one for one in now]
+    old = {dataset_of(instance): instance for instance in before}
+    return [
+        old.get(dataset_of(instance), instance) if instance in registered else instance for instance in now
+    ]
 
 
 def _split(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[str, Any], Attributes]:
@@ -99,7 +101,7 @@ def _split(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[
                 current[name] = value
             continue
         instances = (
-            value if isinstance(value, list) and all(isinstance(one, dict) for one in value) else [value]
+            value if isinstance(value, list) and all(isinstance(part, dict) for part in value) else [value]
         )
         iri = expand(name, terms)
         left = []
@@ -113,8 +115,8 @@ def _split(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[
         if left:
             current[name] = left if isinstance(value, list) and instances is value else left[0]
     for iri in gone.keys() & before.keys():
-        stays = {dataset_of(one) for one in gone[iri]}
-        before[iri] = [one for one in before[iri] if dataset_of(one) not in stays]
+        stays = {dataset_of(lost_instance) for lost_instance in gone[iri]}
+        before[iri] = [earlier for earlier in before[iri] if dataset_of(earlier) not in stays]
     return {iri: some for iri, some in before.items() if some}, current, gone
 
 
@@ -133,8 +135,8 @@ def _previous_instance(value: Any) -> Instance | None:
 
 def _kind(instance: Mapping[str, Any], kind: str) -> str:
     """Return the type of an instance; a GeoProperty has the same value member as a Property."""
-    given = instance.get("type")
-    return given if isinstance(given, str) and VALUE_MEMBER.get(given) == VALUE_MEMBER[kind] else kind
+    named = instance.get("type")
+    return named if isinstance(named, str) and VALUE_MEMBER.get(named) == VALUE_MEMBER[kind] else kind
 
 
 def _deleted_instance(value: Any, was: Instance | None) -> Instance | None:
@@ -145,11 +147,16 @@ def _deleted_instance(value: Any, was: Instance | None) -> Instance | None:
         return None
     for kind, member in VALUE_MEMBER.items():
         if value.get(member) == NULL or (member == "languageMap" and value.get(member) == {"@none": NULL}):
-            found = _kind(value, kind)
+            shown_kind = _kind(value, kind)
             times = {
-                one: value[one] for one in ("createdAt", "modifiedAt") if isinstance(value.get(one), str)
+                time_member: value[time_member]
+                for time_member in ("createdAt", "modifiedAt")
+                if isinstance(value.get(time_member), str)
             }
-            return {**(was or {"type": found, VALUE_MEMBER[found]: NULL, **_dataset(value)}), **times}
+            return {
+                **(was or {"type": shown_kind, VALUE_MEMBER[shown_kind]: NULL, **_dataset(value)}),
+                **times,
+            }
     return None
 
 

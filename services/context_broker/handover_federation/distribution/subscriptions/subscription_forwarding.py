@@ -358,18 +358,18 @@ class SubscriptionForwarder:
 
 
 def _change_of(
-    given: Any,
+    document: Any,
     forwarded: ForwardedSubscription,
     subscription: Subscription,
     tenant: Tenant,
     context: Context,
 ) -> EntityChange | None:
     """Return the change of an entity in a notification; None if the subscription does not match."""
-    if not isinstance(given, dict):
-        raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
-    entity_id = given.get("id")
+    if not isinstance(document, dict):
+        raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
+    entity_id = document.get("id")
     own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
-    change = change_of_notification(given, forwarded.registration, own, context.terms)
+    change = change_of_notification(document, forwarded.registration, own, context.terms)
     if change is None or (change.after is not None and not subscription.selects(change.after)):
         return None
     return change

@@ -73,7 +73,7 @@ _WHOLE: Final = frozenset({"createBatch", "upsertBatch"})
 class _Item:
     """One entity of a batch. `given` is the entity, or its id in a delete."""
 
-    given: Any
+    document: Any
     entity_id: Any
     context: Context
     names: Mapping[str, str]
@@ -83,13 +83,17 @@ class _Item:
 
     def part(self, instances: Instances) -> Any:
         """Return the entity with these instances of attributes only."""
-        return part_of(self.given, self.names, instances) if isinstance(self.given, Mapping) else self.given
+        return (
+            part_of(self.document, self.names, instances)
+            if isinstance(self.document, Mapping)
+            else self.document
+        )
 
     @property
     def own_part(self) -> Any:
         """Return the part that the broker writes itself."""
-        proxied = any(one.registration.mode.is_proxied for one in self.routing.others)
-        return self.part(self.routing.own or frozenset()) if proxied else self.given
+        proxied = any(match.registration.mode.is_proxied for match in self.routing.others)
+        return self.part(self.routing.own or frozenset()) if proxied else self.document
 
 
 def batch(operation: str) -> Handler:
@@ -109,9 +113,9 @@ class _Batch:
         self._request = request
         self._perform = perform
         self._operation = operation
-        given = request.parameters
+        parameters = request.parameters
         names = ("options", "format", "observedAt", "lang")
-        self._parameters = tuple((name, given[name]) for name in names if name in given)
+        self._parameters = tuple((name, parameters[name]) for name in names if name in parameters)
         if operation == "updateBatch":  # other brokers refuse what changes nothing
             self._parameters = tuple(
                 parameter for parameter in self._parameters if parameter not in _WITHOUT_EFFECT
@@ -130,32 +134,32 @@ class _Batch:
         await self._forward([item for item in items if not _is_refused(item)])
         return self._result(items)
 
-    async def _item(self, given: Any, media_type: str) -> _Item:
+    async def _item(self, document: Any, media_type: str) -> _Item:
         nothing = WriteRouting((), frozenset())
         singly = _SINGLY[self._operation][0]
         try:
             if self._operation == "deleteBatch":
-                entity_id = require_uri(given, "an entity id")
+                entity_id = require_uri(document, "an entity id")
                 context = await self._request.reader_context()
-                known = self._request.tenant.store.latest(entity_id)
-                types = None if known is None else frozenset(known.types)
+                entity = self._request.tenant.store.latest(entity_id)
+                types = None if entity is None else frozenset(entity.types)
                 target = EntityTarget((entity_id,), None, types)
                 routing = route_write(self._sources, (self._operation, singly), target, None)
-                return _Item(given, entity_id, context, {}, routing)
-            context = await self._request.context_of(given, media_type)
-            entity_id = require_uri(given.get("id", given.get("@id")), "the entity id")
-            names = attributes_in(given, context)
-            known = self._request.tenant.store.latest(entity_id)
-            types = types_in(given, context) or (None if known is None else frozenset(known.types))
+                return _Item(document, entity_id, context, {}, routing)
+            context = await self._request.context_of(document, media_type)
+            entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
+            names = attributes_in(document, context)
+            entity = self._request.tenant.store.latest(entity_id)
+            types = types_in(document, context) or (None if entity is None else frozenset(entity.types))
             target = EntityTarget((entity_id,), None, types)
             operations = (self._operation, singly)
-            where = placement_filter(given) if self._operation in _WHOLE else None
-            routing = route_write(self._sources, operations, target, instances_in(given, names), where)
-            return _Item(given, entity_id, context, names, routing)
+            where = placement_filter(document) if self._operation in _WHOLE else None
+            routing = route_write(self._sources, operations, target, instances_in(document, names), where)
+            return _Item(document, entity_id, context, names, routing)
         except (Problem, AttributeError):  # the broker's own part reports the error
             core = await self._sources.forwarder.contexts.of(None)
-            result = given.get("id") if isinstance(given, dict) else given
-            return _Item(given, result, core, {}, nothing)
+            result = document.get("id") if isinstance(document, dict) else document
+            return _Item(document, result, core, {}, nothing)
 
     async def _do_own(self, items: list[_Item]) -> None:
         if not items:
@@ -232,7 +236,11 @@ class _Batch:
             return
         result = _result_in(response.body) if response.status in {201, 207} else None
         errors, done = _errors_in(result), set(outcomes.success_in(result))
-        created = {one for one in result if isinstance(one, str)} if isinstance(result, list) else set()
+        created = (
+            {entity_id for entity_id in result if isinstance(entity_id, str)}
+            if isinstance(result, list)
+            else set()
+        )
         for item, route in routing:
             key = _key(item.entity_id)
             problem = errors.get(key)
@@ -317,8 +325,8 @@ def _is_refused(item: _Item) -> bool:
 
 
 def _document(item: _Item, route: WriteRoute, dialect: SourceDialect) -> Any:
-    if not isinstance(item.given, Mapping):
-        return item.given
+    if not isinstance(item.document, Mapping):
+        return item.document
     return in_dialect(item.part(route.instances), item.context, dialect)
 
 

@@ -168,13 +168,13 @@ class DistributedWrite:
         self._operation = operation
         self._path = path
         self._entity_id = request.names[0] if request.names else str((document or {}).get("id", ""))
-        given = request.parameters
-        self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
+        parameters = request.parameters
+        self._parameters = tuple((name, parameters[name]) for name in _PASSED_ON if name in parameters)
 
     async def entity_answer(self, entity_id: str, routing: WriteRouting, well: Response) -> Response:
         """Carry out the write and return the response of an operation on an entity."""
-        own, found = await self._carried_out(routing)
-        good, failed = outcomes.settled(found)
+        own, parts = await self._carried_out(routing)
+        good, failed = outcomes.settled(parts)
         if not failed:
             return own if own is not None and own.status < 400 else well
         if not good and (answer := outcomes.failure(failed)) is not None:
@@ -186,53 +186,53 @@ class DistributedWrite:
 
         Names in it are IRIs, because it has no @context (clause 6.3.6).
         """
-        own, found = await self._carried_out(routing)
-        good, failed = outcomes.settled(found)
+        own, parts = await self._carried_out(routing)
+        good, failed = outcomes.settled(parts)
         result = orjson.loads(own.body) if own is not None and own.status == 207 else None
         if not failed and result is None:
             return own if own is not None and own.status < 400 else _DONE
         if not good and result is None and (answer := outcomes.failure(failed)) is not None:
             return answer
-        done = {name for one in good for name in one.names}
+        done = {name for outcome in good for name in outcome.names}
         # What is absent here and was changed at a source is changed.
         own_left = [] if result is None else result["notUpdated"]
-        left = [one for one in own_left if one["attributeName"] not in done]
-        for one in failed:
-            reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
-            by = {"registrationId": one.registration.id} if one.registration is not None else {}
-            left += [{"attributeName": name, "reason": reason, **by} for name in sorted(one.names)]
+        left = [refused for refused in own_left if refused["attributeName"] not in done]
+        for outcome in failed:
+            reason = str((outcome.problem or {}).get("detail") or f"answered {outcome.status}")
+            by = {"registrationId": outcome.registration.id} if outcome.registration is not None else {}
+            left += [{"attributeName": name, "reason": reason, **by} for name in sorted(outcome.names)]
         if result is not None:
             done |= set(result["updated"])
         return outcomes.multi_status({"updated": sorted(done), "notUpdated": left}) if left else _DONE
 
     async def _carried_out(self, routing: WriteRouting) -> tuple[Response | None, list[Outcome]]:
         """Return the broker's own response if it had a part, and all outcomes; raises what it rejects."""
-        own, found = None, list[Outcome]()
+        own, written = None, list[Outcome]()
         if routing.own is not None:
             try:
                 own = await self._perform(self._own_part(routing))
                 if own.status != 207:
-                    found.append(Outcome(None, routing.own_names, own.status))
+                    written.append(Outcome(None, routing.own_names, own.status))
             except Problem as problem:
                 if problem.status not in {404, 409} or problem.__cause__ is not None:
                     raise
                 is_held = problem.status == 409 or self._is_held()
-                found.append(Outcome(None, routing.own_names, problem.status, problem.body(), is_held))
+                written.append(Outcome(None, routing.own_names, problem.status, problem.body(), is_held))
         results = await gather_all(*(self.forwarded(route) for route in routing.others))
-        return own, [*found, *(part for parts in results for part in parts)]
+        return own, [*written, *(part for parts in results for part in parts)]
 
     def _is_held(self) -> bool:
         """Return whether the broker has the current entity in the path, of the requested type."""
-        known = (
+        entity = (
             None if _is_temporal(self._request) else self._request.tenant.store.latest(self._request.names[0])
         )
         wanted = self._request.parameter("type")
-        if known is None or wanted is None:
-            return known is not None
-        return type_selection(wanted, self._context.terms.expand).wants(known.types)
+        if entity is None or wanted is None:
+            return entity is not None
+        return type_selection(wanted, self._context.terms.expand).wants(entity.types)
 
     def _own_part(self, routing: WriteRouting) -> RequestContext:
-        if self._document is None or not any(one.registration.mode.is_proxied for one in routing.others):
+        if self._document is None or not any(match.registration.mode.is_proxied for match in routing.others):
             return self._request
         own = routing.own or frozenset()
         if self._path is None and own:  # one attribute, in the path
@@ -304,15 +304,15 @@ def _datasets_of(request: RequestContext, document: Any) -> set[str | None]:
         return {ANY}
     if document is not None:
         return datasets_in(document)
-    given = request.parameter("datasetId")
-    return {None} if given is None else set(datasets_of(given) or {None})
+    text = request.parameter("datasetId")
+    return {None} if text is None else set(datasets_of(text) or {None})
 
 
 def _types_of(
     sources: Sources, request: RequestContext, entity_id: str, context: Context
 ) -> frozenset[str] | None:
     """Return the known types of an entity: from the request, or from the broker's own entity."""
-    if given := request.parameter("type"):
-        return frozenset(context.terms.expand(one) for one in given.split(",") if one) or None
-    known = sources.request.tenant.store.latest(entity_id)
-    return None if known is None else frozenset(known.types)
+    if text := request.parameter("type"):
+        return frozenset(context.terms.expand(name) for name in text.split(",") if name) or None
+    entity = sources.request.tenant.store.latest(entity_id)
+    return None if entity is None else frozenset(entity.types)

@@ -63,7 +63,7 @@ def of_parts(
     if isinstance(document, dict) and ("updated" in document or "notUpdated" in document):
         return _of_attributes(registration, names, document, expand)
     if isinstance(document, dict) and ("success" in document or "errors" in document):
-        errors = [error for found, error in errors_in(document) if found in {entity_id, None}]
+        errors = [error for refused_id, error in errors_in(document) if refused_id in {entity_id, None}]
         is_done = entity_id in success_in(document)
         # Which attributes failed is unknown; where others were stored, they are not called failed.
         left = frozenset[str]() if is_done else names
@@ -76,18 +76,22 @@ def of_parts(
 def _of_attributes(
     registration: Registration, names: frozenset[str], document: dict[str, Any], expand: Callable[[str], str]
 ) -> list[Outcome]:
-    given = document.get("updated")
-    updated = {expand(name) for name in given if isinstance(name, str)} if isinstance(given, list) else None
+    names_updated = document.get("updated")
+    updated = (
+        {expand(name) for name in names_updated if isinstance(name, str)}
+        if isinstance(names_updated, list)
+        else None
+    )
     failed, left = list[Outcome](), set[str]()
     entries = document.get("notUpdated")
-    for one in entries if isinstance(entries, list) else ():
-        if not isinstance(one, dict) or not isinstance(one.get("attributeName"), str):
+    for refusal in entries if isinstance(entries, list) else ():
+        if not isinstance(refusal, dict) or not isinstance(refusal.get("attributeName"), str):
             continue
-        name = expand(one["attributeName"])
+        name = expand(refusal["attributeName"])
         left.add(name)
         # Without a registration it is the state of the source that lets nothing change there.
-        status = 207 if "registrationId" in one else 404
-        detail = f"{registration.shown}: {one.get('reason') or 'not updated'}"
+        status = 207 if "registrationId" in refusal else 404
+        detail = f"{registration.shown}: {refusal.get('reason') or 'not updated'}"
         problem = Problem(status, "Not updated", detail, ERRORS + "InternalError").body()
         failed.append(Outcome(registration, frozenset({name}), status, problem, is_partial=True))
     done = names - left if updated is None else names & updated
@@ -110,16 +114,20 @@ def errors_in(document: Any) -> list[tuple[str | None, dict[str, Any]]]:
     """Return the ids and the problems of the entities that a result of a batch says have failed."""
     errors = document.get("errors") if isinstance(document, dict) else None
     return [
-        (one["entityId"] if isinstance(one.get("entityId"), str) else None, one["error"])
-        for one in (errors if isinstance(errors, list) else ())
-        if isinstance(one, dict) and isinstance(one.get("error"), dict)
+        (error["entityId"] if isinstance(error.get("entityId"), str) else None, error["error"])
+        for error in (errors if isinstance(errors, list) else ())
+        if isinstance(error, dict) and isinstance(error.get("error"), dict)
     ]
 
 
 def success_in(document: Any) -> list[str]:
     """Return the ids of the entities that a result of a batch says are done."""
     success = document.get("success") if isinstance(document, dict) else None
-    return [one for one in success if isinstance(one, str)] if isinstance(success, list) else []
+    return (
+        [entity_id for entity_id in success if isinstance(entity_id, str)]
+        if isinstance(success, list)
+        else []
+    )
 
 
 def problem_in(response: HttpResponse, registration: Registration) -> dict[str, Any]:
@@ -156,13 +164,15 @@ def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
     "Not found" is not reported if another part did the change.
     """
     everything = list(outcomes)
-    good = [one for one in everything if one.problem is None]
-    done = frozenset(name for one in good for name in one.names)
-    elsewhere = bool(good) or any(one.problem is not None and not one.is_absence for one in everything)
+    good = [outcome for outcome in everything if outcome.problem is None]
+    done = frozenset(name for outcome in good for name in outcome.names)
+    elsewhere = bool(good) or any(
+        outcome.problem is not None and not outcome.is_absence for outcome in everything
+    )
     failed = [
-        one
-        for one in everything
-        if one.problem is not None and not (one.is_absence and elsewhere and one.names <= done)
+        outcome
+        for outcome in everything
+        if outcome.problem is not None and not (outcome.is_absence and elsewhere and outcome.names <= done)
     ]
     return good, failed
 
@@ -174,12 +184,14 @@ def failure(failed: list[Outcome]) -> Response | None:
     A failure of the broker itself, on an entity that it has, comes first: AlreadyExists or ResourceNotFound
     (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
     """
-    own = next((one for one in failed if one.registration is None and not one.is_absence), None)
+    own = next(
+        (outcome for outcome in failed if outcome.registration is None and not outcome.is_absence), None
+    )
     if own is not None and own.problem is not None:
-        others = [one.problem for one in failed if one is not own]
+        others = [outcome.problem for outcome in failed if outcome is not own]
         return _problem_answer(own.status, {**own.problem, **({"errors": others} if others else {})}, None)
-    statuses = {one.status for one in failed}
-    if len(statuses) > 1 or any(one.is_partial for one in failed):
+    statuses = {outcome.status for outcome in failed}
+    if len(statuses) > 1 or any(outcome.is_partial for outcome in failed):
         return None
     first = failed[0]
     assert first.problem is not None  # noqa: S101 - it is a failure
@@ -200,10 +212,10 @@ def entity_errors(entity_id: Any, failed: Iterable[Outcome]) -> list[dict[str, A
     return [
         {
             "entityId": entity_id,
-            **({"registrationId": one.registration.id} if one.registration is not None else {}),
-            "error": one.problem,
+            **({"registrationId": outcome.registration.id} if outcome.registration is not None else {}),
+            "error": outcome.problem,
         }
-        for one in failed
+        for outcome in failed
     ]
 
 

@@ -57,25 +57,27 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
         matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where), changes=True)
     own = await perform(request)
     pieces = [piece for match in matches for piece in match.split_by_ids(MAX_IDS)]
-    found: list[Outcome] = []
+    results: list[Outcome] = []
     for start in range(0, len(pieces), MAX_CONCURRENT_REQUESTS):
         some = pieces[start : start + MAX_CONCURRENT_REQUESTS]
-        found += await gather_all(*(_purge_at(sources, one, request.parameters, context) for one in some))
-    failed = [one for one in found if one.problem is not None and one.status != 404]
+        results += await gather_all(
+            *(_purge_at(sources, match, request.parameters, context) for match in some)
+        )
+    failed = [outcome for outcome in results if outcome.problem is not None and outcome.status != 404]
     if not failed:
         return own
     body: dict[str, Any] = {"success": [], "errors": []}
     if own.status == 207:
         body |= orjson.loads(own.body)
-    for one in failed:
+    for outcome in failed:
         # A source that purged in part says which entities it has purged, and which not.
-        result = one.problem if one.is_partial else None
+        result = outcome.problem if outcome.is_partial else None
         body["success"] += outcomes.success_in(result)
         if result is None:
-            body["errors"] += outcomes.entity_errors(None, [one])
+            body["errors"] += outcomes.entity_errors(None, [outcome])
             continue
         for entity_id, problem in outcomes.errors_in(result):
-            body["errors"] += outcomes.entity_errors(entity_id, [replace(one, problem=problem)])
+            body["errors"] += outcomes.entity_errors(entity_id, [replace(outcome, problem=problem)])
     return outcomes.multi_status(body)
 
 
@@ -83,15 +85,15 @@ async def _whole_hits(sources: Sources, request: RequestContext, context: Contex
     """Return the ids of the merged entities that match the filters."""
     selection_to_purge(request, context)
     asking = {name: value for name, value in request.parameters.items() if name not in {"drop", "keep"}}
-    found: list[str] = []
+    ids: list[str] = []
 
     async def collect(over: RequestContext) -> Response:
         selection = selection_of({**over.parameters, "local": "true"}, context)
-        found.extend(one.id for one in await hits_of(over.tenant.store, selection))
+        ids.extend(entity.id for entity in await hits_of(over.tenant.store, selection))
         return Response(200)
 
     await reading.query(sources, derived(request, parameters=asking), collect)
-    return found
+    return ids
 
 
 async def _purge_at(
@@ -147,8 +149,8 @@ def _narrowed(
     return wanted
 
 
-def _attributes(given: str | None, context: Context) -> set[str] | None:
-    return None if given is None else {context.terms.expand(one) for one in given.split(",") if one}
+def _attributes(text: str | None, context: Context) -> set[str] | None:
+    return None if text is None else {context.terms.expand(name) for name in text.split(",") if name}
 
 
 def _joined(names: Iterable[str], dialect: SourceDialect) -> str:

@@ -68,11 +68,11 @@ def route_write(
     that are written, None for a write of the entity as a whole (a deletion). `where` filters the sources.
     Raises a problem (403) if the client may not see the entity.
     """
-    found = _matching_sources(sources, operations, target, where)
+    matches = _matching_sources(sources, operations, target, where)
     remaining, is_elsewhere, others = instances or frozenset(), False, list[WriteRoute]()
     for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
         taken: set[tuple[str, str | None]] = set()
-        for source, theirs, operation in found:
+        for source, theirs, operation in matches:
             if source.mode is not mode or (operation is None and not mode.is_proxied):
                 continue
             part = instances_of_source(source, remaining, theirs)
@@ -80,12 +80,12 @@ def route_write(
                 continue
             others.append(WriteRoute(source, part, operation))
             if mode.is_proxied:
-                taken |= {each for each in part if each[1] != ANY or source.datasets is None}
+                taken |= {slot for slot in part if slot[1] != ANY or source.datasets is None}
                 is_elsewhere = is_elsewhere or (theirs is None and source.datasets is None)
         remaining -= taken
     if instances is None:
         return WriteRouting(tuple(others), frozenset())
-    proxied = any(one.registration.mode.is_proxied for one in others)
+    proxied = any(match.registration.mode.is_proxied for match in others)
     stays = bool(remaining) or (not is_elsewhere and not (instances and proxied))
     return WriteRouting(tuple(others), remaining if stays else None)
 
@@ -94,7 +94,7 @@ def _matching_sources(
     sources: Sources, operations: tuple[str, ...], target: EntityTarget, where: SourceFilter | None
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
     """Return the matching sources with their attributes (None: all) and the operation that they take."""
-    found = []
+    matches = []
     (entity_id,), types = target.ids or (), target.types or frozenset()
     store = sources.request.tenant.store
     store.latest(entity_id)  # it refuses a change of what the client may not see
@@ -110,5 +110,5 @@ def _matching_sources(
         operation = next((name for name in operations if match.takes(name)), None)
         if operation is None and (match.is_temporal or not TEMPORAL.isdisjoint(operations)):
             continue  # a registration for current data does not claim temporal data, nor the other way round
-        found.append((match, None if names is None else frozenset(names), operation))
-    return found
+        matches.append((match, None if names is None else frozenset(names), operation))
+    return matches
