@@ -141,9 +141,9 @@ def moved_file(path: Path) -> Path:
     if path.exists():
         return path
     for old, new in FOLDERS.items():
-        before, found, after = path.as_posix().rpartition(f"{old}/")
+        before, separator, after = path.as_posix().rpartition(f"{old}/")
         moved = Path(f"{before}{new}/{after}")
-        if found and before[-1:] in {"", "/"} and moved.exists():
+        if separator and before[-1:] in {"", "/"} and moved.exists():
             warnings.warn(
                 f"{path} is now {moved}; set that, the old path works until Handover 1.0",
                 FutureWarning,  # shown to users, other than DeprecationWarning
@@ -193,11 +193,11 @@ def find_spec(
             return None
     if new is None:
         return ModuleSpec(name, _Parent(), is_package=True)
-    found = find_module(new)
-    if found is None:
+    spec = find_module(new)
+    if spec is None:
         return None
-    is_package = found.submodule_search_locations is not None
-    return ModuleSpec(name, _Renamed(new), origin=found.origin, is_package=is_package)
+    is_package = spec.submodule_search_locations is not None
+    return ModuleSpec(name, _Renamed(new), origin=spec.origin, is_package=is_package)
 
 
 def _is_renamed(parent: str) -> bool:

@@ -449,8 +449,8 @@ class Settings(BaseSettings):
             parts = urlsplit(url)
             if parts.hostname:
                 yield parts.hostname, parts.port or (443 if parts.scheme == "https" else 80)
-        given = {**dotenv_values(ENV_FILE), **os.environ}
-        own = (value or "" for name, value in given.items() if _OWN_PORT.match(name))
+        variables = {**dotenv_values(ENV_FILE), **os.environ}
+        own = (value or "" for name, value in variables.items() if _OWN_PORT.match(name))
         ports = {int(value) for value in own if value.isdigit()}
         for port in (*DEFAULT_PORTS, *ports):
             yield from ((host, port) for host in ("127.0.0.1", "localhost", "::1"))

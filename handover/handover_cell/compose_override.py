@@ -76,7 +76,7 @@ def _overridden(
     services: Mapping[str, Any], folders: Mapping[str, Path], words: Sequence[str], names: Sequence[str]
 ) -> dict[str, Any]:
     of_init = {volume: folders[target] for volume, target, _ in _mounts(services[INIT])}
-    found: dict[str, Any] = {}
+    overridden: dict[str, Any] = {}
     for name, service in services.items():
         mounts = [
             f"{of_init[volume]}:{target}" + (f":{mode}" if mode else "")
@@ -89,8 +89,8 @@ def _overridden(
         if name == INIT:
             changed["command"] = list(words)
         if changed:
-            found[name] = changed
-    return found
+            overridden[name] = changed
+    return overridden
 
 
 def _with_names(word: str, names: Sequence[str]) -> str:

@@ -33,7 +33,7 @@ class CheckedActivity:
 
 
 def check_process(
-    file: Path, settings: TrajectorySettings, given: Mapping[str, Any]
+    file: Path, settings: TrajectorySettings, parameters: Mapping[str, Any]
 ) -> list[CheckedActivity]:
     """Return the checked activities of robots, in the order of the flow. Raises `UsageError`."""
     try:
@@ -45,20 +45,22 @@ def check_process(
     with tempfile.TemporaryDirectory(prefix="handover-check-") as folder:
         return [
             checked
-            for number, one in enumerate(definitions)
-            for checked in asyncio.run(_check(one, DryRun(settings, Path(folder, str(number))), dict(given)))
+            for number, definition in enumerate(definitions)
+            for checked in asyncio.run(
+                _check(definition, DryRun(settings, Path(folder, str(number))), dict(parameters))
+            )
         ]
 
 
-async def _check(definition: Definition, run: DryRun, given: dict[str, Any]) -> list[CheckedActivity]:
-    variables = {name: one.default for name, one in definition.parameters.items()} | given
-    found = []
+async def _check(definition: Definition, run: DryRun, parameters: dict[str, Any]) -> list[CheckedActivity]:
+    variables = {name: parameter.default for name, parameter in definition.parameters.items()} | parameters
+    activities = []
     async with run:
         for activity in _activities(definition.scope):
             checked = await _perform(run, activity, variables)
             if checked is not None:
-                found.append(checked)
-    return found
+                activities.append(checked)
+    return activities
 
 
 def _activities(scope: Scope) -> Iterator[Activity]:

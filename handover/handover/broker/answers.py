@@ -111,7 +111,7 @@ def require_all_done(
 
     Failures for which `is_ignored` is true are ignored.
     """
-    failures = [each for each in failures_of(answer, undone) if not is_ignored(each)]
+    failures = [failure for failure in failures_of(answer, undone) if not is_ignored(failure)]
     if failures:
         raise _refused_in_part(failures, describe)
 
@@ -126,10 +126,10 @@ def failures_of(answer: HttpResponse, undone: str) -> list[NgsiLd]:
 def _refused_in_part(failures: Sequence[NgsiLd], describe: Callable[[NgsiLd], str]) -> BrokerError:
     """Return `BrokerUnavailable` if one of the failures concerns the moment: all may be sent again."""
     text = "; ".join(map(describe, failures))
-    found = {error_class(status): status for status in map(_status_of, failures)}
+    statuses = {error_class(status): status for status in map(_status_of, failures)}
     for kind in (BrokerUnavailable, BrokerFault):
-        if kind in found:
-            return kind(found[kind], "Unavailable in part", text)
+        if kind in statuses:
+            return kind(statuses[kind], "Unavailable in part", text)
     return BrokerError(400, "Refused in part", text)
 
 

@@ -153,13 +153,13 @@ class BrokerClient(BrokerConnection):
 
     async def find(self, model: type[AnEntity], **selection: Any) -> list[AnEntity]:
         """Return all entities of `model` that match; an invalid one is logged and skipped."""
-        found: list[AnEntity] = []
+        instances: list[AnEntity] = []
         for entity in await self.query(type=model.ngsi_type(), **selection):
             try:
-                found.append(model.from_ngsild(entity))
+                instances.append(model.from_ngsild(entity))
             except ValueError as error:
                 log.warning("entity does not match the data model", entity=entity.get("id"), error=str(error))
-        return found
+        return instances
 
     async def update(self, entity_id: str, attributes: NgsiLd) -> None:
         """Overwrite attributes (PATCH …/attrs); some brokers add missing attributes, others refuse them.

@@ -159,10 +159,10 @@ class BrokerConnection:
         if isinstance(body, Mapping) and "@context" in body:
             headers = self._with_context
         content = b"" if body is None else orjson.dumps(body)
-        given, own = await self._given()
+        source, own = await self._given()
         response = await self._send(method, url, (*headers, *own.items()), content)
-        if response.status == HTTPStatus.UNAUTHORIZED and given is not None and given.renew(own):
-            given, own = await self._given()
+        if response.status == HTTPStatus.UNAUTHORIZED and source is not None and source.renew(own):
+            source, own = await self._given()
             response = await self._send(method, url, (*headers, *own.items()), content)
         if 200 <= response.status < 300:
             if response.headers.get("content-type", "").startswith("text/html"):

@@ -57,7 +57,7 @@ def as_object(answer: HttpResponse) -> Json:
 def as_list(answer: HttpResponse) -> list[Json]:
     """Return the JSON objects of an answer. Raises `HandoverError`."""
     document = as_json(answer)
-    if not isinstance(document, list) or not all(isinstance(one, dict) for one in document):
+    if not isinstance(document, list) or not all(isinstance(part, dict) for part in document):
         raise HandoverError(f"the broker answers {document!r:.200} in place of a list of JSON objects")
     return document
 

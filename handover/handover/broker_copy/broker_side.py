@@ -150,7 +150,9 @@ class BrokerSide:
             async for page in self._entities_of({"type": kind, **self.local}):
                 # an entity of several types is in the list of each
                 own = [
-                    one for one in page if min(set(types_of(one)) & set(self._types), default=kind) == kind
+                    entity
+                    for entity in page
+                    if min(set(types_of(entity)) & set(self._types), default=kind) == kind
                 ]
                 self.listed += len(own)
                 yield own
@@ -214,7 +216,7 @@ class BrokerSide:
 
     async def lookup(self, entities: Sequence[Json]) -> dict[str, Json]:
         """Return the entities with these ids, expanded, by id."""
-        found: dict[str, Json] = {}
+        by_id: dict[str, Json] = {}
         for ids in _in_urls([entity["id"] for entity in entities if "," not in entity["id"]]):
             kinds = sorted({kind for entity in entities for kind in types_of(entity)})
             selection = self.local or {"type": ",".join(kinds)}
@@ -223,20 +225,20 @@ class BrokerSide:
                 page = as_list(await self.read("/entities", asked))
             except NotFound:  # there is no such tenant
                 return {}
-            found |= {one["id"]: self._read_form(one) for one in page}
+            by_id |= {read_entity["id"]: self._read_form(read_entity) for read_entity in page}
         for entity in entities:
-            if "," in entity["id"] and (one := await self.retrieve(entity["id"])) is not None:
-                found[entity["id"]] = one
-        return found
+            if "," in entity["id"] and (retrieved := await self.retrieve(entity["id"])) is not None:
+                by_id[entity["id"]] = retrieved
+        return by_id
 
     async def retrieve(self, entity_id: str) -> Json | None:
         """Return one entity, expanded; None if there is none."""
         asked = {"options": "sysAttrs", **self.local}
         try:
-            found = as_object(await self.read(f"/entities/{in_path(entity_id)}", asked))
+            entity = as_object(await self.read(f"/entities/{in_path(entity_id)}", asked))
         except NotFound:
             return None
-        return self._read_form(found)
+        return self._read_form(entity)
 
     def _read_form(self, entity: Json) -> Json:
         """Return an entity that was read, expanded; parameters of Tasks have the values of their texts."""
@@ -258,7 +260,7 @@ class BrokerSide:
         alone = list(filter(self._is_alone, entities))
         single = {entity["id"] for entity in alone}
         refused: dict[str, str] = {}
-        for batch in batches([one for one in entities if one["id"] not in single]):
+        for batch in batches([candidate for candidate in entities if candidate["id"] not in single]):
             refused |= await self._batch("/entityOperations/create", {}, batch)
         for entity in alone:
             refused |= await self._alone(entity)
@@ -362,7 +364,9 @@ class BrokerSide:
 def batches(entities: Sequence[Json]) -> Iterator[list[Json]]:
     """Yield entities in batches within the limits; one that is larger is alone."""
     brackets = 2
-    return _parts(entities, lambda one: len(orjson.dumps(one)) + 1, MAX_BATCH, MAX_BATCH_BYTES - brackets)
+    return _parts(
+        entities, lambda entity: len(orjson.dumps(entity)) + 1, MAX_BATCH, MAX_BATCH_BYTES - brackets
+    )
 
 
 def in_path(name: str) -> str:
@@ -371,7 +375,7 @@ def in_path(name: str) -> str:
 
 
 def _in_urls(ids: Sequence[str]) -> Iterator[list[str]]:
-    return _parts(ids, lambda one: len(quote(one, safe=":")) + 1, MAX_IDS, MAX_IDS_LENGTH)
+    return _parts(ids, lambda entity_id: len(quote(entity_id, safe=":")) + 1, MAX_IDS, MAX_IDS_LENGTH)
 
 
 def _parts(

@@ -449,8 +449,8 @@ class HttpProtocol(HttpToolsProtocol, LimitedConnection):
 
 def _after_empty_line(piece: bytes) -> int:
     """Return where the rest of `piece` begins after its last empty line; 0 without one."""
-    found = piece.rfind(_END_OF_HEAD)
-    return 0 if found < 0 else found + len(_END_OF_HEAD)
+    position = piece.rfind(_END_OF_HEAD)
+    return 0 if position < 0 else position + len(_END_OF_HEAD)
 
 
 class _Flow(FlowControl):

@@ -81,8 +81,8 @@ class AnyAddress:
 
     async def resolved(self, host: str, port: int) -> list[str]:
         """Return the addresses of `host`; raise `OSError` when the name cannot be resolved."""
-        known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        return list(dict.fromkeys(str(one[4][0]) for one in known))
+        answers = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return list(dict.fromkeys(str(address_info[4][0]) for address_info in answers))
 
 
 ANY_ADDRESS: Final = AnyAddress()

@@ -319,7 +319,7 @@ class AuditTrail:
         Raises `Problem` 503 if the database does not accept them.
         """
         now_s = time.monotonic()
-        new = {_read_of(one): one for one in entries if self._read_s(one) <= now_s - REPEAT_S}
+        new = {_read_of(entry): entry for entry in entries if self._read_s(entry) <= now_s - REPEAT_S}
         if not new:
             return
         await self.store(list(new.values()))

@@ -250,7 +250,11 @@ class DeviceLeases:
             lease.epoch += 1
             lease.ends_s = -math.inf
         if held:
-            body = {"holder": self._holder, "session": self._session, "devices": [one.device for one in held]}
+            body = {
+                "holder": self._holder,
+                "session": self._session,
+                "devices": [held_lease.device for held_lease in held],
+            }
             try:
                 await self._post(f"{PATH}/release", body)
             except (SendError, AccountsUnavailable) as error:
@@ -312,7 +316,7 @@ class DeviceLeases:
         if self._away is not None and not self._is_unleased:
             log.info("the orchestrator answers again", performer=self._performer)
         self._away, self._is_unleased = None, False
-        await self._apply({str(each["device"]): each for each in content["leases"]}, sent_s)
+        await self._apply({str(answer["device"]): answer for answer in content["leases"]}, sent_s)
         return True
 
     async def _apply(self, answers: Mapping[str, Mapping[str, Any]], sent_s: float) -> None:
@@ -320,18 +324,18 @@ class DeviceLeases:
             self._was_leased = True
             if self._keep_mark is not None:
                 await self._keep_mark()
-        for device, each in answers.items():
+        for device, content in answers.items():
             lease = self._leases.get(device)
             if lease is None:
                 continue
-            if not each["granted"]:
-                holder = each["holder"]
+            if not content["granted"]:
+                holder = content["holder"]
                 who = f"{holder['performer']} (process {holder['pid']} on {holder['host']})"
-                retry_s = self._clock() + min(max(float(each["endsInS"]), 0.05), RETRY_EVERY_S)
+                retry_s = self._clock() + min(max(float(content["endsInS"]), 0.05), RETRY_EVERY_S)
                 if lease.refuse(who, retry_s):
                     log.warning("standby: another process holds the device", device=device, holder=who)
                 continue
-            was_held, number = lease.is_held(), int(each["number"])
+            was_held, number = lease.is_held(), int(content["number"])
             if lease.grant(number, sent_s + LEASE_S):
                 log.warning("another process held the device meanwhile", device=device, number=number)
             if not was_held:

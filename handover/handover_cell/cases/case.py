@@ -109,7 +109,7 @@ async def run_case(
         for line in table(trial["figures"]):
             say(line)
         if not trial["passed"]:
-            wrong = [one["name"] for one in trial["figures"] if one["passed"] is False]
+            wrong = [figure["name"] for figure in trial["figures"] if figure["passed"] is False]
             reason = trial["failure"] or f"not as it should be: {', '.join(wrong)}"
             raise UsageError(f"the case {case.name} failed: {reason}")
         if not once:
@@ -127,9 +127,9 @@ async def add_person(http: httpx.AsyncClient, case: Case) -> None:
         "givenBy": "a simulated person",
     }
     await _ask(http, "PUT", f"{base}/people/{person}/consent", consent)
-    for one in case.sensors:
-        sensor = {"person": person, "driver": "simulated", "settings": dict(one.settings)}
-        await _ask(http, "PUT", f"{base}/sensors/{one.name}", sensor)
+    for kind in case.sensors:
+        sensor = {"person": person, "driver": "simulated", "settings": dict(kind.settings)}
+        await _ask(http, "PUT", f"{base}/sensors/{kind.name}", sensor)
     await _ask(http, "PUT", f"{base}/people/{person}/robots/{case.robot}")
 
 
@@ -138,10 +138,10 @@ async def _follow(http: httpx.AsyncClient, machine: str, say: Say) -> dict[str, 
     shown_s = -1.0
     while True:
         trial: dict[str, Any] = (await _ask(http, "GET", machine))["trial"]
-        for each in trial["messages"]:
-            if each["atS"] > shown_s:
-                shown_s = each["atS"]
-                say(f"{shown_s:6.1f} s  {each['text']}")
+        for text in trial["messages"]:
+            if text["atS"] > shown_s:
+                shown_s = text["atS"]
+                say(f"{shown_s:6.1f} s  {text['text']}")
         if not trial["isRunning"]:
             return trial
         await asyncio.sleep(QUERY_EVERY_S)

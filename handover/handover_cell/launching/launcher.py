@@ -82,8 +82,8 @@ class Launcher:
         self._data_dir = settings.data_dir.absolute()
         self._settings = settings
         # The broker may notify the services at all their addresses.
-        given = BrokerSettings.load().outbound_allow
-        self._broker_outbound_allow = ",".join(filter(None, (*sorted(_places_of(services)), given)))
+        allowed = BrokerSettings.load().outbound_allow
+        self._broker_outbound_allow = ",".join(filter(None, (*sorted(_places_of(services)), allowed)))
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []

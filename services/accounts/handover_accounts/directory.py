@@ -141,10 +141,10 @@ class Directory:
         return await self.read(lambda connection: _revoked_after(connection, position))
 
     async def _look(self) -> None:
-        known = self.revocations.position
-        document = await self.read(lambda connection: _revoked_after(connection, known))
+        position = self.revocations.position
+        document = await self.read(lambda connection: _revoked_after(connection, position))
         self.revocations.apply(document)
-        if document["position"] != known:
+        if document["position"] != position:
             self._revoked.set()
             self._revoked = asyncio.Event()
 
@@ -436,30 +436,30 @@ class Directory:
 
     async def introspect(self, token: str) -> dict[str, Any]:
         """Return what is known of a secret token."""
-        found = await self.read(lambda connection: secret_token_store.introspected(connection, token))
-        if found["active"]:
-            self._uses.setdefault(tables.tokens.c.used_s, {})[found["subject"]] = time.time()
-        return found
+        document = await self.read(lambda connection: secret_token_store.introspected(connection, token))
+        if document["active"]:
+            self._uses.setdefault(tables.tokens.c.used_s, {})[document["subject"]] = time.time()
+        return document
 
 
 def _looked_up(connection: Connection, subject: str) -> dict[str, Any]:
     revision = revision_of(connection)  # first, so that the grants are never older
-    found = secret_token_store.find_subject(connection, subject)
-    if found is None:
+    owner = secret_token_store.find_subject(connection, subject)
+    if owner is None:
         query = select(tables.users.c.name, tables.users.c.person).where(tables.users.c.subject == subject)
         row = connection.execute(query).mappings().first()
         if row is None:
             return {"active": False, "revision": revision}
-        found = {"kind": CallerKind.USER.value, **row}
-    is_service = found["kind"] == CallerKind.SERVICE
-    given = (Grant(Role.SERVICE),) if is_service else grants_of(connection, subject)
+        owner = {"kind": CallerKind.USER.value, **row}
+    is_service = owner["kind"] == CallerKind.SERVICE
+    grants = (Grant(Role.SERVICE),) if is_service else grants_of(connection, subject)
     return {
         "active": True,
-        "kind": found["kind"],
+        "kind": owner["kind"],
         "subject": subject,
-        "name": found["name"],
-        "grants": [{"role": one.role, "resource": one.resource} for one in given],
-        "person": found.get("person"),
+        "name": owner["name"],
+        "grants": [{"role": grant.role, "resource": grant.resource} for grant in grants],
+        "person": owner.get("person"),
         "session": None,
         "revision": revision,
     }

@@ -124,9 +124,9 @@ def issue_component_token(settings: AccountsSettings, name: str, device: str) ->
     try:
         with opened_store(settings) as store, store.change(COMMAND) as change:
             former = next(iter(_revoke_component_tokens(change, name)), None)
-            given = (Grant(Role.PERFORMER, require_pattern(device)),)
+            grants = (Grant(Role.PERFORMER, require_pattern(device)),)
             _, token = secret_token_store.issue(
-                change, CallerKind.SCRIPT, _token_name(name), given, None, subject=former
+                change, CallerKind.SCRIPT, _token_name(name), grants, None, subject=former
             )
             return token
     except Problem as problem:

@@ -178,11 +178,11 @@ class AuditLog:
         aliases = self._tables.aliases
         if aliases is None or not (is_personal or resource.startswith(_PERSON)):
             return resource
-        found = connection.execute(select(aliases.c.alias).where(aliases.c.name == resource)).scalar()
-        if found is None:
-            found = f"person-{secrets.token_hex(12)}"
-            connection.execute(insert(aliases).values(name=resource, alias=found))
-        return str(found)
+        alias = connection.execute(select(aliases.c.alias).where(aliases.c.name == resource)).scalar()
+        if alias is None:
+            alias = f"person-{secrets.token_hex(12)}"
+            connection.execute(insert(aliases).values(name=resource, alias=alias))
+        return str(alias)
 
     def forget(self, connection: Connection, name: str) -> int:
         """Delete the texts by and about a subject or Person, and the alias of the Person.
@@ -277,8 +277,8 @@ class AuditLog:
         """Return the number of the first record with the outcome of an intent, as a column."""
         records = self._tables.records
         ends = records.alias("ends")
-        found = select(func.min(ends.c.seq)).where(ends.c.intent == records.c.seq)
-        return found.correlate(records).scalar_subquery()
+        first = select(func.min(ends.c.seq)).where(ends.c.intent == records.c.seq)
+        return first.correlate(records).scalar_subquery()
 
     def has(self, connection: Connection, *, seq: int, action: str) -> bool:
         """Return whether there is a record with this number and action."""

@@ -31,8 +31,8 @@ def chains_of(settings: Settings) -> list[AuditChain]:
     if settings.database_url:
         return _chains_in(connect(settings.database("audit"), is_own=False))
     files = sorted(settings.data_dir.glob("*.db"))
-    found = [chain for file in files for chain in _chains_in(_read_only(file))]
-    return sorted(found, key=lambda chain: chain.service)
+    chains = [chain for file in files for chain in _chains_in(_read_only(file))]
+    return sorted(chains, key=lambda chain: chain.service)
 
 
 def records_of(chains: list[AuditChain], names: Mapping[str, str] = MappingProxyType({})) -> list[AuditView]:
@@ -42,7 +42,7 @@ def records_of(chains: list[AuditChain], names: Mapping[str, str] = MappingProxy
         with chain.engine.connect() as connection:
             after = 0
             while page := chain.log.read(connection, after=after, limit=_PAGE):
-                views += [view_of(chain.service, one, names) for one in page]
+                views += [view_of(chain.service, record, names) for record in page]
                 after = page[-1].seq
     return sorted(views, key=lambda view: (view["at"], view["service"], view["seq"]))
 

@@ -114,10 +114,10 @@ def add_audit_routes(
         """
 
         def read(connection: Connection) -> list[AuditView]:
-            found = source.log.read(
+            records = source.log.read(
                 connection, chosen=chosen, after=before, limit=limit, newest_first=True, is_short=True
             )
-            return _views(source.service, names(connection), found)
+            return _views(source.service, names(connection), records)
 
         views: list[AuditView] = await source.read(read)
         return views
@@ -125,11 +125,11 @@ def add_audit_routes(
     @app.get(f"{prefix}/audit/verification", tags=["audit"])
     async def audit_verification(_: Auditor) -> AuditVerification:
         """Check the chain of all records."""
-        found = await source.read(source.log.verify)
+        verification = await source.read(source.log.verify)
         return {
-            "records": found.records,
-            "head": found.head,
-            "fault": found.fault,
+            "records": verification.records,
+            "head": verification.head,
+            "fault": verification.fault,
             "withoutOutcome": await source.read(source.log.open_intents),
         }
 
@@ -148,8 +148,8 @@ def add_audit_routes(
         await source.record(caller, "audit.exported", "*")
 
         def read(connection: Connection) -> bytes:
-            found = source.log.read(connection, chosen=chosen, limit=MAX_EXPORTED)
-            views = _views(source.service, names(connection), found)
+            records = source.log.read(connection, chosen=chosen, limit=MAX_EXPORTED)
+            views = _views(source.service, names(connection), records)
             return csv_of(views) if file_format == "csv" else orjson.dumps(views)
 
         return Response(

@@ -86,13 +86,13 @@ def proven_person(keys: KeysInForce, task: str, outputs: Mapping[str, Any]) -> s
 
     Raises `InvalidToken` with the reason if there is none, or one of another Task.
     """
-    known = keys.keys()
-    if known is None:
+    names = keys.keys()
+    if names is None:
         raise InvalidToken("without accounts nobody has a PIN")
     proof = outputs.get(PROOF_MEMBER)
     if not isinstance(proof, str):
         raise InvalidToken("there is no proof")
-    return known.pin_person(proof, task)
+    return names.pin_person(proof, task)
 
 
 def _refused(why: str) -> Problem:

@@ -31,14 +31,16 @@ def verify(data_dir: DataDir = None) -> None:
     for chain in _chains(data_dir):
         began_s = time.perf_counter()
         with chain.engine.connect() as connection:
-            found = chain.log.verify(connection)
+            verification = chain.log.verify(connection)
             without_outcome = chain.log.open_intents(connection)
         took_s = time.perf_counter() - began_s
-        if found.fault is None:
-            print(f"{chain.service}: {found.records} records are intact ({took_s:.1f} s), head {found.head}")
+        if verification.fault is None:
+            intact = f"{verification.records} records are intact ({took_s:.1f} s)"
+            print(f"{chain.service}: {intact}, head {verification.head}")
         else:
             damaged += 1
-            print(f"{chain.service}: damaged: {found.fault}; the {found.records} records before are intact")
+            intact = f"the {verification.records} records before are intact"
+            print(f"{chain.service}: damaged: {verification.fault}; {intact}")
         if without_outcome:
             numbers = ", ".join(str(seq) for seq in without_outcome[:MAX_NUMBERS_SHOWN])
             more = ", …" if len(without_outcome) > MAX_NUMBERS_SHOWN else ""

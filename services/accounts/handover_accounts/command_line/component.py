@@ -250,8 +250,8 @@ def _noted_endpoint(settings: AccountsSettings, name: str) -> str | None:
 def _note_endpoint(settings: AccountsSettings, name: str, endpoint: str | None) -> None:
     """Allow the broker to notify a component at its endpoint alone."""
     file = settings.security_folder / COMPONENTS_FILE
-    known = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    others = [line for line in known if line.partition(" ")[2] != name]
+    lines_before = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    others = [line for line in lines_before if line.partition(" ")[2] != name]
     lines = others if endpoint is None else [*others, f"{endpoint} {name}"]
-    if lines != known:
+    if lines != lines_before:
         replace_durably(file, "".join(f"{line}\n" for line in lines).encode(), mode=0o644)

@@ -32,7 +32,7 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
             "name": caller.name,
             "person": caller.person,
             "grants": [{"role": grant.role, "resource": grant.resource} for grant in caller.grants],
-            "permissions": [one for one in Permission if caller.may_somewhere(one)],
+            "permissions": [permission for permission in Permission if caller.may_somewhere(permission)],
             "hasAccounts": directory.keys.exist(),
         }
 
@@ -47,8 +47,12 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
 
         For those who see such ids, as in the list of who looked at the own health data.
         """
-        known = await directory.read(subject_names)
-        return {one: known[one] for one in subject if one in known}
+        names_of_subjects = await directory.read(subject_names)
+        return {
+            subject_id: names_of_subjects[subject_id]
+            for subject_id in subject
+            if subject_id in names_of_subjects
+        }
 
     @app.get("/me/sessions", tags=["own account"])
     async def own_sessions(caller: SignedIn) -> list[SessionView]:

@@ -54,8 +54,8 @@ def add_service_routes(app: FastAPI, directory: Directory) -> None:
     @max_body(MAX_BODY_BYTES)
     async def service_token(caller: Verifier, request: Request) -> ServiceToken:
         """Exchange the secret token of a service (Authorization: Bearer) for an access token."""
-        given = request.headers.get("authorization", "").partition(" ")[2].strip()
-        if not is_secret_token(given) or caller.kind is not CallerKind.SERVICE:
+        token = request.headers.get("authorization", "").partition(" ")[2].strip()
+        if not is_secret_token(token) or caller.kind is not CallerKind.SERVICE:
             raise Problem(403, "No secret token", "send the secret token of the service, not an access token")
         return cast("ServiceToken", await directory.service_token(caller))
 

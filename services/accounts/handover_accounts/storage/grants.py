@@ -27,13 +27,13 @@ _GRANTS_OF: Final = (
 def checked_grant(role: str, resource: str) -> Grant:
     """Return a grant that people and tokens may have; raise `Problem` 422."""
     try:
-        known = Role(role)
+        checked_role = Role(role)
     except ValueError:
-        known = Role.SERVICE
-    if known is Role.SERVICE:
+        checked_role = Role.SERVICE
+    if checked_role is Role.SERVICE:
         raise Problem(422, "No such role", f'"{role[:40]}" is no role; use one of {", ".join(PEOPLE_ROLES)}')
     try:
-        return Grant(known, require_pattern(resource))
+        return Grant(checked_role, require_pattern(resource))
     except UsageError as error:
         raise Problem(422, "Invalid resource", str(error)) from None
 
@@ -46,12 +46,12 @@ def grants_of(connection: Connection, subject: str) -> tuple[Grant, ...]:
 
 def grant_rows(connection: Connection) -> dict[str, list[dict[str, Any]]]:
     """Return all grants by subject."""
-    found: dict[str, list[dict[str, Any]]] = {}
+    by_subject: dict[str, list[dict[str, Any]]] = {}
     for row in connection.execute(select(grants).order_by(grants.c.created_s, grants.c.id)).mappings():
-        found.setdefault(row["subject"], []).append(
+        by_subject.setdefault(row["subject"], []).append(
             {"id": row["id"], "role": row["role"], "resource": row["resource"]}
         )
-    return found
+    return by_subject
 
 
 def add_grant(change: Change, subject: str, grant: Grant) -> str:

@@ -59,20 +59,20 @@ class IdentifierHashes:
 
 def checked_identifier(kind: IdentifierKind, value: str) -> str:
     """Return an identifier; raise `Problem` 422."""
-    given = value.strip()
+    text = value.strip()
     if kind is IdentifierKind.PIN:
-        if _PIN.match(given) is None:
+        if _PIN.match(text) is None:
             raise Problem(422, "Invalid PIN", "a PIN has 4 to 12 digits")
-        if len(set(given)) == 1 or any(given in easy for easy in EASY_PINS):
+        if len(set(text)) == 1 or any(text in easy for easy in EASY_PINS):
             raise Problem(422, "Invalid PIN", "this PIN is too easy; use other digits")
     elif kind is IdentifierKind.GESTURE:
-        if not 0 < len(given) <= 100:
+        if not 0 < len(text) <= 100:
             raise Problem(422, "Invalid gesture", "give the name of a gesture, as on the page of gestures")
-    elif _NUMBER.match(given) is None:
+    elif _NUMBER.match(text) is None:
         raise Problem(
             422, "Invalid number", "a badge number has 4 to 64 letters, digits or . : _ - without spaces"
         )
-    return given
+    return text
 
 
 def new_qr_code() -> str:
@@ -101,10 +101,10 @@ def identified(connection: Connection, hashes: IdentifierHashes, kind: Identifie
     query = select(table.c.subject).where(
         table.c.kind == kind, table.c.value_hash == hashes.of(kind, value.strip())
     )
-    found = connection.execute(query).scalar()
-    if found is None:
+    subject = connection.execute(query).scalar()
+    if subject is None:
         raise Problem(404, "Not recognized", f"nobody has this {kind}; try again, or ask an engineer")
-    return str(found)
+    return str(subject)
 
 
 def kinds_of(connection: Connection, subject: str) -> list[str]:

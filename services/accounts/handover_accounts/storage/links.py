@@ -32,7 +32,7 @@ def make_link(
     valid_s: float,
     name: str | None = None,
     subject: str | None = None,
-    given: tuple[Grant, ...] = (),
+    grants: tuple[Grant, ...] = (),
 ) -> tuple[str, str, float]:
     """Make a link; return its id, its secret, which is not stored, and its expiry. Raises `Problem` 409."""
     connection = change.connection
@@ -54,7 +54,7 @@ def make_link(
             purpose=purpose,
             name=name,
             subject=subject,
-            grants=json.dumps([[grant.role, grant.resource] for grant in given]),
+            grants=json.dumps([[grant.role, grant.resource] for grant in grants]),
             created_s=now_s,
             expires_s=expires_s,
         )
@@ -65,7 +65,7 @@ def make_link(
 
 def make_owner_link(change: Change) -> str:
     """Make the link of an owner, who gets every role; return its secret. An earlier one becomes invalid."""
-    return make_link(change, OWNER, valid_s=OWNER_LINK_VALID_S, given=OWNER_GRANTS)[1]
+    return make_link(change, OWNER, valid_s=OWNER_LINK_VALID_S, grants=OWNER_GRANTS)[1]
 
 
 def find_link(connection: Connection, secret: str) -> dict[str, Any]:

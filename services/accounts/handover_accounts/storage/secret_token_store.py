@@ -23,7 +23,7 @@ def issue(
     change: Change,
     kind: CallerKind,
     name: str,
-    given: tuple[Grant, ...],
+    new_grants: tuple[Grant, ...],
     expires_s: float | None,
     *,
     subject: str | None = None,
@@ -47,7 +47,7 @@ def issue(
         )
     )
     change.record("token.issued", subject, text=f"{kind} {name}")
-    for grant in given:
+    for grant in new_grants:
         add_grant(change, subject, grant)
     return subject, token
 
@@ -94,13 +94,13 @@ def introspected(connection: Connection, token: str) -> dict[str, Any]:
     if row is None:
         return {"active": False}
     is_service = row["kind"] == CallerKind.SERVICE
-    given = (Grant(Role.SERVICE),) if is_service else grants_of(connection, row["subject"])
+    token_grants = (Grant(Role.SERVICE),) if is_service else grants_of(connection, row["subject"])
     return {
         "active": True,
         "kind": row["kind"],
         "subject": row["subject"],
         "name": row["name"],
-        "grants": [{"role": one.role, "resource": one.resource} for one in given],
+        "grants": [{"role": grant.role, "resource": grant.resource} for grant in token_grants],
         "person": None,
         "session": None,
         "revision": revision,

@@ -104,8 +104,10 @@ def remember_place(connection: Connection, subject: str, address: str, now_s: fl
     here = (places.c.subject == subject) & (places.c.address == address[:64])
     if connection.execute(update(places).where(here).values(seen_s=now_s)).rowcount == 0:
         connection.execute(insert(places).values(subject=subject, address=address[:64], seen_s=now_s))
-        known = select(places.c.address).where(places.c.subject == subject)
-        for old in connection.execute(known.order_by(places.c.seen_s.desc()).offset(MAX_PLACES)).scalars():
+        addresses = select(places.c.address).where(places.c.subject == subject)
+        for old in connection.execute(
+            addresses.order_by(places.c.seen_s.desc()).offset(MAX_PLACES)
+        ).scalars():
             connection.execute(delete(places).where(places.c.subject == subject, places.c.address == old))
 
 

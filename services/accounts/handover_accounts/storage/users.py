@@ -36,14 +36,14 @@ def name_key(name: str) -> str:
 
 def checked_name(name: str) -> str:
     """Return a name for a new user; raise `Problem` 422."""
-    given = unicodedata.normalize("NFKC", name).strip()
-    if not 2 <= len(given) <= 64 or _NAME.match(given) is None:
+    text = unicodedata.normalize("NFKC", name).strip()
+    if not 2 <= len(text) <= 64 or _NAME.match(text) is None:
         raise Problem(
             422,
             "Invalid name",
             "a name has 2 to 64 letters, digits, spaces or . @ + ' - _ and begins with a letter or digit",
         )
-    return given
+    return text
 
 
 def find_by_name(connection: Connection, name: str) -> dict[str, Any] | None:

@@ -135,7 +135,7 @@ def _check_header(key: str, value: str) -> None:
 
 
 def _milliseconds(duration: Any, what: str) -> float:
-    """Return `given` milliseconds in seconds."""
+    """Return a duration in milliseconds as seconds."""
     if duration is None:
         return 0.0
     if not isinstance(duration, int | float) or isinstance(duration, bool) or not 0 <= duration < 1e12:

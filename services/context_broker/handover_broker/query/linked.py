@@ -40,8 +40,8 @@ class Join:
 def join_of(parameters: Mapping[str, Any]) -> Join | None:
     """Return the request for linked entities in `join`, `joinLevel` and `containedBy`; None without them.
 
-    `given` are query parameters, or a Query or the notification of a subscription, in which the last two are
-    a number and a list. Raises a problem (400) that names the parameter and the rule.
+    `parameters` are query parameters, or a Query or the notification of a subscription, in which the last two
+    are a number and a list. Raises a problem (400) that names the parameter and the rule.
     """
     wanted, level, contained = (
         parameters.get("join"),

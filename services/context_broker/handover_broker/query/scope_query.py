@@ -47,7 +47,7 @@ class ScopeQuery:
 
 
 def scope_query(text: Any, what: str = "scopeQ") -> ScopeQuery:
-    """Return the query in the text `given`; raise a problem (400) when it is invalid."""
+    """Return the query in `text`; raise a problem (400) when it is invalid."""
     if not isinstance(text, str) or not text:
         raise bad_request_data(f"{what} is text such as /Madrid/Gardens/#, not {shown(text)}")
     return _scope_query(text, what)

@@ -45,7 +45,7 @@ class TypeSelection:
 
 
 def type_selection(text: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
-    """Return the selection in the text `given`, its names expanded.
+    """Return the selection in `text`, its names expanded.
 
     Raises a problem (400) that names `what` when it is invalid.
     """

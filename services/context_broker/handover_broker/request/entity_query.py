@@ -39,7 +39,7 @@ def entity_query_of(
     context: Context,
     any_of: tuple[Selection, ...] = (),
 ) -> EntityQuery:
-    """Return the query in the parameters `given`, for entities that match one of `any_of` if there are any.
+    """Return the query in `parameters`, for entities that match one of `any_of` if there are any.
 
     Raises a problem (400) that names what is invalid or not allowed.
     """

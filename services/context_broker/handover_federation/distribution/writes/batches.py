@@ -71,7 +71,7 @@ _WHOLE: Final = frozenset({"createBatch", "upsertBatch"})
 
 @dataclass(slots=True)
 class _Item:
-    """One entity of a batch. `given` is the entity, or its id in a delete."""
+    """One entity of a batch. `document` is the entity, or its id in a delete."""
 
     document: Any
     entity_id: Any
