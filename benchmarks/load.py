@@ -37,7 +37,7 @@ import orjson
 import psutil
 
 from benchmarks.load_site import COMMAND, DEVICES, PASSWORD, USERS, Site
-from handover_accounts import sessions
+from handover_accounts.storage import sessions
 
 PAPER_MS = {"one server": 69.0, "balanced": 7.0}
 """IoHRT, stress test: mean response time of 10,000 clients a minute."""

@@ -20,11 +20,11 @@ from handover.network.tls_trust import client_context
 from handover.security.permissions import Grant, Role
 from handover.security.secret_tokens import is_secret_token
 from handover.transport_security.local_authority import LocalAuthority, ServerFiles
-from handover_accounts import sessions, users
-from handover_accounts.grants import add_grant
 from handover_accounts.passwords import PasswordHashes
 from handover_accounts.set_up import opened_store, set_up
 from handover_accounts.settings import AccountsSettings
+from handover_accounts.storage import sessions, users
+from handover_accounts.storage.grants import add_grant
 
 PASSWORD = "correct horse battery"
 USERS = 200

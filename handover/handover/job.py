@@ -115,8 +115,12 @@ class Job:
     @property
     def parameters(self) -> dict[str, Any]:
         """Return the workParameters; empty when the Task has none."""
-        given = self.task.work_parameters
-        return dict(given.value) if given is not None and isinstance(given.value, Mapping) else {}
+        work_parameters = self.task.work_parameters
+        return (
+            dict(work_parameters.value)
+            if work_parameters is not None and isinstance(work_parameters.value, Mapping)
+            else {}
+        )
 
     def may_act(self) -> bool:
         """Return whether this process holds the Device; ask before every setpoint or goal. Cheap."""
@@ -220,12 +224,12 @@ class Job:
         """
         if not self.may_act():
             await self.checkpoint()
-        known = await self._records.begin_act(self.task.id, name)
-        if known is None:
+        earlier = await self._records.begin_act(self.task.id, name)
+        if earlier is None:
             result = dict(await act())
             await self._records.end_act(self.task.id, name, result)
             return result
-        if known.result is None:
+        if earlier.result is None:
             raise TaskFailed(
                 outcome_unknown(
                     message(
@@ -236,7 +240,7 @@ class Job:
                     )
                 )
             )
-        return dict(known.result)
+        return dict(earlier.result)
 
     def report_progress(self, fraction: float, **outputs: Any) -> None:
         """Report the progress, from 0 to 1, with other outputParameters that are known.

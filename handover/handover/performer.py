@@ -90,7 +90,7 @@ class ResourceQueue:
 
     def take(self) -> Job:
         """Remove and return the job to execute next."""
-        job = min(self.waiting, key=lambda each: each.order)
+        job = min(self.waiting, key=lambda waiting_job: waiting_job.order)
         self.waiting.remove(job)
         return job
 
@@ -249,13 +249,17 @@ class Performer(ABC):
         await self._subscriptions.keep(self._subscription())
         self._subscribed = True
         await self._announce(
-            [one for one in self._queues if one not in self._announced and self.leases.of(one).is_held()]
+            [
+                queue
+                for queue in self._queues
+                if queue not in self._announced and self.leases.of(queue).is_held()
+            ]
         )
-        known = set(self._jobs)
+        task_ids = set(self._jobs)
         unfinished = await self._unfinished()
         for entity in unfinished:
             self._process(entity)
-        for missing in known.difference(entity["id"] for entity in unfinished):
+        for missing in task_ids.difference(entity["id"] for entity in unfinished):
             await self._update(missing)
 
     async def _unfinished(self) -> list[dict[str, Any]]:
@@ -297,9 +301,9 @@ class Performer(ABC):
         for start in range(0, len(resources), MAX_ANNOUNCED):
             batch = resources[start : start + MAX_ANNOUNCED]
             await self.broker.upsert(
-                [{"id": one, "type": _type_in(one), "performer": performer} for one in batch]
+                [{"id": resource, "type": _type_in(resource), "performer": performer} for resource in batch]
             )
-            self._announced.update(one for one in batch if one in self._queues)
+            self._announced.update(resource for resource in batch if resource in self._queues)
 
     async def _update(self, task_id: str) -> None:
         job = self._jobs.get(task_id)
@@ -494,8 +498,8 @@ class Performer(ABC):
     async def _begin(self, job: Job) -> None:
         """Accept the Task and record that its work begins; raise `TaskFailed` if it may have begun before."""
         was_started = job.task.status.value in STARTED
-        known = await self._finished.act(job.task.id, PERFORM)
-        job.begun_here = known is not None or (was_started and self._finished.is_upgraded)
+        earlier = await self._finished.act(job.task.id, PERFORM)
+        job.begun_here = earlier is not None or (was_started and self._finished.is_upgraded)
         if (was_started or job.begun_here) and not await self.may_repeat(job):
             raise TaskFailed(
                 outcome_unknown(

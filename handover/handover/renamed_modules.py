@@ -90,6 +90,10 @@ MOVED: Final = {
     "handover.retry": "handover.runtime.retry",
     "handover.robot_xml": "handover.formats.robot_xml",
     "handover.ros_dds": "handover.formats.ros_dds",
+    "handover.security.audit_chains": "handover.security.audit_reading.audit_chains",
+    "handover.security.audit_routes": "handover.security.audit_reading.audit_routes",
+    "handover.security.performer_proof": "handover.security.proofs.performer_proof",
+    "handover.security.pin_check": "handover.security.proofs.pin_check",
     "handover.service": "handover.serving.service",
     "handover.specification": "handover.tasks.specification",
     "handover.specification_table": "handover.tasks.specification_table",
@@ -117,6 +121,8 @@ MOVED: Final = {
     "handover_processes.timing.due_queue": "handover_bpmn.timing.due_queue",
     "handover_processes.timing.spans": "handover_bpmn.spans",
     "handover_processes.timing.timers": "handover_bpmn.timing.timers",
+    "handover_broker.federation": "handover_federation",
+    "handover_broker.snapshots": "handover_federation.snapshots",
     "handover_robots.contents": "handover_robots.scene.contents",
     "handover_robots.cycles": "handover_robots.driver_base.control_thread",
     "handover_robots.cyclic_robot": "handover_robots.driver_base.cyclic_robot",
@@ -150,9 +156,9 @@ def moved_file(path: Path) -> Path:
     if path.exists():
         return path
     for old, new in FOLDERS.items():
-        before, found, after = path.as_posix().rpartition(f"{old}/")
+        before, separator, after = path.as_posix().rpartition(f"{old}/")
         moved = Path(f"{before}{new}/{after}")
-        if found and before[-1:] in {"", "/"} and moved.exists():
+        if separator and before[-1:] in {"", "/"} and moved.exists():
             warnings.warn(
                 f"{path} is now {moved}; set that, the old path works until Handover 1.0",
                 FutureWarning,  # shown to users, other than DeprecationWarning
@@ -205,11 +211,11 @@ def find_spec(
             return None
     if new is None:
         return ModuleSpec(name, _Parent(), is_package=True)
-    found = find_module(new)
-    if found is None:
+    spec = find_module(new)
+    if spec is None:
         return None
-    is_package = found.submodule_search_locations is not None
-    return ModuleSpec(name, _Renamed(new), origin=found.origin, is_package=is_package)
+    is_package = spec.submodule_search_locations is not None
+    return ModuleSpec(name, _Renamed(new), origin=spec.origin, is_package=is_package)
 
 
 def _is_renamed(parent: str) -> bool:

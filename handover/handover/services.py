@@ -34,9 +34,9 @@ def wanted_services() -> tuple[Service, ...]:
 
 def service_named(name: str) -> Service:
     """Return the service called `name`; raise `UsageError` with the known names."""
-    known = (*(name for name in OWN_SERVICES if name in SERVICES.names()), *_names_of_others())
-    if name not in known:
-        raise UsageError(f'there is no service "{name}"; the services are {", ".join(known)}')
+    names = (*(name for name in OWN_SERVICES if name in SERVICES.names()), *_names_of_others())
+    if name not in names:
+        raise UsageError(f'there is no service "{name}"; the services are {", ".join(names)}')
     return load_service(name)
 
 

@@ -7,34 +7,66 @@ A service subclasses `Settings` in its `settings.py`; `handover settings` prints
 of each value.
 """
 
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 from urllib.parse import quote, urlsplit
 
 from dotenv import dotenv_values
-from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator, model_validator
-from pydantic.fields import FieldInfo
-from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from handover.errors import UsageError
 from handover.network.outbound_policy import OutboundPolicy, is_loopback
 from handover.renamed_modules import moved_file
+from handover.setting_sources import (
+    ENV_FILE,
+    HEADERS_OF_REQUESTS,
+    PREFIX,
+    SECRETS_DIR,
+    MaybeNames,
+    MaybePath,
+    Names,
+    SecretFiles,
+    headers_in,
+    secret_file,
+)
 
-PREFIX = "HANDOVER_"
+__all__ = [
+    "COMPONENTS_FILE",
+    "DEFAULT_PORTS",
+    "ENV_FILE",
+    "HEADERS_OF_REQUESTS",
+    "LIFELINE",
+    "PASSWORD_IN_URL",
+    "PREFIX",
+    "PUBLIC_KEYS_FILE",
+    "RESTARTED",
+    "SECRETS_DIR",
+    "SERVICE_TOKENS_FOLDER",
+    "SIGNING_KEYS_FILE",
+    "STARS",
+    "MaybeNames",
+    "MaybePath",
+    "Names",
+    "Origin",
+    "Settings",
+    "Source",
+    "headers_in",
+    "origins",
+    "secret_file",
+]
+
 LIFELINE = f"{PREFIX}LIFELINE"
 """Set by the launcher: the service ends when its standard input closes, so that no orphan remains."""
 RESTARTED = f"{PREFIX}RESTARTED"
 """Set by the watchdog for a service that it has restarted: nothing that moves is continued by itself."""
-ENV_FILE = ".env"
 COMPONENTS_FILE = "components"
 """In the security directory: the endpoints of registered components, each with its name."""
-SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 PUBLIC_KEYS_FILE = "public-keys.json"
 """In the security directory; it exists as soon as there are accounts."""
 SERVICE_TOKENS_FOLDER = "service-tokens"
@@ -46,70 +78,7 @@ DEFAULT_PORTS = (54100, 54200, 54210, 54220, 54230, 54240, 54270, 54280, 54400)
 _OWN_PORT = re.compile(rf"{PREFIX}[A-Z_]+_PORT$")
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")
-HEADER_NAME = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
-HEADER_VALUE = re.compile(r"[\x21-\x7e]([\x20-\x7e]*[\x21-\x7e])?")
-HEADERS_OF_REQUESTS = frozenset(
-    {
-        "accept", "connection", "content-length", "content-type", "host", "link", "ngsild-tenant",
-        "transfer-encoding",
-    }
-)  # fmt: skip
-"""Headers that depend on the request."""
 USER_WITHOUT_PASSWORD = re.compile(r"^([^:/@\s]+://[^:/@\s]+)@")
-
-
-MaybePath = Annotated[Path | None, BeforeValidator(lambda given: given or None)]
-"""An optional path; an empty string, as in containers, counts as absent."""
-
-
-def _split_at_commas(given: object) -> object:
-    return [part.strip() for part in given.split(",") if part.strip()] if isinstance(given, str) else given
-
-
-Names = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split_at_commas)]
-"""Several names, separated by commas in the environment."""
-MaybeNames = Annotated[tuple[str, ...] | None, NoDecode, BeforeValidator(_split_at_commas)]
-"""The same, where none and no names differ."""
-
-
-def _secrets_folder() -> str:
-    return os.environ.get(SECRETS_DIR) or dotenv_values(ENV_FILE).get(SECRETS_DIR) or ""
-
-
-def secret_file(name: str) -> Path | None:
-    """Return the secret file of the setting `name`; None without one or if the environment has a value."""
-    folder = _secrets_folder()
-    if not folder or os.environ.get(name):
-        return None
-    file = Path(folder) / name
-    return file if os.path.lexists(file) else None
-
-
-class _SecretFiles(PydanticBaseSettingsSource):
-    """Reads settings from the files of `HANDOVER_SECRETS_DIR`."""
-
-    def get_field_value(self, field: FieldInfo, field_name: str) -> tuple[Any, str, bool]:  # noqa: ARG002
-        name = f"{PREFIX}{field_name}".upper()
-        file = secret_file(name)
-        if file is None:
-            return None, field_name, False
-        try:
-            return file.read_text(encoding="utf-8").strip(), field_name, False
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-            raise UsageError(
-                f"the secret {file} cannot be read: {reason}; make it a text file that the user of this "
-                f"service can read, or set {name}"
-            ) from None
-
-    def __call__(self) -> dict[str, Any]:
-        if not _secrets_folder():  # looked up once: `.env` is read each time
-            return {}
-        found = {name: self.get_field_value(info, name)[0] for name, info in self._fields()}
-        return {name: value for name, value in found.items() if value is not None}
-
-    def _fields(self) -> list[tuple[str, FieldInfo]]:
-        return list(self.settings_cls.model_fields.items())
 
 
 class Settings(BaseSettings):
@@ -321,8 +290,8 @@ class Settings(BaseSettings):
 
     @field_validator("*", mode="after")
     @classmethod
-    def _at_its_present_place(cls, given: Any) -> Any:
-        return moved_file(given) if isinstance(given, Path) else given
+    def _at_its_present_place(cls, setting: Any) -> Any:
+        return moved_file(setting) if isinstance(setting, Path) else setting
 
     @field_validator("broker_url")
     @classmethod
@@ -480,8 +449,8 @@ class Settings(BaseSettings):
             parts = urlsplit(url)
             if parts.hostname:
                 yield parts.hostname, parts.port or (443 if parts.scheme == "https" else 80)
-        given = {**dotenv_values(ENV_FILE), **os.environ}
-        own = (value or "" for name, value in given.items() if _OWN_PORT.match(name))
+        variables = {**dotenv_values(ENV_FILE), **os.environ}
+        own = (value or "" for name, value in variables.items() if _OWN_PORT.match(name))
         ports = {int(value) for value in own if value.isdigit()}
         for port in (*DEFAULT_PORTS, *ports):
             yield from ((host, port) for host in ("127.0.0.1", "localhost", "::1"))
@@ -545,25 +514,7 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - ours know the environment
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the sources of settings in the order of precedence."""
-        return init_settings, _SecretFiles(settings_cls), env_settings, dotenv_settings
-
-
-def headers_in(text: str) -> dict[str, str]:
-    """Return the headers in a JSON object; raise `ValueError` for another text, or a header of ours."""
-    try:
-        headers = json.loads(text)
-    except ValueError:
-        headers = None
-    if not isinstance(headers, dict) or not headers:
-        raise ValueError('must be a JSON object of headers, as {"X-Auth-Token": "secret"}')
-    for name, value in headers.items():
-        if not HEADER_NAME.fullmatch(name) or name.lower() in HEADERS_OF_REQUESTS:
-            raise ValueError(
-                f"cannot have the header {name!r}: it is no name of a header, or set by Handover"
-            )
-        if not isinstance(value, str) or not HEADER_VALUE.fullmatch(value):
-            raise ValueError(f"has no text of printable ASCII characters for the header {name!r}")
-    return headers
+        return init_settings, SecretFiles(settings_cls), env_settings, dotenv_settings
 
 
 Source = Literal["environment", "secret file", ".env", "default"]

@@ -97,20 +97,20 @@ def _faults_in(folder: Path) -> list[str]:
 def _passphrase(file: Path | None, *, is_new: bool) -> str:
     if file is not None:
         try:
-            given = file.read_text(encoding="utf-8").strip("\r\n")
+            text = file.read_text(encoding="utf-8").strip("\r\n")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"the passphrase file {file} cannot be read: {error}") from None
     elif sys.stdin.isatty():
-        given = getpass.getpass("Passphrase: ")
-        if is_new and getpass.getpass("Again: ") != given:
+        text = getpass.getpass("Passphrase: ")
+        if is_new and getpass.getpass("Again: ") != text:
             raise UsageError("the two passphrases differ; nothing was written")
     else:
         raise UsageError("nobody can type a passphrase here; give it with --passphrase-file")
-    if is_new and len(given) < MIN_PASSPHRASE_CHARS:
+    if is_new and len(text) < MIN_PASSPHRASE_CHARS:
         raise UsageError(
             f"the passphrase has less than {MIN_PASSPHRASE_CHARS} characters; choose a longer one"
         )
-    return given
+    return text
 
 
 def _add_all(archive: ArchiveWriter, folder: Path, target: Path) -> None:
@@ -125,17 +125,17 @@ def _add_all(archive: ArchiveWriter, folder: Path, target: Path) -> None:
         _add_outside(archive, folder, kinds, files)
         own = {target, _unfinished(target)}
         files = {key: path for key, path in files.items() if path not in own}
-        found = {key: path for key, path in files.items() if is_database(path)}
+        database_files = {key: path for key, path in files.items() if is_database(path)}
         dumps = _dumps(kinds, stack)
         snapshots = {
-            key: stack.enter_context(closing(_snapshot(found[key], folder, staging)))
-            for key in sorted(found, key=_order)
+            key: stack.enter_context(closing(_snapshot(database_files[key], folder, staging)))
+            for key in sorted(database_files, key=_order)
         }
         _add_dumps(archive, dumps, staging)
         _add_snapshots(archive, snapshots, staging, folder)
         logs = {f"{DATA}/{path.name}" for path in folder.glob(DATABASE_LOGS)}
         for key, path in files.items():
-            if key not in found and key not in logs:
+            if key not in database_files and key not in logs:
                 _add_file(archive, key, path)
     archive.manifest.settings = contents.settings_in_force()
     if not has_own_broker():

@@ -22,22 +22,22 @@ app = typer.Typer()
 
 def databases(data_dir: Path) -> list[Path]:
     """Return the databases in a data directory, including those of which only the stamp or WAL is left."""
-    found = set(data_dir.glob("*.db"))
-    found |= {stamp.with_suffix("") for stamp in data_dir.glob("*.db.stamp")}
+    files = set(data_dir.glob("*.db"))
+    files |= {stamp.with_suffix("") for stamp in data_dir.glob("*.db.stamp")}
     if any(data_dir.glob("broker.log-*")):
-        found.add(data_dir / DATABASE)
-    return sorted(found)
+        files.add(data_dir / DATABASE)
+    return sorted(files)
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class DatabaseFaults:
     """The faults of a database; `unreadable` is the reason, outside of the file, why it was not checked."""
 
     faults: list[str]
     unreadable: str | None = None
 
 
-def check_database(path: Path) -> Checked:
+def check_database(path: Path) -> DatabaseFaults:
     """Return the faults of a database, one line each."""
     faults: list[str] = []
     try:
@@ -48,10 +48,10 @@ def check_database(path: Path) -> Checked:
         if is_damage(error):
             faults.append(f"{path}: {error}")
         else:
-            return Checked(faults, str(error))
+            return DatabaseFaults(faults, str(error))
     except OSError as error:
-        return Checked(faults, str(error))
-    return Checked(faults)
+        return DatabaseFaults(faults, str(error))
+    return DatabaseFaults(faults)
 
 
 def _faults_of_broker(path: Path) -> Iterator[str]:
@@ -99,11 +99,11 @@ def check(
             f"there is no data directory {folder.absolute()}; name that of the cell with --data-dir, or run "
             "this command in the folder of the cell"
         )
-    found = databases(folder)
-    if not found:
+    files = databases(folder)
+    if not files:
         say(f"there is no database in {folder.absolute()}")
     is_damaged = is_unknown = False
-    for path in found:
+    for path in files:
         if restamp and path.name != DATABASE:
             renew_marks(path)
         result = check_database(path)

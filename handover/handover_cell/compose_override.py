@@ -69,14 +69,14 @@ def _services(compose: Path) -> dict[str, Any]:
 def _mounts(service: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return volume, target and mode of the named volumes of a service."""
     parts = (str(mount).split(":") for mount in service.get("volumes", ()))
-    return [(one[0], one[1], ":".join(one[2:])) for one in parts if not one[0].startswith((".", "/"))]
+    return [(part[0], part[1], ":".join(part[2:])) for part in parts if not part[0].startswith((".", "/"))]
 
 
 def _overridden(
     services: Mapping[str, Any], folders: Mapping[str, Path], words: Sequence[str], names: Sequence[str]
 ) -> dict[str, Any]:
     of_init = {volume: folders[target] for volume, target, _ in _mounts(services[INIT])}
-    found: dict[str, Any] = {}
+    overridden: dict[str, Any] = {}
     for name, service in services.items():
         mounts = [
             f"{of_init[volume]}:{target}" + (f":{mode}" if mode else "")
@@ -89,8 +89,8 @@ def _overridden(
         if name == INIT:
             changed["command"] = list(words)
         if changed:
-            found[name] = changed
-    return found
+            overridden[name] = changed
+    return overridden
 
 
 def _with_names(word: str, names: Sequence[str]) -> str:

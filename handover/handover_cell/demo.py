@@ -53,8 +53,8 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         if not once:
             say("")
             say("Everything keeps running; Ctrl-C stops it. To run the process again, in another terminal:")
-            given = "".join(f" --set {name}={value}" for name, value in parameters.items())
-            say(f"  {_program()} process start {DEFINITION}{given}")
+            options = "".join(f" --set {name}={value}" for name, value in parameters.items())
+            say(f"  {_program()} process start {DEFINITION}{options}")
             await asyncio.Event().wait()
 
 
@@ -91,12 +91,12 @@ async def run_process(settings: Settings, say: Say, *, once: bool) -> dict[str, 
             progress.update(await _tasks(broker, tasks))
             if process.get("status") in FINISHED:
                 break
-            found = await obstacle(process, lambda name: _look(http, f"/processes/{name}"), _program())
-            if found is not None and once:
-                raise UsageError(f"the process waits for a person: {found}")
-            if found is not None and found != shown:
-                say(found)
-            shown = found
+            fault = await obstacle(process, lambda name: _look(http, f"/processes/{name}"), _program())
+            if fault is not None and once:
+                raise UsageError(f"the process waits for a person: {fault}")
+            if fault is not None and fault != shown:
+                say(fault)
+            shown = fault
             await asyncio.sleep(QUERY_EVERY_S)
     seconds = (datetime.now(UTC) - began).total_seconds()
     if process["status"] == "failed":

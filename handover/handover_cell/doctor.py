@@ -64,7 +64,7 @@ def _python() -> Iterator[Finding]:
 def _disk(settings: Settings) -> Iterator[Finding]:
     folder = settings.data_dir.absolute()
     if not folder.exists():
-        parent = next(each for each in folder.parents if each.exists())
+        parent = next(folder_above for folder_above in folder.parents if folder_above.exists())
         is_possible = parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)
         words = f"{folder} does not exist; " + (
             "the first service makes it" if is_possible else f"{parent} is not writable; choose another"
@@ -132,14 +132,14 @@ def _broker(settings: Settings) -> Iterator[Finding]:
     if has_own_broker():
         return
     try:
-        found = asyncio.run(_abilities(settings))
+        abilities = asyncio.run(_abilities(settings))
     except HandoverError as error:
         yield Finding("broker", False, str(error))
         return
     about = f"broker {settings.broker_url}"
-    yield Finding(about, True, found.broker)
+    yield Finding(about, True, abilities.broker)
     for ability in ABILITIES:
-        is_there = found.are_there[ability.name]
+        is_there = abilities.are_there[ability.name]
         words = "is there" if is_there else f"is not there: {ability.without}; {ability.remedy}"
         yield Finding(about, is_there, f"{ability.name} {words}", needed=False)
 

@@ -86,8 +86,8 @@ class ProgressPrinter:
             held_s = outputs["heldMs"] / 1000
             return f"showed {outputs['gesture']} for {held_s:.1f} s, {seconds:.1f} s after being asked"
         operation = parameters_of(task).get("operation", "work")
-        found = {True: ", part found", False: ", no part found"}.get(outputs.get("found", ""), "")
-        return f"{operation} done in {seconds:.1f} s{found}"
+        part = {True: ", part found", False: ", no part found"}.get(outputs.get("found", ""), "")
+        return f"{operation} done in {seconds:.1f} s{part}"
 
     def _line(self, task: Task, words: str) -> None:
         at_s = (self._when(task) - self.began).total_seconds()
@@ -101,10 +101,10 @@ class ProgressPrinter:
         return task.status.observed_at or self.began
 
 
-def _by(given: Mapping[str, Any]) -> str:
-    if given.get("by") == "screen":
+def _by(outputs: Mapping[str, Any]) -> str:
+    if outputs.get("by") == "screen":
         return "on the screen "
-    return f"with {given['gesture']} " if "gesture" in given else ""
+    return f"with {outputs['gesture']} " if "gesture" in outputs else ""
 
 
 def parameters_of(task: Task) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from handover_robots.tasks.operations import OPERATIONS
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedActivity:
     """An activity of a robot: its duration, its smallest distance, its faults, or why it was not checked."""
 
     element: str
@@ -32,7 +32,9 @@ class Checked:
     nearest: Nearest | None = None
 
 
-def check_process(file: Path, settings: TrajectorySettings, given: Mapping[str, Any]) -> list[Checked]:
+def check_process(
+    file: Path, settings: TrajectorySettings, parameters: Mapping[str, Any]
+) -> list[CheckedActivity]:
     """Return the checked activities of robots, in the order of the flow. Raises `UsageError`."""
     try:
         definitions = read_bpmn(file.read_bytes()).definitions
@@ -43,20 +45,22 @@ def check_process(file: Path, settings: TrajectorySettings, given: Mapping[str, 
     with tempfile.TemporaryDirectory(prefix="handover-check-") as folder:
         return [
             checked
-            for number, one in enumerate(definitions)
-            for checked in asyncio.run(_check(one, DryRun(settings, Path(folder, str(number))), dict(given)))
+            for number, definition in enumerate(definitions)
+            for checked in asyncio.run(
+                _check(definition, DryRun(settings, Path(folder, str(number))), dict(parameters))
+            )
         ]
 
 
-async def _check(definition: Definition, run: DryRun, given: dict[str, Any]) -> list[Checked]:
-    variables = {name: one.default for name, one in definition.parameters.items()} | given
-    found = []
+async def _check(definition: Definition, run: DryRun, parameters: dict[str, Any]) -> list[CheckedActivity]:
+    variables = {name: parameter.default for name, parameter in definition.parameters.items()} | parameters
+    activities = []
     async with run:
         for activity in _activities(definition.scope):
             checked = await _perform(run, activity, variables)
             if checked is not None:
-                found.append(checked)
-    return found
+                activities.append(checked)
+    return activities
 
 
 def _activities(scope: Scope) -> Iterator[Activity]:
@@ -83,7 +87,7 @@ def _activities(scope: Scope) -> Iterator[Activity]:
         yield from follow(node)
 
 
-async def _perform(run: DryRun, activity: Activity, variables: dict[str, Any]) -> Checked | None:
+async def _perform(run: DryRun, activity: Activity, variables: dict[str, Any]) -> CheckedActivity | None:
     """Perform the activity of a robot; None for one of a person, which is done as well as possible."""
     robot = _robot_of(run, activity, variables)
     operation = _read(activity.parameters.get("operation"), variables) or activity.definition
@@ -98,17 +102,17 @@ async def _perform(run: DryRun, activity: Activity, variables: dict[str, Any]) -
             for key, value in activity.parameters.items()
         }
     except HandoverError as why:
-        return Checked(
+        return CheckedActivity(
             activity.id, name, robot, str(operation), skipped=f"its parameters are not known: {why}"
         )
     missing = [key for key, value in values.items() if value is None]
     if missing:
         skipped = f"{', '.join(missing)} would come from an activity without a result"
-        return Checked(activity.id, name, robot, str(operation), skipped=skipped)
+        return CheckedActivity(activity.id, name, robot, str(operation), skipped=skipped)
     step = await run.perform(robot, str(operation), values)
     if step.result or activity.variable not in variables:
         variables[activity.variable] = dict(step.result)
-    return Checked(
+    return CheckedActivity(
         activity.id, name, robot, str(operation), step.duration_s, step.faults, nearest=step.nearest
     )
 
@@ -133,6 +137,6 @@ def _read(value: Value | None, variables: dict[str, Any]) -> Any:
         return None
 
 
-def as_json(checked: list[Checked]) -> str:
+def as_json(checked: list[CheckedActivity]) -> str:
     """Return the report as JSON."""
     return orjson.dumps(checked, option=orjson.OPT_INDENT_2).decode()

@@ -53,13 +53,13 @@ class TopicValue(_Part):
 
     def of(self, message: Mapping[str, Any]) -> float | None:
         """Return the value in a message; None if it has none."""
-        found = _field(message, self.field)
+        value = _field(message, self.field)
         if self.joint is not None:
             names = list(message["name"])
-            if self.joint not in names or len(found) <= names.index(self.joint):
+            if self.joint not in names or len(value) <= names.index(self.joint):
                 return None
-            found = found[names.index(self.joint)]
-        return float(found)
+            value = value[names.index(self.joint)]
+        return float(value)
 
 
 class ServiceCommand(_Part):
@@ -115,7 +115,7 @@ class RosDevice:
 
     async def run(self) -> None:
         """Stay connected until cancelled, or until the gateway refuses the device."""
-        for topic, type_name in {(one.topic, one.type) for one in self._file.values.values()}:
+        for topic, type_name in {(source.topic, source.type) for source in self._file.values.values()}:
 
             def received(message: Received, topic: str = topic) -> None:
                 self._latest[topic] = message
@@ -141,10 +141,10 @@ class RosDevice:
         latest, self._latest = self._latest, {}
         for topic, received in latest.items():
             values = {}
-            for name, one in self._file.values.items():
-                if one.topic == topic:
+            for name, source in self._file.values.items():
+                if source.topic == topic:
                     try:
-                        value = one.of(received.message)
+                        value = source.of(received.message)
                     except (KeyError, IndexError, TypeError, ValueError) as error:
                         log.warning("no value in a message", value=name, topic=topic, error=repr(error))
                         continue
@@ -214,10 +214,10 @@ class RosDevice:
 
 
 def _field(message: Mapping[str, Any], path: str) -> Any:
-    found: Any = message
+    value: Any = message
     for part in path.split("."):
-        found = found[part]
-    return found
+        value = value[part]
+    return value
 
 
 def _scalars(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -225,8 +225,8 @@ def _scalars(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _publish_joints(publisher: Publisher, joints: Sequence[str], motion: Mapping[str, Any]) -> None:
-    given = motion.get("joints") or {}
-    publisher.publish({"data": [float(given.get(name, 0.0)) for name in joints]})
+    positions = motion.get("joints") or {}
+    publisher.publish({"data": [float(positions.get(name, 0.0)) for name in joints]})
 
 
 def _publish_base(publisher: Publisher, motion: Mapping[str, Any]) -> None:

@@ -90,19 +90,21 @@ class Plan:
     ) -> "Plan":
         """Return the plan in the options of the command; raise `UsageError`."""
         return cls(
-            tuple(_folder_and_names(one, "--server FOLDER=NAME,NAME") for one in servers or ()),
+            tuple(_folder_and_names(server, "--server FOLDER=NAME,NAME") for server in servers or ()),
             tuple(
                 (folder, names[0])
-                for folder, names in (_folder_and_names(one, "--client FOLDER=NAME") for one in clients or ())
+                for folder, names in (
+                    _folder_and_names(client, "--client FOLDER=NAME") for client in clients or ()
+                )
             ),
             tuple(map(Path, trusting or ())),
-            tuple(_folder_and_names(one, "--secret FOLDER=NAME,NAME") for one in secrets or ()),
+            tuple(_folder_and_names(secret, "--secret FOLDER=NAME,NAME") for secret in secrets or ()),
         )
 
     def token_files(self) -> dict[str, Path]:
         """Return the files of the tokens of services that are beside their certificates."""
-        known = set(service_names())
-        if unknown := [name for _, name in self.clients if name not in known]:
+        services = set(service_names())
+        if unknown := [name for _, name in self.clients if name not in services]:
             raise UsageError(
                 f"{', '.join(unknown)} is no service of Handover, so `secure --client` makes no token for "
                 "it. For a component of your own: handover component add NAME --device ID"
@@ -111,7 +113,7 @@ class Plan:
         return {
             name: folder / SERVICE_FILE
             for name, folder in (*named, *((name, folder) for folder, name in self.clients))
-            if name in known
+            if name in services
         }
 
 
@@ -145,8 +147,8 @@ def secure(  # noqa: PLR0917 - the options of the command
     folder = authority.folder / "server"
     names = tuple(dict.fromkeys((*(name or authority.names_of(folder)), *settings.allowed_hosts)))
     plan = replace(plan, servers=((folder, names),))
-    (one,) = make(authority, plan, settings, hosts=_host_names(names))
-    _print_next(one, _host_names(names))
+    (issued,) = make(authority, plan, settings, hosts=_host_names(names))
+    _print_next(issued, _host_names(names))
 
 
 def make(
@@ -172,8 +174,8 @@ def _certify(authority: LocalAuthority, plan: Plan) -> list[ServerFiles]:
     for folder in (*plan.trusting, *(folder for folder, _ in plan.clients)):
         authority.trust(folder)
     _print_authority(authority)
-    for one in made:
-        _print_server(one)
+    for server in made:
+        _print_server(server)
     return made
 
 
@@ -212,8 +214,8 @@ def renew(data_dir: DataDir = None) -> None:
     authority = LocalAuthority(folder)
     made = authority.renew()
     _print_authority(authority)
-    for one in made:
-        _print_server(one)
+    for server in made:
+        _print_server(server)
 
 
 def _settings(data_dir: Path | None) -> AccountsSettings:
@@ -226,10 +228,10 @@ def _authority_folder(settings: Settings) -> Path:
 
 def _folder_and_names(text: str, form: str) -> tuple[Path, tuple[str, ...]]:
     folder, _, names = text.partition("=")
-    found = tuple(name.strip() for name in names.split(",") if name.strip())
-    if not folder or not found:
+    parts = tuple(name.strip() for name in names.split(",") if name.strip())
+    if not folder or not parts:
         raise UsageError(f'"{text}" names no folder with a name; write it as {form}')
-    return Path(folder), found
+    return Path(folder), parts
 
 
 def _host_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -243,23 +245,23 @@ def _print_authority(authority: LocalAuthority) -> None:
     print(f"authority: {state} in {authority.path}, valid until {expires:%Y-%m-%d}")
 
 
-def _print_server(one: ServerFiles) -> None:
-    state = "created" if one.is_new else "exists"
-    names = ", ".join(one.names)
-    print(f"certificate: {state} in {one.certificate}, valid until {one.expires:%Y-%m-%d}, for {names}")
+def _print_server(server: ServerFiles) -> None:
+    state = "created" if server.is_new else "exists"
+    names = ", ".join(server.names)
+    print(f"certificate: {state} in {server.certificate}, valid until {server.expires:%Y-%m-%d}, for {names}")
 
 
-def _print_next(one: ServerFiles, hosts: Sequence[str]) -> None:
-    known = f"\n   HANDOVER_ALLOWED_HOSTS={','.join(hosts)}" if hosts else ""
+def _print_next(server: ServerFiles, hosts: Sequence[str]) -> None:
+    allowed_hosts = f"\n   HANDOVER_ALLOWED_HOSTS={','.join(hosts)}" if hosts else ""
     print(f"""
 Next:
 1. Set these for every service, for example in .env, and start the services again:
 
-   HANDOVER_TLS_CERTIFICATE={one.certificate}
-   HANDOVER_TLS_KEY={one.key}
-   HANDOVER_TLS_AUTHORITY={one.authority}{known}
+   HANDOVER_TLS_CERTIFICATE={server.certificate}
+   HANDOVER_TLS_KEY={server.key}
+   HANDOVER_TLS_AUTHORITY={server.authority}{allowed_hosts}
 
-2. Give {one.authority} to the browsers and programs that connect, as a trusted
+2. Give {server.authority} to the browsers and programs that connect, as a trusted
    authority. Never give away a file that ends with .key, or key.pem.
 3. Open the link of the owner, choose a name and a password, and invite others on the page.
 4. Renew the certificates before they expire, with: handover secure renew""")

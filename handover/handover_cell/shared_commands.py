@@ -37,24 +37,27 @@ def check_robot(
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415 - as above
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
-    checked = check_process(process, settings, dict(parse_parameter(one) for one in parameters or []))
+    checked = check_process(
+        process, settings, dict(parse_parameter(parameter) for parameter in parameters or [])
+    )
     if not checked:
         raise UsageError(f"{process} has no activity of a robot of this cell")
-    cycle_s = sum(one.duration_s for one in checked)
+    cycle_s = sum(activity.duration_s for activity in checked)
     is_slow = max_cycle_s is not None and cycle_s > max_cycle_s
     if json:
         print(as_json(checked))
     else:
-        for one in checked:
-            state = "FAILED" if one.faults else "skipped" if one.skipped else "ok"
-            print(f"{state:<8} {one.duration_s:6.2f} s  {one.robot:<12} {one.operation:<11} {one.name}")
-            for line in (*one.faults, *([one.skipped] if one.skipped else [])):
+        for activity in checked:
+            state = "FAILED" if activity.faults else "skipped" if activity.skipped else "ok"
+            what = f"{activity.robot:<12} {activity.operation:<11} {activity.name}"
+            print(f"{state:<8} {activity.duration_s:6.2f} s  {what}")
+            for line in (*activity.faults, *([activity.skipped] if activity.skipped else [])):
                 print(f"         {line}")
-            if one.nearest is not None:
-                near = one.nearest
+            if activity.nearest is not None:
+                near = activity.nearest
                 print(f"         nearest: {near.first} to {near.second}, {1000 * near.distance_m:.0f} mm")
         print(f"cycle time of the robots: {cycle_s:.2f} s{' (too long)' if is_slow else ''}")
-    if is_slow or any(one.faults for one in checked):
+    if is_slow or any(activity.faults for activity in checked):
         raise typer.Exit(1)
 
 

@@ -178,7 +178,7 @@ def answered(page: Page, cell: Cell) -> dict[str, dict[str, Any]]:
 
 def audited(cell: Cell, action: str) -> list[dict[str, Any]]:
     """Return the records of the orchestrator and the gesture controller, read from their databases."""
-    from handover.security.audit_chains import chains_of, records_of
+    from handover.security.audit_reading.audit_chains import chains_of, records_of
     from handover.settings import Settings
 
     records = records_of(chains_of(Settings(data_dir=cell.data_dir, _env_file=None)))

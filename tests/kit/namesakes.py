@@ -5,7 +5,7 @@ from pathlib import Path
 NAMESAKES = (
     "random", "queue", "tempfile", "logging", "types", "httpx", "pydantic", "yaml",
     "handover", "handover_datamodels", "handover_cell", "handover_web", "glove_sdk_bridge", "handover_ros",
-    "handover_broker", "services", "webui",
+    "handover_broker", "handover_federation", "services", "webui",
 )  # fmt: skip
 
 

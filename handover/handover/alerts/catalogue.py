@@ -255,8 +255,15 @@ def as_markdown() -> str:
         "| Category | Subcategory | Severity | alertSource | Raised when | What to do |",
         "|---|---|---|---|---|---|",
     ]
-    for one in CATALOGUE:
-        sub_category = f"`{one.sub_category}`" if one.sub_category else "–"
-        cells = (f"`{one.category}`", sub_category, one.severity.value, one.source, one.meaning, one.action)
+    for kind in CATALOGUE:
+        sub_category = f"`{kind.sub_category}`" if kind.sub_category else "–"
+        cells = (
+            f"`{kind.category}`",
+            sub_category,
+            kind.severity.value,
+            kind.source,
+            kind.meaning,
+            kind.action,
+        )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

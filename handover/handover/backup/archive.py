@@ -83,11 +83,11 @@ class ArchiveWriter:
         """Add a file; one that grows meanwhile is added as far as it was. Raises `OSError`."""
         digest = hashlib.sha256()
         with path.open("rb") as source:
-            found = os.fstat(source.fileno())
-            mode = stat.S_IMODE(found.st_mode)
-            reader = _Measured(source, found.st_size, digest)
-            self._tar.addfile(_member(name, found.st_size, mode), cast("IO[bytes]", reader))
-        listed = {"size": found.st_size, "sha256": digest.hexdigest(), "mode": mode}
+            status = os.fstat(source.fileno())
+            mode = stat.S_IMODE(status.st_mode)
+            reader = _Measured(source, status.st_size, digest)
+            self._tar.addfile(_member(name, status.st_size, mode), cast("IO[bytes]", reader))
+        listed = {"size": status.st_size, "sha256": digest.hexdigest(), "mode": mode}
         self.manifest.files[name] = listed
 
     def finish(self) -> None:

@@ -56,9 +56,9 @@ def _files_in(folder: Path) -> Iterator[Path]:
 
 def settings_in_force() -> dict[str, str]:
     """Return the settings of the file `.env` and of the environment, as environment variables."""
-    given = {**dotenv_values(ENV_FILE), **os.environ}
-    names = sorted(name for name in given if name.upper().startswith(PREFIX) and name.upper() != DATA_DIR)
-    return {name.upper(): value for name in names if (value := given[name]) is not None}
+    variables = {**dotenv_values(ENV_FILE), **os.environ}
+    names = sorted(name for name in variables if name.upper().startswith(PREFIX) and name.upper() != DATA_DIR)
+    return {name.upper(): value for name in names if (value := variables[name]) is not None}
 
 
 def path_settings(all_settings: Iterable[type[Settings]]) -> Iterator[tuple[str, Path]]:
@@ -117,16 +117,16 @@ def files_of_setting(name: str, path: Path) -> Iterator[tuple[str, Path]]:
 
 def outside_references(path: Path) -> list[str]:
     """Return what a file refers to that is not in its folder."""
-    return [text for text, found in _texts_with_files(path) if not found.is_relative_to(path.parent)]
+    return [text for text, target in _texts_with_files(path) if not target.is_relative_to(path.parent)]
 
 
 def _references_in(path: Path) -> Iterator[Path]:
     """Yield the files and folders beside `path` that it names, such as the scene of a cell file."""
-    for _, found in _texts_with_files(path):
-        if found.is_relative_to(path.parent) and found != path.parent:
+    for _, target in _texts_with_files(path):
+        if target.is_relative_to(path.parent) and target != path.parent:
             # The description of a robot has its meshes in its folder.
-            has_meshes = found.suffix in {".urdf", ".xacro"} and found.parent != path.parent
-            yield found.parent if has_meshes else found
+            has_meshes = target.suffix in {".urdf", ".xacro"} and target.parent != path.parent
+            yield target.parent if has_meshes else target
 
 
 def _texts_with_files(path: Path) -> Iterator[tuple[str, Path]]:
@@ -137,10 +137,10 @@ def _texts_with_files(path: Path) -> Iterator[tuple[str, Path]]:
     except (yaml.YAMLError, UnicodeDecodeError):
         return
     for text in _texts_in(written):
-        found = Path(os.path.normpath(path.parent / text))
+        target = Path(os.path.normpath(path.parent / text))
         is_path = "/" in text or "." in text
-        if is_path and len(text) < 1000 and "\0" not in text and os.path.lexists(found):
-            yield text, found
+        if is_path and len(text) < 1000 and "\0" not in text and os.path.lexists(target):
+            yield text, target
 
 
 def _texts_in(value: Any) -> Iterator[str]:

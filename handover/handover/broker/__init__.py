@@ -1,19 +1,15 @@
 """The context broker: its client, who it is, what it can do."""
 
-from handover.broker.client import (
-    JSON_LD,
-    MAX_FAULTS,
+from handover.broker.answers import NgsiLd
+from handover.broker.client import MAX_FAULTS, BrokerClient, fault_delay_s, is_presence
+from handover.broker.connection import JSON_LD, Credentials
+from handover.broker.errors import (
     AlreadyExists,
-    BrokerClient,
     BrokerError,
     BrokerFault,
     BrokerUnavailable,
     BrokerUnreachable,
-    Credentials,
-    NgsiLd,
     NotFound,
-    fault_delay_s,
-    is_presence,
 )
 
 __all__ = [

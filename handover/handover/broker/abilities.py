@@ -58,11 +58,11 @@ class FoundAbilities:
 
     def missing(self) -> list[Ability]:
         """Return what is not there."""
-        return [one for one in ABILITIES if not self.are_there[one.name]]
+        return [ability for ability in ABILITIES if not self.are_there[ability.name]]
 
     def summary(self) -> str:
         """Return one line: which broker it is, and what is not there."""
-        missing = ", ".join(one.name for one in self.missing())
+        missing = ", ".join(ability.name for ability in self.missing())
         return f"{self.broker}; not there: {missing} (handover doctor says more)" if missing else self.broker
 
 
@@ -70,18 +70,18 @@ async def find_abilities(broker: BrokerClient, settings: Settings) -> FoundAbili
     """Return what the broker of the settings can do. Raises `BrokerUnavailable`."""
     identity = await broker.identity()
     if identity.is_ours:
-        return FoundAbilities(identity, dict.fromkeys((one.name for one in ABILITIES), True))
+        return FoundAbilities(identity, dict.fromkeys((ability.name for ability in ABILITIES), True))
     file = settings.data_dir / FILE
     key = [broker.url, settings.broker_tenant or "", identity.name, identity.version]
     kept = _kept(file, key) if identity.version else {}
     # What was missing is tried again: a flag of the broker, or a service beside it, may have added it.
-    known = {name: True for name, is_there in kept.items() if is_there}
-    known |= _KNOWN.get((identity.name, identity.version), {})
-    found = {one.name: await _has(broker, settings, one, known) for one in ABILITIES}
-    if found != kept:
+    present = {name: True for name, is_there in kept.items() if is_there}
+    present |= _KNOWN.get((identity.name, identity.version), {})
+    answers = {ability.name: await _has(broker, settings, ability, present) for ability in ABILITIES}
+    if answers != kept:
         with suppress(OSError):  # it is found again at the next start
-            replace_durably(file, orjson.dumps({"broker": key, "abilities": found}))
-    result = FoundAbilities(identity, found)
+            replace_durably(file, orjson.dumps({"broker": key, "abilities": answers}))
+    result = FoundAbilities(identity, answers)
     if result.missing():
         log.warning("the broker cannot do everything", summary=result.summary())
     return result
@@ -90,16 +90,18 @@ async def find_abilities(broker: BrokerClient, settings: Settings) -> FoundAbili
 def _kept(file: Path, key: list[str]) -> dict[str, bool]:
     try:
         kept: Any = orjson.loads(file.read_bytes())
-        found = {str(name): bool(is_there) for name, is_there in kept["abilities"].items()}
-        is_whole = kept["broker"] == key and found.keys() == {one.name for one in ABILITIES}
+        answers = {str(name): bool(is_there) for name, is_there in kept["abilities"].items()}
+        is_whole = kept["broker"] == key and answers.keys() == {ability.name for ability in ABILITIES}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
-    return found if is_whole else {}
+    return answers if is_whole else {}
 
 
-async def _has(broker: BrokerClient, settings: Settings, ability: Ability, known: Mapping[str, bool]) -> bool:
-    if ability.name in known:
-        return known[ability.name]
+async def _has(
+    broker: BrokerClient, settings: Settings, ability: Ability, present: Mapping[str, bool]
+) -> bool:
+    if ability.name in present:
+        return present[ability.name]
     if ability.probe is None:
         return False
     for _ in range(MAX_FAULTS):
@@ -153,9 +155,9 @@ async def _upserts(broker: BrokerClient, entity: str) -> bool:
 
 async def _has_history(broker: BrokerClient, entity: str) -> bool:
     await broker.create(_entity(entity))
-    found = await broker.evolution(LONG_AGO, type=TYPE, id=entity)
+    evolutions = await broker.evolution(LONG_AGO, type=TYPE, id=entity)
     await broker.delete_evolution(entity)
-    return [one.get("id") for one in found] == [entity]
+    return [evolution.get("id") for evolution in evolutions] == [entity]
 
 
 async def _keeps_receiver_info(broker: BrokerClient, entity: str) -> bool:

@@ -47,7 +47,7 @@ def is_our_context(document: Any) -> bool:
 def identity_in(orion_version: Any) -> BrokerIdentity:
     """Return the broker of others that has this document at `ORION_VERSION_PATH`."""
     if isinstance(orion_version, Mapping):
-        found = {str(key).lower().replace("-", ""): str(value) for key, value in orion_version.items()}
-        if "orionld version" in found:
-            return BrokerIdentity("Orion-LD", found["orionld version"])
+        versions = {str(key).lower().replace("-", ""): str(value) for key, value in orion_version.items()}
+        if "orionld version" in versions:
+            return BrokerIdentity("Orion-LD", versions["orionld version"])
     return BrokerIdentity()

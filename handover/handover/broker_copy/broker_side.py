@@ -4,13 +4,12 @@ A broker that does not answer is asked again for some seconds; `BrokerUnavailabl
 """
 
 import asyncio
-import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any, Final, Self, TypeVar
-from urllib.parse import parse_qsl, quote, urlsplit
+from urllib.parse import quote
 
 import orjson
 
@@ -26,13 +25,21 @@ from handover.broker import (
     is_presence,
 )
 from handover.broker.identity import BrokerIdentity
+from handover.broker_copy.answers import (
+    as_list,
+    as_object,
+    count_in,
+    next_page,
+    reason_of,
+    refusals_in,
+    terms_of,
+)
 from handover.broker_copy.entity_form import Json, expanded, has_instances, types_of, with_terms
-from handover.errors import HandoverError
 from handover.formats.free_values import with_texts, without_texts
 from handover.network.http_client import HttpResponse
 from handover.runtime.retry import backoff_delay_s
 from handover.settings import Settings
-from handover_datamodels.contexts import CORE_URL, ContextNotAvailable, TermMap, term_map
+from handover_datamodels.contexts import CORE_URL
 from handover_datamodels.contexts.term_map import DEFAULT_VOCAB
 
 CONTEXTS: Final = "/jsonldContexts"
@@ -49,8 +56,6 @@ MAX_IDS_LENGTH: Final = 3000
 MAX_ATTEMPTS: Final = 6
 """Attempts of a request while the broker does not answer."""
 TIMEOUT_S: Final = 60.0
-_LINK: Final = re.compile(r"<([^>]*)>([^<]*)")
-_NEXT: Final = re.compile(r"\brel=\"?next\b")
 _NO_LOCAL: Final = frozenset({HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_IMPLEMENTED})
 
 T = TypeVar("T")
@@ -145,7 +150,9 @@ class BrokerSide:
             async for page in self._entities_of({"type": kind, **self.local}):
                 # an entity of several types is in the list of each
                 own = [
-                    one for one in page if min(set(types_of(one)) & set(self._types), default=kind) == kind
+                    entity
+                    for entity in page
+                    if min(set(types_of(entity)) & set(self._types), default=kind) == kind
                 ]
                 self.listed += len(own)
                 yield own
@@ -165,7 +172,7 @@ class BrokerSide:
         except NotFound:
             return ()
         names = answer.get("typeList", [])
-        terms = _terms_of(answer, self.place.url)
+        terms = terms_of(answer, self.place.url)
         return tuple(sorted({terms.expand(name) for name in ([names] if isinstance(names, str) else names)}))
 
     async def count(self) -> int | None:
@@ -176,7 +183,7 @@ class BrokerSide:
             answer = await self.read("/entities", {**self.local, "limit": 1, "count": "true"})
         except NotFound:
             return 0
-        return _count_in(answer)
+        return count_in(answer)
 
     async def pages(self, path: str, params: Mapping[str, Any]) -> AsyncIterator[list[Json]]:
         """Yield the pages of a list, by the links of the broker or by offsets."""
@@ -188,9 +195,9 @@ class BrokerSide:
                 answer = await self.read(path, asked)
             except NotFound:  # there is no such tenant
                 return
-            page = _as_list(answer)
+            page = as_list(answer)
             if not seen:
-                total = _count_in(answer)
+                total = count_in(answer)
                 if path == "/entities" and self.expected is None:
                     self.expected = total
             yield page
@@ -198,7 +205,7 @@ class BrokerSide:
             is_full = len(page) >= limit
             if page:
                 limit = max(1, min(PAGE, PAGE_BYTES * len(page) // len(answer.body)))
-            following = _next_page(answer.headers.get("link", ""))
+            following = next_page(answer.headers.get("link", ""))
             if following is not None and following != asked:
                 asked, has_links = {**following, "limit": limit}, True
             elif page and not has_links and (is_full if total is None else seen < total):
@@ -209,33 +216,33 @@ class BrokerSide:
 
     async def lookup(self, entities: Sequence[Json]) -> dict[str, Json]:
         """Return the entities with these ids, expanded, by id."""
-        found: dict[str, Json] = {}
+        by_id: dict[str, Json] = {}
         for ids in _in_urls([entity["id"] for entity in entities if "," not in entity["id"]]):
             kinds = sorted({kind for entity in entities for kind in types_of(entity)})
             selection = self.local or {"type": ",".join(kinds)}
             asked = {**selection, "id": ",".join(ids), "limit": len(ids), "options": "sysAttrs"}
             try:
-                page = _as_list(await self.read("/entities", asked))
+                page = as_list(await self.read("/entities", asked))
             except NotFound:  # there is no such tenant
                 return {}
-            found |= {one["id"]: self._read_form(one) for one in page}
+            by_id |= {read_entity["id"]: self._read_form(read_entity) for read_entity in page}
         for entity in entities:
-            if "," in entity["id"] and (one := await self.retrieve(entity["id"])) is not None:
-                found[entity["id"]] = one
-        return found
+            if "," in entity["id"] and (retrieved := await self.retrieve(entity["id"])) is not None:
+                by_id[entity["id"]] = retrieved
+        return by_id
 
     async def retrieve(self, entity_id: str) -> Json | None:
         """Return one entity, expanded; None if there is none."""
         asked = {"options": "sysAttrs", **self.local}
         try:
-            found = as_object(await self.read(f"/entities/{in_path(entity_id)}", asked))
+            entity = as_object(await self.read(f"/entities/{in_path(entity_id)}", asked))
         except NotFound:
             return None
-        return self._read_form(found)
+        return self._read_form(entity)
 
     def _read_form(self, entity: Json) -> Json:
         """Return an entity that was read, expanded; parameters of Tasks have the values of their texts."""
-        return without_texts(expanded(entity, _terms_of(entity, self.place.url)), prefix=DEFAULT_VOCAB)
+        return without_texts(expanded(entity, terms_of(entity, self.place.url)), prefix=DEFAULT_VOCAB)
 
     # Writing
 
@@ -253,7 +260,7 @@ class BrokerSide:
         alone = list(filter(self._is_alone, entities))
         single = {entity["id"] for entity in alone}
         refused: dict[str, str] = {}
-        for batch in batches([one for one in entities if one["id"] not in single]):
+        for batch in batches([candidate for candidate in entities if candidate["id"] not in single]):
             refused |= await self._batch("/entityOperations/create", {}, batch)
         for entity in alone:
             refused |= await self._alone(entity)
@@ -280,7 +287,7 @@ class BrokerSide:
             except NotFound:
                 pass
             except BrokerError as error:
-                refused[entity["id"]] = _reason(error)
+                refused[entity["id"]] = reason_of(error)
                 continue
             refused |= await self._alone(entity)
         return refused
@@ -310,9 +317,9 @@ class BrokerSide:
         except BrokerUnavailable as error:
             if not isinstance(error, BrokerFault):
                 raise
-            return {entity["id"]: _reason(error)}
+            return {entity["id"]: reason_of(error)}
         except BrokerError as error:
-            return {entity["id"]: _reason(error)}
+            return {entity["id"]: reason_of(error)}
         return {}
 
     async def _batch(self, path: str, params: Json, batch: Sequence[Json]) -> dict[str, str]:
@@ -326,7 +333,7 @@ class BrokerSide:
             return await self._halves(path, params, batch, error)
         if answer.status != HTTPStatus.MULTI_STATUS:
             return {}
-        return dict(_refusals(answer, batch))
+        return dict(refusals_in(answer, batch))
 
     async def _halves(
         self, path: str, params: Json, batch: Sequence[Json], error: BrokerError
@@ -335,7 +342,7 @@ class BrokerSide:
         if error.status in {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN}:
             raise error
         if len(batch) == 1:
-            return {batch[0]["id"]: _reason(error)}
+            return {batch[0]["id"]: reason_of(error)}
         middle = len(batch) // 2
         return await self._batch(path, params, batch[:middle]) | await self._batch(
             path, params, batch[middle:]
@@ -357,7 +364,9 @@ class BrokerSide:
 def batches(entities: Sequence[Json]) -> Iterator[list[Json]]:
     """Yield entities in batches within the limits; one that is larger is alone."""
     brackets = 2
-    return _parts(entities, lambda one: len(orjson.dumps(one)) + 1, MAX_BATCH, MAX_BATCH_BYTES - brackets)
+    return _parts(
+        entities, lambda entity: len(orjson.dumps(entity)) + 1, MAX_BATCH, MAX_BATCH_BYTES - brackets
+    )
 
 
 def in_path(name: str) -> str:
@@ -366,7 +375,7 @@ def in_path(name: str) -> str:
 
 
 def _in_urls(ids: Sequence[str]) -> Iterator[list[str]]:
-    return _parts(ids, lambda one: len(quote(one, safe=":")) + 1, MAX_IDS, MAX_IDS_LENGTH)
+    return _parts(ids, lambda entity_id: len(quote(entity_id, safe=":")) + 1, MAX_IDS, MAX_IDS_LENGTH)
 
 
 def _parts(
@@ -384,83 +393,3 @@ def _parts(
         length += added
     if part:
         yield part
-
-
-def _refusals(answer: HttpResponse, batch: Sequence[Json]) -> Iterator[tuple[str, str]]:
-    """Yield the ids and reasons of a partial success (207)."""
-    document = as_object(answer)
-    unnamed: list[str] = []
-    for error in document.get("errors") or ():
-        problem = error.get("error") if isinstance(error, Mapping) else error
-        texts = (
-            [str(problem[name]) for name in ("title", "detail") if problem.get(name)]
-            if isinstance(problem, Mapping)
-            else [str(problem)]
-        )
-        reason = ": ".join(texts) or "refused without a reason"
-        entity_id = error.get("entityId") if isinstance(error, Mapping) else None
-        if isinstance(entity_id, str):
-            yield entity_id, reason
-        else:
-            unnamed.append(reason)
-    if unnamed:
-        done = set(map(str, document.get("success") or ()))
-        for entity in batch:
-            if entity["id"] not in done:
-                yield entity["id"], "; ".join(unnamed)
-
-
-def _reason(error: BrokerError) -> str:
-    return f"{error.status} {error}"
-
-
-def as_object(answer: HttpResponse) -> Json:
-    """Return the JSON object of an answer. Raises `HandoverError` if it is none."""
-    document = as_json(answer)
-    if not isinstance(document, dict):
-        raise HandoverError(f"the broker answers {document!r:.200} in place of a JSON object")
-    return document
-
-
-def _as_list(answer: HttpResponse) -> list[Json]:
-    document = as_json(answer)
-    if not isinstance(document, list) or not all(isinstance(one, dict) for one in document):
-        raise HandoverError(f"the broker answers {document!r:.200} in place of a list of JSON objects")
-    return document
-
-
-def as_json(answer: HttpResponse) -> Any:
-    """Return the JSON document of an answer. Raises `HandoverError` if it is none."""
-    try:
-        return orjson.loads(answer.body)
-    except orjson.JSONDecodeError:
-        text = answer.body[:200].decode(errors="replace")
-        raise HandoverError(
-            f"the broker answers {answer.status} with {text!r}, which is not JSON; is the address that of an "
-            "NGSI-LD broker, and does it need credentials?"
-        ) from None
-
-
-def _terms_of(document: Mapping[str, Any], url: str) -> TermMap:
-    """Return the terms of the @context in an answer."""
-    context = document.get("@context")
-    try:
-        return term_map(context)
-    except ContextNotAvailable as error:
-        raise HandoverError(
-            f"the broker {url} answers with the names of the @context {error.url}, though none was asked "
-            "for; set it to use the core @context by default while it is copied"
-        ) from None
-
-
-def _count_in(answer: HttpResponse) -> int | None:
-    total = answer.headers.get("ngsild-results-count", "")
-    return int(total) if total.isdecimal() else None
-
-
-def _next_page(link: str) -> Json | None:
-    """Return the parameters of the next page that a Link header names."""
-    for match in _LINK.finditer(link):
-        if _NEXT.search(match[2]):
-            return dict(parse_qsl(urlsplit(match[1]).query, keep_blank_values=True))
-    return None

@@ -127,7 +127,10 @@ async def _copy_tenant(
 async def _require_two(source: BrokerPlace, target: BrokerPlace) -> None:
     """Raise `UsageError` if both are one broker."""
     first, second = await _identity(source), await _identity(target)
-    aliases = [one.get("contextSourceAlias") if isinstance(one, Mapping) else None for one in (first, second)]
+    aliases = [
+        source_identity.get("contextSourceAlias") if isinstance(source_identity, Mapping) else None
+        for source_identity in (first, second)
+    ]
     if source.url == target.url or (aliases[0] is not None and aliases[0] == aliases[1]):
         raise UsageError(f"{source.url} and {target.url} are one broker; name another one to copy to")
 

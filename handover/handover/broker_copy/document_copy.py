@@ -17,7 +17,8 @@ from urllib.parse import urljoin, urlsplit
 import orjson
 
 from handover.broker import BrokerError, BrokerUnavailable, NotFound
-from handover.broker_copy.broker_side import CONTEXTS, BrokerSide, as_json, as_object, in_path
+from handover.broker_copy.answers import as_json, as_object
+from handover.broker_copy.broker_side import CONTEXTS, BrokerSide, in_path
 from handover.broker_copy.entity_form import Json
 from handover.broker_copy.report import Counts, TenantReport
 from handover.settings import STARS
@@ -64,10 +65,10 @@ class DocumentCopy:
     async def copy_contexts(self) -> None:
         """Host the @contexts in the target that clients have added to the source; note their addresses."""
         counts = self._report.documents.setdefault("contexts", Counts())
-        known = {digest: url async for digest, url, _ in self._hosted(self._target)}
+        urls = {digest: url async for digest, url, _ in self._hosted(self._target)}
         async for digest, url, content in self._hosted(self._source):
             counts.found += 1
-            if digest in known:
+            if digest in urls:
                 counts.present += 1
             else:
                 try:
@@ -78,10 +79,10 @@ class DocumentCopy:
                     self._report.problem("@context", url, f"not copied: {error}")
                     continue
                 location = answer.headers.get("location", "")
-                known[digest] = urljoin(f"{self._target.place.url}/", location)
+                urls[digest] = urljoin(f"{self._target.place.url}/", location)
                 counts.created += 1
             counts.equal += 1
-            self._report.contexts[url] = known[digest]
+            self._report.contexts[url] = urls[digest]
         for old, new in self._report.contexts.items():
             self._report.note(f"@context {old} is now {new}: change the clients that use it")
 
@@ -95,10 +96,10 @@ class DocumentCopy:
             if error.status != HTTPStatus.NOT_FOUND:
                 self._report.note(f"the @contexts of {side.place.url} cannot be listed: {error}")
             return
-        for one in listed if isinstance(listed, list) else ():
-            if isinstance(one, dict) and one.get("kind", one.get("type")) == HOSTED:
-                url = str(one.get("URL") or one.get("url"))
-                local_id = str(one.get("localId") or one.get("id") or urlsplit(url).path.rpartition("/")[2])
+        for part in listed if isinstance(listed, list) else ():
+            if isinstance(part, dict) and part.get("kind", part.get("type")) == HOSTED:
+                url = str(part.get("URL") or part.get("url"))
+                local_id = str(part.get("localId") or part.get("id") or urlsplit(url).path.rpartition("/")[2])
                 content = as_object(await side.read(f"{CONTEXTS}/{in_path(local_id)}"))
                 document = {"@context": content.get("@context")}
                 content_text = orjson.dumps(document, option=orjson.OPT_SORT_KEYS)
@@ -137,12 +138,12 @@ class DocumentCopy:
 
     def _obstacle(self, document: Json, unequal: str | None) -> str | None:
         """Return why a document cannot be copied; `unequal` is in what that of the target differs."""
-        found = "" if unequal is None else f"; the one in the target differs in {unequal}"
+        difference = "" if unequal is None else f"; the one in the target differs in {unequal}"
         if hidden := ", ".join(_hidden(document)):
-            return f"must be made by hand, since {hidden} cannot be read{found}"
+            return f"must be made by hand, since {hidden} cannot be read{difference}"
         endpoint = document.get("endpoint")
         if isinstance(endpoint, str) and _origin(endpoint) == _origin(self._target.place.url):
-            return f"must be made by hand, since its endpoint is the target itself{found}"
+            return f"must be made by hand, since its endpoint is the target itself{difference}"
         if unequal is not None and not self._overwrites:
             return f"differs in the target: {unequal}"
         return None

@@ -56,10 +56,10 @@ class EntityCopy:
         async for page in self._source.entities():
             present = await self._target.lookup(page)
             for entity in page:
-                found = present.get(entity["id"])
-                if found is None:  # a query by type does not find an entity of other types
-                    found = await self._target.retrieve(entity["id"])
-                if self._compare(entity, found):
+                target = present.get(entity["id"])
+                if target is None:  # a query by type does not find an entity of other types
+                    target = await self._target.retrieve(entity["id"])
+                if self._compare(entity, target):
                     counts.equal += 1
         self._require_complete()
         if self._source.listed != counts.found:
@@ -71,15 +71,15 @@ class EntityCopy:
             )
         await self._find_others(self._source.listed)
 
-    def _compare(self, entity: Json, found: Json | None) -> bool:
+    def _compare(self, entity: Json, target: Json | None) -> bool:
         name = entity["id"]
         reason = self._refused.get(name)
-        if found is None:
+        if target is None:
             why = f"not copied: {reason}" if reason else "not in the target"
             self._report.problem(KIND, name, why, reason=reason)
             return False
         is_equal = True
-        for difference in differences(entity, found):
+        for difference in differences(entity, target):
             is_equal = False
             self._report.problem(
                 KIND,
@@ -107,9 +107,9 @@ class EntityCopy:
         if (total := await self._target.count()) is not None and total <= listed:
             return
         async for page in self._target.entities():
-            known = await self._source.lookup(page)
+            stored = await self._source.lookup(page)
             for entity in page:
-                if entity["id"] not in known and await self._source.retrieve(entity["id"]) is None:
+                if entity["id"] not in stored and await self._source.retrieve(entity["id"]) is None:
                     self._report.problem(KIND, entity["id"], "only in the target", isOnlyInTarget=True)
 
 

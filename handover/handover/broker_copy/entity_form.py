@@ -112,7 +112,7 @@ def _expanded_names(value: Any, terms: Terms) -> Any:
 
 def _attribute(value: Any, terms: Terms) -> Any:
     if isinstance(value, list):
-        return [_instance(one, terms) for one in value]
+        return [_instance(instance, terms) for instance in value]
     return _instance(value, terms)
 
 
@@ -134,7 +134,9 @@ def _instance(instance: Any, terms: Terms) -> Any:
 def _is_attribute(value: Any) -> bool:
     """Return whether the value of a reserved member is an attribute, whose IRI has that short name."""
     instances = value if isinstance(value, list) else [value]
-    return bool(instances) and all(isinstance(one, dict) and "type" in one for one in instances)
+    return bool(instances) and all(
+        isinstance(instance, dict) and "type" in instance for instance in instances
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +159,8 @@ def differences(source: Mapping[str, Any], target: Mapping[str, Any]) -> Iterato
             if set(types_of(source)) != set(types_of(target)):
                 yield Difference(member, first, second)
         elif member in {"id", "scope", "expiresAt"}:
-            one, other = _as_list(first), _as_list(second)
-            if len(one) != len(other) or not all(map(_is_same, one, other, repeat(member))):
+            instances, other = _as_list(first), _as_list(second)
+            if len(instances) != len(other) or not all(map(_is_same, instances, other, repeat(member))):
                 yield Difference(member, first, second)
         else:
             before, after = _instances(first), _instances(second)
@@ -177,8 +179,10 @@ def _as_list(value: Any) -> list[Any]:
 def _instances(value: Any) -> dict[str, Any]:
     """Return the instances of an attribute by datasetId."""
     return {
-        str(one.get("datasetId", _DEFAULT_INSTANCE)) if isinstance(one, dict) else _DEFAULT_INSTANCE: one
-        for one in _as_list(value)
+        str(instance.get("datasetId", _DEFAULT_INSTANCE))
+        if isinstance(instance, dict)
+        else _DEFAULT_INSTANCE: instance
+        for instance in _as_list(value)
     }
 
 

@@ -87,12 +87,12 @@ def run(
 @app.command()
 def settings(as_json: AsJson = False) -> None:
     """Print every setting with its value and source."""
-    known = list(origins([service.settings for service in all_services()]))
+    listed = list(origins([service.settings for service in all_services()]))
     if as_json:
-        print_json([asdict(setting) for setting in known])
+        print_json([asdict(setting) for setting in listed])
         return
-    width = max(len(setting.name) for setting in known)
-    for setting in known:
+    width = max(len(setting.name) for setting in listed)
+    for setting in listed:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")
 
 

@@ -26,15 +26,10 @@ def wait_for_secrets(settings: Iterable[str], *, timeout_s: float = READY_TIMEOU
     folder = os.environ.get(SECRETS_DIR)
     deadline_s = time.monotonic() + timeout_s
     needed = {f"{PREFIX}{name}".upper() for name in settings}
-    for name in (one for one in SECRETS if folder and one in needed and os.environ.get(one) == ""):
-        file = Path(folder or "") / name
-        while not file.exists():
-            if time.monotonic() > deadline_s:
-                raise UsageError(
-                    f"there is no secret {file}; make it with: handover secrets make "
-                    "(containers: docker compose up init)"
-                )
-            time.sleep(CHECK_EVERY_S)
+    for name in SECRETS if folder else ():
+        if name in needed and os.environ.get(name) == "":
+            file = Path(folder or "") / name
+            _wait_for(file, deadline_s, f"there is no secret {file}", "handover secrets make")
 
 
 def wait_for_security(*settings: str, timeout_s: float = READY_TIMEOUT_S) -> None:
@@ -50,10 +45,13 @@ def wait_for_security(*settings: str, timeout_s: float = READY_TIMEOUT_S) -> Non
         files["HANDOVER_SECURITY_DIR"] = Path(security) / PUBLIC_KEYS_FILE
     deadline_s = time.monotonic() + timeout_s
     for name, file in files.items():
-        while not file.exists():
-            if time.monotonic() > deadline_s:
-                raise UsageError(
-                    f"{name} is {os.environ[name]}, and there is no file {file}; make it with: handover "
-                    "secure (containers: docker compose up init)"
-                )
-            time.sleep(CHECK_EVERY_S)
+        fault = f"{name} is {os.environ[name]}, and there is no file {file}"
+        _wait_for(file, deadline_s, fault, "handover secure")
+
+
+def _wait_for(file: Path, deadline_s: float, fault: str, command: str) -> None:
+    """Wait until a file exists; raise `UsageError` with the command that makes it after the deadline."""
+    while not file.exists():
+        if time.monotonic() > deadline_s:
+            raise UsageError(f"{fault}; make it with: {command} (containers: docker compose up init)")
+        time.sleep(CHECK_EVERY_S)

@@ -45,11 +45,11 @@ class LatestInput:
 
 def _kind_of(text: str) -> int:
     try:
-        given = orjson.loads(text)
+        document = orjson.loads(text)
     except orjson.JSONDecodeError:
         return _MOTION
-    if not isinstance(given, dict):
+    if not isinstance(document, dict):
         return _MOTION
-    if given.get("gripper") is not None:
+    if document.get("gripper") is not None:
         return _GRIPPER
-    return _MOTION if given.get("held") is True else _RELEASE
+    return _MOTION if document.get("held") is True else _RELEASE

@@ -103,5 +103,5 @@ class Leases:
         self._notify(robot)
 
     def _notify(self, robot: str) -> None:
-        for one in self.waiting(robot):
-            one.changed.set()
+        for waiting_session in self.waiting(robot):
+            waiting_session.changed.set()

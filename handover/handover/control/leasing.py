@@ -188,7 +188,7 @@ async def _read_to_end(socket: WebSocket) -> None:
 def view_of(robot: str, leases: Leases) -> LeaseView:
     """Return who controls a robot and who waits."""
     lease = leases.of(robot)
-    waiting = tuple(WaitingView(id=one.session, name=one.name) for one in leases.waiting(robot))
+    waiting = tuple(WaitingView(id=session.session, name=session.name) for session in leases.waiting(robot))
     if lease is None:
         return LeaseView(robot=robot, holder=None, since=None, waiting=waiting)
     return LeaseView(robot=robot, holder=lease.name, since=lease.since_s, waiting=waiting)

@@ -106,7 +106,7 @@ class LimitLink:
 
     def allowed(self, now_s: float) -> Allowed | None:
         """Return the least limit at `now_s`, None without a source."""
-        return min(self.limits.allowed(now_s), key=lambda one: one.fraction, default=None)
+        return min(self.limits.allowed(now_s), key=lambda limit: limit.fraction, default=None)
 
     async def run(self) -> None:
         """Follow the stream until cancelled."""
@@ -121,12 +121,12 @@ class LimitLink:
     def take(self, document: Mapping[str, Any]) -> None:
         """Take a message of the stream. Raises `KeyError`, `TypeError` or `ValueError` for another one."""
         now_s = time.monotonic()
-        for one in document["limits"]:
+        for limit in document["limits"]:
             report = SpeedLimitReport(
-                source=one["source"],
+                source=limit["source"],
                 stamp=document["stamp"],
-                fraction=one["fraction"],
-                reason=one["reason"],
+                fraction=limit["fraction"],
+                reason=limit["reason"],
                 period=REPORT_PERIOD_S,
             )
             with suppress(RefusedReport):  # a stamp that does not advance: the limit ages

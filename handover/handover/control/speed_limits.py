@@ -146,7 +146,7 @@ class SpeedLimits:
 
     def reports(self) -> tuple[SpeedLimitReport, ...]:
         """Return the last report of each source."""
-        return tuple(each.report for each in tuple(self._sources.values()) if each.report is not None)
+        return tuple(source.report for source in tuple(self._sources.values()) if source.report is not None)
 
     def remove(self, source: str) -> bool:
         """Stop requiring a source; return whether it was required."""

@@ -114,8 +114,8 @@ def integrity_faults(connection: sqlite3.Connection, within_s: float | None = No
         raise
     finally:
         connection.set_progress_handler(None, 0)
-    found = [line for (text,) in rows for line in str(text).splitlines() if line != "ok"]
-    return [line for line in found if not line.startswith("***")] or found, True
+    lines = [line for (text,) in rows for line in str(text).splitlines() if line != "ok"]
+    return [line for line in lines if not line.startswith("***")] or lines, True
 
 
 def _deadline(within_s: float | None) -> Callable[[], int]:

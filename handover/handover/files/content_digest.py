@@ -20,7 +20,7 @@ _NO_CONTENT = frozenset({ATTRIBUTE, "@context", "createdAt", "modifiedAt"})
 
 def digest_of(entity: Mapping[str, Any]) -> str:
     """Return the digest of a normalized entity: id, type, values and objects, without metadata and times."""
-    content = {name: _plain(each) for name, each in entity.items() if name not in _NO_CONTENT}
+    content = {name: _plain(value) for name, value in entity.items() if name not in _NO_CONTENT}
     written = orjson.dumps(content, option=orjson.OPT_SORT_KEYS)
     return hashlib.sha256(written).hexdigest()[:LENGTH]
 
@@ -32,17 +32,17 @@ def with_digest(entity: Mapping[str, Any]) -> dict[str, Any]:
 
 def is_ours(entity: Mapping[str, Any]) -> bool:
     """Return whether an entity is as a component of ours has written it."""
-    given = entity.get(ATTRIBUTE)
-    return isinstance(given, Mapping) and given.get("value") == digest_of(entity)
+    attribute = entity.get(ATTRIBUTE)
+    return isinstance(attribute, Mapping) and attribute.get("value") == digest_of(entity)
 
 
-def _plain(given: Any) -> Any:
+def _plain(value: Any) -> Any:
     """Return an attribute without metadata; whole numbers are equal however they are written."""
-    if isinstance(given, Mapping):
-        named = [name for name in ("value", "object", "languageMap", "json") if name in given]
-        if "type" in given and named:
-            return _plain(given[named[0]])
-        return {name: _plain(each) for name, each in given.items()}
-    if isinstance(given, list):
-        return [_plain(each) for each in given]
-    return int(given) if isinstance(given, float) and given.is_integer() else given
+    if isinstance(value, Mapping):
+        named = [name for name in ("value", "object", "languageMap", "json") if name in value]
+        if "type" in value and named:
+            return _plain(value[named[0]])
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_plain(part) for part in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value

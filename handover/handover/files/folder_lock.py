@@ -136,15 +136,15 @@ def hold(
 
 def holders_in(folder: Path) -> list[str]:
     """Return a line about each other process that has a database or a service in `folder`."""
-    found = []
+    holders = []
     for file in sorted(folder.glob(f"*{LOCK_SUFFIX}")):
         name = file.name.removesuffix(LOCK_SUFFIX)
         try:
             hold(file.with_name(name), name, is_only_use=True)()
         except FileInUse:
             holder = _named_in(file)
-            found.append(f"{name}: {holder}" if holder is not None else name)
-    return found
+            holders.append(f"{name}: {holder}" if holder is not None else name)
+    return holders
 
 
 def _in_use(file: Path, service: str) -> str:
@@ -157,8 +157,8 @@ def _in_use(file: Path, service: str) -> str:
 
 def _acquire(file: Path, service: str, *, is_only_use: bool) -> bool:
     with _process.turn:
-        if (known := _process.held.get(file)) is not None:
-            known.uses += not is_only_use
+        if (held := _process.held.get(file)) is not None:
+            held.uses += not is_only_use
             return not is_only_use
         file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)

@@ -33,10 +33,10 @@ def make_private(data_dir: Path) -> Iterator[str]:
         yield f"{data_dir} is shared with other users and stays as it is; use a directory of its own"
         return
     repaired: list[Path] = []
-    for path, found in _entries(data_dir):
-        if found.st_uid == os.geteuid() and found.st_mode & _OF_OTHERS:
+    for path, status in _entries(data_dir):
+        if status.st_uid == os.geteuid() and status.st_mode & _OF_OTHERS:
             try:
-                path.chmod(stat.S_IMODE(found.st_mode) & ~_OF_OTHERS)
+                path.chmod(stat.S_IMODE(status.st_mode) & ~_OF_OTHERS)
             except OSError as error:
                 yield f"{path} can be read by others, and its mode cannot be changed: {error.strerror}"
             else:
@@ -50,14 +50,14 @@ def faults_of(data_dir: Path) -> Iterator[str]:
     """Yield what others can read of the data directory, with the way out."""
     if os.name != "posix":
         return
-    for path, found in _entries(data_dir):
-        is_own = found.st_uid == os.geteuid()
-        if found.st_mode & (_OF_OTHERS if is_own else stat.S_IRWXO):
-            mode = stat.S_IMODE(found.st_mode)
+    for path, status in _entries(data_dir):
+        is_own = status.st_uid == os.geteuid()
+        if status.st_mode & (_OF_OTHERS if is_own else stat.S_IRWXO):
+            mode = stat.S_IMODE(status.st_mode)
             way_out = (
                 "the next start of a service repairs it"
                 if is_own
-                else f"it belongs to user {found.st_uid}, who can repair it: chmod o-rwx"
+                else f"it belongs to user {status.st_uid}, who can repair it: chmod o-rwx"
             )
             yield f"{path} can be read by others (mode {mode:04o}); {way_out}"
 
@@ -66,12 +66,12 @@ def owner_of(data_dir: Path) -> str | None:
     """Return a line about a data directory of another user that is accepted; None for an own one."""
     if os.name != "posix" or not data_dir.exists():
         return None
-    found = data_dir.stat()
-    if found.st_uid == os.geteuid() or found.st_mode & stat.S_IRWXO:
+    status = data_dir.stat()
+    if status.st_uid == os.geteuid() or status.st_mode & stat.S_IRWXO:
         return None
     return (
-        f"{data_dir} belongs to user {found.st_uid} (mode {stat.S_IMODE(found.st_mode):04o}): its group "
-        f"{found.st_gid} may read and write, as with fsGroup of Kubernetes"
+        f"{data_dir} belongs to user {status.st_uid} (mode {stat.S_IMODE(status.st_mode):04o}): its group "
+        f"{status.st_gid} may read and write, as with fsGroup of Kubernetes"
     )
 
 
@@ -81,14 +81,14 @@ def _entries(data_dir: Path) -> Iterator[tuple[Path, os.stat_result]]:
     while pending:
         path, depth = pending.pop()
         try:
-            found = path.lstat()
-            is_folder = stat.S_ISDIR(found.st_mode)
+            status = path.lstat()
+            is_folder = stat.S_ISDIR(status.st_mode)
             inside = list(path.iterdir()) if is_folder and depth < DEPTH else []
         except OSError:  # another service has just deleted it, or nobody but its owner can enter
             continue
-        if is_folder or stat.S_ISREG(found.st_mode):
-            yield path, found
-        pending += [(one, depth + 1) for one in inside if depth > 0 or one.name not in SHARED]
+        if is_folder or stat.S_ISREG(status.st_mode):
+            yield path, status
+        pending += [(inner, depth + 1) for inner in inside if depth > 0 or inner.name not in SHARED]
 
 
 def _named(paths: list[Path]) -> str:

@@ -22,7 +22,7 @@ def with_texts(entity: Mapping[str, Any], *, prefix: str = "") -> Mapping[str, A
     The names of attributes in it begin with `prefix`.
     """
     added = {}
-    for name in (f"{prefix}{one}" for one in FREE_VALUES):
+    for name in (f"{prefix}{member}" for member in FREE_VALUES):
         attribute = entity.get(name)
         if isinstance(attribute, Mapping) and not _is_same(value := attribute.get("value"), reduced(value)):
             text = {"type": "Property", "value": orjson.dumps(value).decode()}
@@ -32,7 +32,7 @@ def with_texts(entity: Mapping[str, Any], *, prefix: str = "") -> Mapping[str, A
 
 def without_texts(entity: dict[str, Any], *, prefix: str = "") -> dict[str, Any]:
     """Return a normalized entity that was read with the values of its texts, and without these."""
-    for name in (f"{prefix}{one}" for one in FREE_VALUES):
+    for name in (f"{prefix}{member}" for member in FREE_VALUES):
         attribute = entity.get(name)
         if not isinstance(attribute, dict) or f"{prefix}{AS_TEXT}" not in attribute:
             continue
@@ -49,9 +49,9 @@ def without_texts(entity: dict[str, Any], *, prefix: str = "") -> dict[str, Any]
 def reduced(value: Any) -> Any:
     """Return what such a broker makes of a value: integers of 32 bits, and no list of one element."""
     if isinstance(value, list):
-        return reduced(value[0]) if len(value) == 1 else [reduced(one) for one in value]
+        return reduced(value[0]) if len(value) == 1 else [reduced(part) for part in value]
     if isinstance(value, dict):
-        return {name: reduced(one) for name, one in value.items()}
+        return {name: reduced(part) for name, part in value.items()}
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if isinstance(value, int) and not isinstance(value, bool):
@@ -60,12 +60,12 @@ def reduced(value: Any) -> Any:
     return value
 
 
-def _is_same(one: Any, other: Any) -> bool:
+def _is_same(value: Any, other: Any) -> bool:
     """Compare as JSON does: true is not 1, 1.0 is 1."""
-    if isinstance(one, bool) or isinstance(other, bool):
-        return one is other
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_is_same(one[name], other[name]) for name in one)
-    return bool(one == other)
+    if isinstance(value, bool) or isinstance(other, bool):
+        return value is other
+    if isinstance(value, list) and isinstance(other, list):
+        return len(value) == len(other) and all(map(_is_same, value, other))
+    if isinstance(value, dict) and isinstance(other, dict):
+        return value.keys() == other.keys() and all(_is_same(value[name], other[name]) for name in value)
+    return bool(value == other)

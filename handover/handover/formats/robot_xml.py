@@ -57,13 +57,13 @@ def _drop_unused_xacro(root: Any) -> bool:
     """
     if _is_xacro(root):
         return False
-    outermost = [each for each in root.iter("{*}*") if _is_xacro(each) and not _is_within_xacro(each)]
+    outermost = [tag for tag in root.iter("{*}*") if _is_xacro(tag) and not _is_within_xacro(tag)]
     for element in outermost:
         if etree.QName(element).localname not in _XACRO_DEFINITIONS:
             return False
         element.getparent().remove(element)
     values = (
-        value for part in root.iter("link", "joint") for each in part.iter("*") for value in each.values()
+        value for part in root.iter("link", "joint") for tag in part.iter("*") for value in tag.values()
     )
     return not outermost or not any(_XACRO_VALUE.search(value) for value in values)
 
@@ -119,7 +119,7 @@ def settle_sizes(link: Any) -> list[str]:
 def plain_shapes(shape: Any) -> list[Any]:
     """Return the shapes of a visual or collision that are no meshes."""
     geometry = shape.find("geometry")
-    return [] if geometry is None else [one for one in geometry if one.tag != "mesh"]
+    return [] if geometry is None else [tag for tag in geometry if tag.tag != "mesh"]
 
 
 def sizes_of(written: str) -> list[float]:

@@ -65,12 +65,12 @@ class TopicEndpoints:
             BuiltinTopicDcpsPublication,
         )
 
-        found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).read(N=MAX_PUBLISHED)
+        publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).read(N=MAX_PUBLISHED)
         return sorted(
             {
-                (one.topic_name.removeprefix("rt"), _ros_name(one.type_name))
-                for one in found
-                if getattr(one, "topic_name", "").startswith("rt/")
+                (publication.topic_name.removeprefix("rt"), _ros_name(publication.type_name))
+                for publication in publications
+                if getattr(publication, "topic_name", "").startswith("rt/")
             }
         )
 

@@ -43,8 +43,8 @@ def fault_lines(error: Faulty, whole: str = "message", *, within: str | None = N
     """
     outer = [] if within is None else [within]
     return [
-        f"{'.'.join([*outer, *map(str, one['loc'])]) or whole}: {_rule(str(one['msg']))}"[:MAX_CHARS]
-        for one in error.errors()
+        f"{'.'.join([*outer, *map(str, fault['loc'])]) or whole}: {_rule(str(fault['msg']))}"[:MAX_CHARS]
+        for fault in error.errors()
     ]
 
 
@@ -55,10 +55,10 @@ def fault_text(error: Faulty, whole: str = "message", *, most: int = MAX_FAULTS)
     return "; ".join([*lines[:most], *more])
 
 
-def _moment(given: datetime) -> datetime:
-    if not _FIRST_MOMENT <= given < _LAST_MOMENT:
+def _moment(moment: datetime) -> datetime:
+    if not _FIRST_MOMENT <= moment < _LAST_MOMENT:
         raise ValueError(f"must be a time from the years {_FIRST_MOMENT.year} to {_LAST_MOMENT.year - 1}")
-    return given.astimezone(UTC)
+    return moment.astimezone(UTC)
 
 
 Moment = Annotated[AwareDatetime, BeforeValidator(TIME_TEXT), AfterValidator(_moment)]

@@ -61,8 +61,8 @@ def with_problems(document: dict[str, Any], *, has_guard: bool) -> dict[str, Any
         for method, operation in methods.items():
             responses = operation.setdefault("responses", {})
             for status in _refusals(method, operation, has_guard=has_guard):
-                known = responses.get(str(status), {})
-                if "application/problem+json" not in known.get("content", {}):
+                described = responses.get(str(status), {})
+                if "application/problem+json" not in described.get("content", {}):
                     responses[str(status)] = _response(HTTPStatus(status).phrase)
             responses.setdefault("default", _response("Any other problem"))
     for name in _OF_FASTAPI:

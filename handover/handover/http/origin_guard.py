@@ -70,17 +70,17 @@ class OriginPolicy:
         needs_host: bool = True,
     ) -> Problem | None:
         """Return why a request is refused; None if it is accepted. `headers` are by name in lower case."""
-        given = headers.get(b"host")
-        host = "" if given is None else given.decode("latin-1")
-        if (given is None and needs_host) or "," in host:  # repeated headers are joined by commas
+        host_header = headers.get(b"host")
+        host = "" if host_header is None else host_header.decode("latin-1")
+        if (host_header is None and needs_host) or "," in host:  # repeated headers are joined by commas
             REFUSED.labels("host").inc()
             return Problem(400, "Bad request", "a request of HTTP/1.1 needs one Host header; send one")
-        if given is not None and given not in self._known:
+        if host_header is not None and host_header not in self._known:
             parts = host_and_port(host, scheme)
             if parts is not None and is_known_host(parts[0], self._hosts):
                 if len(self._known) >= MAX_REMEMBERED_HOSTS:
                     self._known = set()
-                self._known.add(given)
+                self._known.add(host_header)
             elif method not in _READS or path not in OPEN_BY_ANY_NAME:
                 REFUSED.labels("host").inc()
                 return Problem(
@@ -165,12 +165,12 @@ def host_and_port(host: str, scheme: str) -> tuple[str, int] | None:
     return met[1].lower().rstrip("."), port
 
 
-def is_known_host(name: str, known: Iterable[str]) -> bool:
-    """Return whether `name` is loopback, a numeric address, or one of `known`."""
+def is_known_host(name: str, hosts: Iterable[str]) -> bool:
+    """Return whether `name` is loopback, a numeric address, or one of `hosts`."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
-        return name == "localhost" or name.endswith(".localhost") or name in known
+        return name == "localhost" or name.endswith(".localhost") or name in hosts
     return True
 
 
@@ -190,7 +190,7 @@ def is_same_origin(origin: str, host: str) -> bool:
 
 
 def _by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
-    found: dict[bytes, bytes] = {}
+    by_name: dict[bytes, bytes] = {}
     for name, value in headers:
-        found[name] = found[name] + b", " + value if name in found else value
-    return found
+        by_name[name] = by_name[name] + b", " + value if name in by_name else value
+    return by_name

@@ -32,38 +32,48 @@ the begin of the next head; it has at most `MAX_HEAD_BYTES`, and what comes afte
 """
 
 import asyncio
-import math
-import os
-from collections import Counter as Tally
 from collections.abc import Iterator
-from heapq import heappop, heappush
-from ipaddress import ip_network
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
-from prometheus_client import Counter, Gauge
+from prometheus_client import Counter
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from handover.errors import Problem
-from handover.network.outbound_policy import address_of
+from handover.http.connections import (
+    AWAITED,
+    BODY,
+    HEAD,
+    IDLE,
+    IN_USE,
+    REFUSED,
+    UNFINISHED,
+    UPGRADED,
+    Connections,
+    LimitedConnection,
+)
 from handover.settings import Settings
-from handover.telemetry import get_logger
 
 if TYPE_CHECKING:
     from uvicorn.config import Config
     from uvicorn.server import ServerState
 
-log = get_logger(__name__)
+__all__ = [
+    "BODY",
+    "HEAD",
+    "IDLE",
+    "IN_USE",
+    "KEEP_ALIVE_S",
+    "MAX_HEAD_BYTES",
+    "MAX_HEAD_LINES",
+    "MAX_PIPELINED",
+    "Connections",
+    "HttpProtocol",
+]
 
 KEEP_ALIVE_S: Final = 75.0
 """Longer than clients keep idle connections (httpx: 5 s), so that they never write to one that is closing."""
-LOOK_EVERY_S: Final = 1.0
-YOUNG_S: Final = 1.0
-"""A connection so young is not closed for its address's sake: many may be made at once, and soon send."""
-RESERVED_FILES: Final = 128
-"""Open files that a service needs for other things than connections."""
-MAX_FILES: Final = 65_536
 MAX_HEAD_BYTES: Final = 32 * 1024
 MAX_HEAD_LINES: Final = 100
 """The request line and the headers, without the empty line at the end."""
@@ -72,10 +82,6 @@ MAX_WEBSOCKET_LINE_BYTES: Final = 8190
 STALLED_S: Final = 5.0
 """A client that reads nothing for so long gives way to a newcomer where the server is full."""
 MAX_PIPELINED: Final = 16
-MAX_STARTS_PER_TURN: Final = 4
-"""A start costs about a millisecond."""
-CREDIT: Final = 2
-"""So many rounds a connection is ahead of those that always have a request waiting."""
 MAX_DISCARDED_BYTES: Final = 1 << 20
 DISCARD_S: Final = 2.0
 """How long a connection stays open after a refusal for the client to read it: a connection that is closed
@@ -83,127 +89,11 @@ while bytes come in is reset, and the client may lose the response."""
 
 _END_OF_HEAD: Final = b"\r\n\r\n"
 
-# What a connection does. Constants of the module: a member of an Enum costs ten times as much to read (3.11).
-AWAITED: Final = "awaited"
-"""Its first request has not begun."""
-HEAD: Final = "head"
-BODY: Final = "body"
-IN_USE: Final = "in use"
-IDLE: Final = "idle"
-REFUSED: Final = "refused"
-"""It is only read until the client has the refusal."""
-UPGRADED: Final = "upgraded"
-UNFINISHED: Final = frozenset({AWAITED, HEAD, BODY, REFUSED})
 
-OPEN = Gauge("handover_http_connections", "Connections by what they do", ["state"])
 CLOSED = Counter("handover_http_connections_closed_total", "Connections that the server ended", ["reason"])
 
 
-class Connections:
-    """The connections of one server, and their limits."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self.max_open = max(16, min(settings.http_max_connections, raise_file_limit() - RESERVED_FILES))
-        self._proxies = tuple(ip_network(one) for one in settings.trusted_proxies)
-        self._open: set[Any] = set()
-        self._looked_s = 0.0
-        self._is_looking = False
-        self._waiting: list[tuple[int, int, HttpProtocol, Any, Any]] = []
-        """The requests that wait for their start: a heap by round, then by arrival."""
-        self._round = 0
-        self._arrivals = 0
-        self._started = 0
-        """Starts in this turn of the event loop."""
-
-    def opened(self, connection: "HttpProtocol", everything: set[Any]) -> bool:
-        """Take note of a new connection; say whether it may stay. `everything` are those of the server."""
-        self._open = everything
-        if not self._is_looking:
-            self._is_looking = True
-            self._looked_s = connection.loop.time()
-            connection.loop.call_later(LOOK_EVERY_S, self._look, connection.loop)
-        if len(everything) <= self.max_open:
-            return True
-        return self._make_way(connection)
-
-    def start(self, connection: "HttpProtocol", cycle: Any, app: Any) -> None:
-        """Start a request, at once if there are few, else in its turn (start-time fair queueing)."""
-        if self._started == 0:
-            connection.loop.call_soon(self._next_turn, connection.loop)
-        turn = max(connection.last_round + 1, self._round - CREDIT)
-        connection.last_round = turn
-        if self._started < MAX_STARTS_PER_TURN and not self._waiting:
-            self._started += 1
-            self._round = max(self._round, turn)
-            connection.start(cycle, app)
-            return
-        self._started = max(self._started, 1)
-        self._arrivals += 1
-        heappush(self._waiting, (turn, self._arrivals, connection, cycle, app))
-
-    def _next_turn(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._started = 0
-        while self._waiting and self._started < MAX_STARTS_PER_TURN:
-            turn, _, connection, cycle, app = heappop(self._waiting)
-            self._round = max(self._round, turn)
-            if not connection.transport.is_closing():
-                self._started += 1
-                connection.start(cycle, app)
-        if self._started:
-            loop.call_soon(self._next_turn, loop)
-
-    def may_be_websocket(self) -> bool:
-        """Say whether one more connection may become a WebSocket."""
-        return len(self._open) - sum(1 for _ in self._http()) < self._settings.http_max_websockets
-
-    def _http(self) -> Iterator["HttpProtocol"]:
-        return (one for one in self._open if isinstance(one, HttpProtocol))
-
-    def _make_way(self, newcomer: "HttpProtocol") -> bool:
-        """Close a few connections at once, so that the next newcomers find it cheap."""
-        others = [one for one in self._http() if one is not newcomer and not one.transport.is_closing()]
-        others.sort(key=lambda one: one.since_s or math.inf)
-        waiting = [one for one in others if one.phase in UNFINISHED]
-        idle = [one for one in others if one.phase is IDLE]
-        stalled = [one for one in others if one.has_stalled()]
-        victims = (waiting + idle + stalled)[: max(1, self.max_open // 50)]
-        for victim in victims:
-            victim.end("too many")
-        return bool(victims)
-
-    def _look(self, loop: asyncio.AbstractEventLoop) -> None:
-        now_s = loop.time()
-        passed_s, self._looked_s = now_s - self._looked_s, now_s
-        states: Tally[str] = Tally()
-        unfinished: dict[str, list[HttpProtocol]] = {}
-        for one in list(self._http()):
-            if one.transport.is_closing():
-                continue
-            states[one.look(self._settings, now_s, passed_s)] += 1
-            if one.phase in UNFINISHED and now_s - one.since_s > YOUNG_S:
-                unfinished.setdefault(one.client[0] if one.client else "", []).append(one)
-        states["websocket"] = len(self._open) - sum(1 for _ in self._http())
-        for address, waiting in unfinished.items():
-            if self._is_proxy(address):
-                continue  # the connections of all its clients
-            excess = len(waiting) - self._settings.http_max_unfinished_per_address
-            if excess > 0:
-                waiting.sort(key=lambda one: one.since_s)
-                for one in waiting[:excess]:
-                    one.end("too many unfinished")
-        for state in ("unfinished", "idle", "in use", "websocket"):
-            OPEN.labels(state).set(states[state])
-        self._is_looking = bool(self._open)
-        if self._is_looking:
-            loop.call_later(LOOK_EVERY_S, self._look, loop)
-
-    def _is_proxy(self, address: str) -> bool:
-        ip = address_of(address) if self._proxies else None
-        return ip is not None and any(ip in network for network in self._proxies)
-
-
-class HttpProtocol(HttpToolsProtocol):
+class HttpProtocol(HttpToolsProtocol, LimitedConnection):
     """One connection, which `limits` looks at.
 
     A request that begins only sets `phase`, and `since_s` to 0; the next look replaces that by its own time.
@@ -214,7 +104,7 @@ class HttpProtocol(HttpToolsProtocol):
     __slots__ = (
         "_body_of", "_body_s", "_discarded_bytes", "_head_bytes", "_head_end", "_head_lines", "_quiet_s",
         "_refusal", "_rest", "_seen_bytes", "_stalled_s", "_unread_bytes", "body_bytes", "body_piece",
-        "last_round", "limits", "phase", "since_s",
+        "limits", "phase", "since_s",
     )  # fmt: skip
 
     flow: "_Flow"
@@ -559,8 +449,8 @@ class HttpProtocol(HttpToolsProtocol):
 
 def _after_empty_line(piece: bytes) -> int:
     """Return where the rest of `piece` begins after its last empty line; 0 without one."""
-    found = piece.rfind(_END_OF_HEAD)
-    return 0 if found < 0 else found + len(_END_OF_HEAD)
+    position = piece.rfind(_END_OF_HEAD)
+    return 0 if position < 0 else position + len(_END_OF_HEAD)
 
 
 class _Flow(FlowControl):
@@ -595,20 +485,3 @@ def _too_large_head() -> Problem:
         f"the request line and the headers have more than {MAX_HEAD_BYTES} bytes or {MAX_HEAD_LINES} lines; "
         "send fewer and shorter ones",
     )
-
-
-def raise_file_limit() -> int:
-    """Allow this process as many open files as the system lets it have; return how many."""
-    if os.name != "posix":
-        return MAX_FILES
-    import resource  # noqa: PLC0415 - not on every system
-
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = MAX_FILES if hard == resource.RLIM_INFINITY else min(hard, MAX_FILES)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        try:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-        except (OSError, ValueError) as error:
-            log.warning("the limit of open files cannot be raised", limit=soft, error=str(error))
-            return soft
-    return wanted

@@ -76,8 +76,8 @@ class LogFileHandler(logging.StreamHandler):  # type: ignore[type-arg]  # of wha
         named = open_log(self._path)
         try:
             fcntl.flock(named, fcntl.LOCK_EX)  # of this file: descriptors that were inherited share a lock
-            found = os.fstat(named)
-            if os.path.samestat(self._path.stat(), found) and os.path.samestat(found, present):
+            status = os.fstat(named)
+            if os.path.samestat(self._path.stat(), status) and os.path.samestat(status, present):
                 rotate(self._path, self._max_bytes)
             new = open_log(self._path)
         finally:

@@ -46,19 +46,19 @@ class RepeatedLines(logging.Filter):
             return True
         key, now_s = _key_of(record), self._clock()
         with self._lock:
-            known = self._known.get(key)
-            if known is not None and now_s - known.since_s < PAUSE_S:
-                known.count += 1
+            line = self._known.get(key)
+            if line is not None and now_s - line.since_s < PAUSE_S:
+                line.count += 1
                 return False
             self._known[key] = _Repeated(now_s)
             self._known.move_to_end(key)
             if len(self._known) > MAX_REMEMBERED:
                 self._known.popitem(last=False)
-        if known is not None and known.count:
+        if line is not None and line.count:
             if isinstance(record.msg, dict):
-                record.msg[REPEATED] = known.count
+                record.msg[REPEATED] = line.count
             else:
-                setattr(record, REPEATED, known.count)
+                setattr(record, REPEATED, line.count)
         return True
 
 

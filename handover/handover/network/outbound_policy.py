@@ -68,7 +68,7 @@ _KINDS: Final[tuple[tuple[AddressKind, tuple[str, ...]], ...]] = (
     ),
 )  # fmt: skip
 """The first kind that lists an address is its kind (IANA's special-purpose address registries)."""
-_NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for one in listed)
+_NETWORKS: Final = tuple((kind, ip_network(network)) for kind, listed in _KINDS for network in listed)
 _PUBLIC_IPV6: Final = ip_network("2000::/3")
 _ALWAYS_REFUSED: Final = frozenset({AddressKind.LINK_LOCAL, AddressKind.METADATA, AddressKind.MULTICAST})
 """Kinds that a service refuses even if it listens on loopback only."""
@@ -106,7 +106,7 @@ class OutboundPolicy:
         Raises `ValueError` that names an entry which is neither a host nor a network.
         """
         hosts, networks, named = set[str](), list[Network](), set(endpoints)
-        for entry in filter(None, (one.strip() for one in allowed.split(","))):
+        for entry in filter(None, (part.strip() for part in allowed.split(","))):
             endpoint = _ENDPOINT.fullmatch(entry)
             if endpoint is not None:
                 named.add((_plain(endpoint[1].strip("[]")), int(endpoint[2])))
@@ -139,7 +139,7 @@ class OutboundPolicy:
             return None
         address = address_of(host)
         kind = None if address is None else kind_of(address)
-        if address is None or kind is None or any(address in one for one in self.networks):
+        if address is None or kind is None or any(address in network for network in self.networks):
             return None
         if self.listens_beyond_loopback:
             why = "a service that listens beyond loopback"
@@ -158,14 +158,14 @@ class OutboundPolicy:
 
     @staticmethod
     def _is_refused_within(address: Address) -> bool:
-        return any(kind_of(one) in _ALWAYS_REFUSED for one in embedded_in(address))
+        return any(kind_of(embedded) in _ALWAYS_REFUSED for embedded in embedded_in(address))
 
     def _has_accounts(self) -> bool:
         return self.accounts_file is not None and self.accounts_file.exists()
 
     @staticmethod
     def _is_this_machine(address: Address) -> bool:
-        return any(kind_of(one) is AddressKind.LOOPBACK for one in (address, *embedded_in(address)))
+        return any(kind_of(embedded) is AddressKind.LOOPBACK for embedded in (address, *embedded_in(address)))
 
     async def resolved(self, host: str, port: int) -> list[str]:
         """Return the allowed addresses of `host`, in the order to try them.
@@ -173,14 +173,14 @@ class OutboundPolicy:
         Raises `AddressRefused` when all are refused, `OSError` when the name cannot be resolved.
         """
         if address_of(host) is not None:
-            found = [host]
+            addresses = [host]
         else:
-            known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
-            found = list(dict.fromkeys(str(one[4][0]) for one in known))
+            answers = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            addresses = list(dict.fromkeys(str(address_info[4][0]) for address_info in answers))
             if _plain(host) in self.hosts or self._is_listed(host, port):
-                return found
-        faults = {one: self.fault_of(one, port) for one in found}
-        allowed = [one for one, fault in faults.items() if fault is None]
+                return addresses
+        faults = {address: self.fault_of(address, port) for address in addresses}
+        allowed = [address for address, fault in faults.items() if fault is None]
         if not allowed:
             why = next((fault for fault in faults.values() if fault), f"{host} has no address")
             raise AddressRefused(why if host in faults else f"{host} resolves to a refused address: {why}")
@@ -204,7 +204,7 @@ def _read_endpoints(file: Path, mtime_ns: int, inode: int) -> frozenset[tuple[st
     except (OSError, UnicodeDecodeError):
         return frozenset()
     matches = (_ENDPOINT.fullmatch(line.partition(" ")[0]) for line in lines)
-    return frozenset((_plain(one[1].strip("[]")), int(one[2])) for one in matches if one is not None)
+    return frozenset((_plain(match[1].strip("[]")), int(match[2])) for match in matches if match is not None)
 
 
 def address_of(host: str) -> Address | None:
@@ -255,5 +255,5 @@ def _plain(host: str) -> str:
 
 def _is_name(text: str) -> bool:
     labels = _plain(text).split(".")
-    named = all(one and one.replace("-", "").replace("_", "").isalnum() for one in labels)
+    named = all(label and label.replace("-", "").replace("_", "").isalnum() for label in labels)
     return named and not labels[-1].isdecimal()

@@ -70,17 +70,18 @@ def handshake_fault(error: BaseException, where: str) -> str | None:
 
     `error` may be wrapped by the error of a library.
     """
-    found = _ssl_error_in(error)
-    if found is None:
+    ssl_error = _ssl_error_in(error)
+    if ssl_error is None:
         return None
-    if isinstance(found, ssl.SSLCertVerificationError):
-        fault = _CERTIFICATE_FAULTS.get(found.verify_code, f"is not accepted: {found.verify_message}")
+    if isinstance(ssl_error, ssl.SSLCertVerificationError):
+        fault = _CERTIFICATE_FAULTS.get(ssl_error.verify_code, f"is not accepted: {ssl_error.verify_message}")
         return f"the certificate of {where} {fault}"
-    if found.reason in _PLAIN_HTTP:
+    if ssl_error.reason in _PLAIN_HTTP:
         return (
             f"{where} does not speak TLS; use http:// instead of https://, or give that server a certificate"
         )
-    return f"the TLS handshake with {where} failed: {(found.reason or str(found)).replace('_', ' ').lower()}"
+    reason = (ssl_error.reason or str(ssl_error)).replace("_", " ").lower()
+    return f"the TLS handshake with {where} failed: {reason}"
 
 
 def speaks_tls(url: str) -> bool:

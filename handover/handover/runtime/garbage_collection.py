@@ -15,10 +15,10 @@ CHECK_EVERY_S: Final = 5.0
 
 async def freeze_loaded(check_every_s: float = CHECK_EVERY_S) -> None:
     """Freeze all objects whenever modules were loaded, until cancelled."""
-    known = 0
+    count = 0
     while True:
-        if len(sys.modules) != known:
-            known = len(sys.modules)
+        if len(sys.modules) != count:
+            count = len(sys.modules)
             gc.collect()
             gc.freeze()
         await asyncio.sleep(check_every_s)

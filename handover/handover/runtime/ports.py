@@ -68,7 +68,7 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
         if error.errno != errno.EADDRINUSE:
             raise UsageError(f"{where} cannot be used ({error.strerror}); {way_out}") from None
         holders = _holders(host, port)
-        listens = any(each.peer is None for each in holders) if holders else _has_listener(host, port)
+        listens = any(holder.peer is None for holder in holders) if holders else _has_listener(host, port)
         if listens:
             raise UsageError(f"{where} is taken by another program; stop that program or {way_out}") from None
         peer = holders[0].peer if holders else None
@@ -119,12 +119,12 @@ def unreserved(ports: Iterable[int]) -> list[int]:
 
 def reserved_ports() -> set[int]:
     """Return the ports that Linux never uses for outgoing connections. Raises `OSError` on other systems."""
-    found: set[int] = set()
+    inodes: set[int] = set()
     for part in (_SYSCTL / "ip_local_reserved_ports").read_text().strip().split(","):
         first, _, last = part.partition("-")
         if first:
-            found.update(range(int(first), int(last or first) + 1))
-    return found
+            inodes.update(range(int(first), int(last or first) + 1))
+    return inodes
 
 
 def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | float]:
@@ -153,9 +153,9 @@ def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.s
 def _holders(host: str, port: int) -> list[_Socket]:
     """Return the sockets on `port` that block a server on `host`, as far as the system shows them."""
     ours = _addresses(host)
-    found = [each for table in _TABLES for each in _sockets(table, port)]
+    sockets = [entry for table in _TABLES for entry in _sockets(table, port)]
     anywhere = {"0.0.0.0", "::"}  # noqa: S104 - compared, not bound
-    return [each for each in found if each.address in ours | anywhere or ours & anywhere]
+    return [entry for entry in sockets if entry.address in ours | anywhere or ours & anywhere]
 
 
 def _sockets(table: Path, port: int) -> Iterator[_Socket]:
@@ -185,7 +185,10 @@ def _readable(address: str) -> str:
 
 def _addresses(host: str) -> set[str]:
     try:
-        return {str(found[4][0]) for found in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
+        return {
+            str(address_info[4][0])
+            for address_info in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        }
     except OSError:
         return {host}
 

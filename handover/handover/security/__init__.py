@@ -12,10 +12,10 @@ A service gives its `Guard` to `create_app`; each of its routes declares what it
 - `local_mode`: requests of the same machine, while no account exists.
 - `revocations`: what became invalid before it expired; `guard` combines all of these.
 - `open_streams`: ends what stays open, when its caller loses what it was opened with.
-- `pin_check`, `performer_proof`: what `accounts` signs about a Task, so that it holds in every broker.
+- `proofs`: what `accounts` signs about a Task, so that it holds in every broker.
 - `service_access`: the credentials of a service for its own requests.
 - `audit`: records of changes, chained by hashes, in the transaction of the change; `audit_trail` records the
-  requests of a service, `audit_routes` has the routes of a log, `audit_chains` the logs of all services.
+  requests of a service, `audit_reading` has the routes of a log, and the logs of all services.
 
 `docs/adr/0017-identity-and-rights.md` has the decisions.
 """

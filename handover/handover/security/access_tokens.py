@@ -155,14 +155,14 @@ class PublicKeys:
         try:
             keys: dict[str, Ed25519PublicKey] = {}
             retired: dict[str, _RetiredPublicKey] = {}
-            for one in json.loads(document)["keys"]:
-                if one.get("kty") != "OKP" or one.get("crv") != "Ed25519":
+            for jwk in json.loads(document)["keys"]:
+                if jwk.get("kty") != "OKP" or jwk.get("crv") != "Ed25519":
                     continue
-                key = Ed25519PublicKey.from_public_bytes(_from_base64(one["x"]))
-                if "exp" in one:
-                    retired[str(one["kid"])] = _RetiredPublicKey(key, float(one["iat"]), float(one["exp"]))
+                key = Ed25519PublicKey.from_public_bytes(_from_base64(jwk["x"]))
+                if "exp" in jwk:
+                    retired[str(jwk["kid"])] = _RetiredPublicKey(key, float(jwk["iat"]), float(jwk["exp"]))
                 else:
-                    keys[str(one["kid"])] = key
+                    keys[str(jwk["kid"])] = key
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UsageError(f"the public keys are no JSON Web Key Set (RFC 7517): {error!r}") from None
         if not keys:

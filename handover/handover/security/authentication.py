@@ -157,10 +157,10 @@ class Guard:
 
     def _remembered_caller(self, token: str) -> Caller | None:
         key = token_hash(token)
-        known = self._remembered.get(key)
-        if known is None:
+        remembered = self._remembered.get(key)
+        if remembered is None:
             return None
-        caller, life = known
+        caller, life = remembered
         # A secret token outlives the revocation of its grants: `accounts` is asked about it again.
         if life.is_over() or self._revocations.is_revoked(caller):
             del self._remembered[key]
@@ -257,7 +257,7 @@ def caller_from(document: Mapping[str, Any]) -> Caller:
         kind=CallerKind(document["kind"]),
         subject=str(document["subject"]),
         name=str(document["name"]),
-        grants=tuple(Grant(Role(one["role"]), str(one["resource"])) for one in document["grants"]),
+        grants=tuple(Grant(Role(grant["role"]), str(grant["resource"])) for grant in document["grants"]),
         person=document.get("person"),
         session=document.get("session"),
         revision=int(document["revision"]),
@@ -265,8 +265,8 @@ def caller_from(document: Mapping[str, Any]) -> Caller:
 
 
 def _bearer(headers: Mapping[bytes, bytes]) -> str | None:
-    given = headers.get(b"authorization", b"").decode("latin-1")
-    scheme, _, token = given.partition(" ")
+    header = headers.get(b"authorization", b"").decode("latin-1")
+    scheme, _, token = header.partition(" ")
     return token.strip() if scheme.lower() == "bearer" and token.strip() else None
 
 

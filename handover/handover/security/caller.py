@@ -55,13 +55,13 @@ class Caller:
         """The name of a caller that has identified itself; None where the name of another one is given."""
         return None if self.kind in {CallerKind.LOCAL, CallerKind.SERVICE} else self.name
 
-    def acting_name(self, given: str) -> str:
+    def acting_name(self, client_name: str) -> str:
         """Return the name under which the caller acts.
 
-        A person who is signed in acts under the own name, whatever name a client gives; `given` counts in
-        local mode and for services, which act for others.
+        A person who is signed in acts under the own name, whatever name a client gives; `client_name`
+        counts in local mode and for services, which act for others.
         """
-        return given.strip() if self.own_name is None else self.own_name
+        return client_name.strip() if self.own_name is None else self.own_name
 
     def may(self, permission: Permission, resource: str = ANY_RESOURCE) -> bool:
         """Return whether the caller has `permission` for `resource` (an entity id; `*`: for everything)."""

@@ -23,10 +23,10 @@ GLOVE_TOKEN_FILE: Final = "glove-token"  # noqa: S105 - the name of a file
 GLOVE_TOKEN_SECRET: Final = "HANDOVER_GLOVE_TOKEN"  # noqa: S105 - the name of a setting
 
 
-def site_glove_token(given: SecretStr | None, folder: Path) -> str | None:
+def site_glove_token(token: SecretStr | None, folder: Path) -> str | None:
     """Return the token of the setting, else that in the security directory `folder`; None without one."""
-    if given is not None and given.get_secret_value():
-        return given.get_secret_value()
+    if token is not None and token.get_secret_value():
+        return token.get_secret_value()
     try:
         return (folder / GLOVE_TOKEN_FILE).read_text(encoding="utf-8").strip() or None
     except OSError:  # none was made, or it is for the user of another service

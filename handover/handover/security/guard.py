@@ -122,14 +122,14 @@ class Requirement:
     async def _resources(self, connection: HTTPConnection) -> Resources:
         if self._resource is None:
             return ANY_RESOURCE
-        found = self._resource(connection)
-        return await found if inspect.isawaitable(found) else found
+        resources = self._resource(connection)
+        return await resources if inspect.isawaitable(resources) else resources
 
 
 def _used(caller: Caller, permission: Permission, resources: Resources) -> str:
     if isinstance(resources, str):
         return resources
-    allowed = (one for one in resources if caller.may(permission, one))
+    allowed = (resource for resource in resources if caller.may(permission, resource))
     return next(allowed, resources[0] if resources else ANY_RESOURCE)
 
 
@@ -226,9 +226,9 @@ def guard_of(connection: HTTPConnection) -> Guard:
 
 async def authenticated(connection: HTTPConnection) -> Caller:
     """Return the caller of `connection`; raise `Problem` 401. Each request authenticates once."""
-    known = connection.scope.get(_CALLER)
-    if isinstance(known, Caller):
-        return known
+    kept = connection.scope.get(_CALLER)
+    if isinstance(kept, Caller):
+        return kept
     headers = dict(connection.scope["headers"])
     caller = await guard_of(connection).authenticate(_address(connection.scope), headers)
     connection.scope[_CALLER] = caller
@@ -256,7 +256,7 @@ async def still_allowed(guard: Guard, scope: Scope) -> None:
         is_held = caller.may_somewhere(permission)
     else:
         listed = (resources,) if isinstance(resources, str) else resources
-        is_held = any(caller.may(permission, one) for one in listed)
+        is_held = any(caller.may(permission, resource) for resource in listed)
     if not is_held:
         raise Problem(403, "Not allowed", f'the permission "{permission}" was removed; ask an admin for it')
 
@@ -273,8 +273,8 @@ def _address(scope: Scope) -> str | None:
 
 def routes_without_requirement(app: FastAPI, public: Iterable[str] = ()) -> list[str]:
     """Return the routes of `app` that ask nothing of their callers, besides the public ones."""
-    known = PUBLIC_PATHS | frozenset(public)
-    return [name for path, name, asked in _walk(app.routes, "") if asked is None and path not in known]
+    paths = PUBLIC_PATHS | frozenset(public)
+    return [name for path, name, asked in _walk(app.routes, "") if asked is None and path not in paths]
 
 
 def requirements(app: FastAPI) -> dict[str, str]:
@@ -304,8 +304,8 @@ def _walk(
 def _asked(route: APIRoute | APIWebSocketRoute) -> Requirement | OtherCredential | None:
     pending = list(route.dependant.dependencies)
     while pending:
-        one = pending.pop()
-        if isinstance(one.call, Requirement | OtherCredential):
-            return one.call
-        pending.extend(one.dependencies)
+        dependency = pending.pop()
+        if isinstance(dependency.call, Requirement | OtherCredential):
+            return dependency.call
+        pending.extend(dependency.dependencies)
     return None

@@ -36,7 +36,7 @@ from handover.http.api_docs import add_docs
 from handover.http.body_limit import limit_of, limited
 from handover.http.origin_guard import REFUSED
 from handover.security.act_recording import audited, unrecorded
-from handover.security.audit_routes import add_audit_routes
+from handover.security.audit_reading.audit_routes import add_audit_routes
 from handover.security.audit_trail import AuditTrail, Way, begin_request
 from handover.security.guard import Guard
 from handover.security.open_streams import EndOfStreams
@@ -121,25 +121,25 @@ def _recorded_status(error: Exception) -> int:
 
 def require_media_type(request: Request, accepted: tuple[str, ...]) -> None:
     """Raise `Problem` 415 unless the body of `request` has an `accepted` media type."""
-    given = request.headers.get("content-type")
-    if given is None:
+    media_type = request.headers.get("content-type")
+    if media_type is None:
         has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
         if not has_body or accepted == ANY_TYPE:
             return
-    elif any(_matches(given.partition(";")[0].strip().lower(), one) for one in accepted):
+    elif any(_matches(media_type.partition(";")[0].strip().lower(), pattern) for pattern in accepted):
         return
     REFUSED.labels("media type").inc()
-    received = "no Content-Type" if given is None else f'Content-Type "{given[:100]}"'
+    received = "no Content-Type" if media_type is None else f'Content-Type "{media_type[:100]}"'
     raise Problem(
         415, "Unsupported media type", f"{received} is not accepted here; send {' or '.join(accepted)}"
     )
 
 
-def _matches(given: str, accepted: str) -> bool:
+def _matches(media_type: str, accepted: str) -> bool:
     start, star, end = accepted.partition("*")
     if not star:
-        return given == accepted
-    return accepted == "*/*" or (given.startswith(start) and given.endswith(end))
+        return media_type == accepted
+    return accepted == "*/*" or (media_type.startswith(start) and media_type.endswith(end))
 
 
 def create_app(

@@ -219,7 +219,7 @@ class DeviceLeases:
         states = {lease.state() for lease in self._leases.values()}
         if not states or states & {LeaseState.HELD, LeaseState.RESTING}:
             return None
-        taken = next((one for one in self._leases.values() if one.state() is LeaseState.TAKEN), None)
+        taken = next((lease for lease in self._leases.values() if lease.state() is LeaseState.TAKEN), None)
         if taken is not None:
             return f"standby: {taken.holder} holds {taken.device}; this one takes over when that lease ends"
         return f"no lease of {next(iter(self._leases))}: {self._away or 'not granted yet'}"
@@ -250,7 +250,11 @@ class DeviceLeases:
             lease.epoch += 1
             lease.ends_s = -math.inf
         if held:
-            body = {"holder": self._holder, "session": self._session, "devices": [one.device for one in held]}
+            body = {
+                "holder": self._holder,
+                "session": self._session,
+                "devices": [held_lease.device for held_lease in held],
+            }
             try:
                 await self._post(f"{PATH}/release", body)
             except (SendError, AccountsUnavailable) as error:
@@ -258,13 +262,13 @@ class DeviceLeases:
         self._http.close()
 
     def _due(self, now_s: float) -> bool:
-        return any(one.holder is not None and now_s >= one.retry_s for one in self._leases.values())
+        return any(lease.holder is not None and now_s >= lease.retry_s for lease in self._leases.values())
 
     def _next_due_s(self) -> float:
         """Return when a state changes by itself, or a performer that stands by asks again."""
         now_s = self._clock()
-        times = [one.retry_s for one in self._leases.values() if one.holder is not None]
-        ends = (s for one in self._leases.values() for s in (one.ends_s - REST_S, one.ends_s))
+        times = [lease.retry_s for lease in self._leases.values() if lease.holder is not None]
+        ends = (s for lease in self._leases.values() for s in (lease.ends_s - REST_S, lease.ends_s))
         return min((*times, *(s for s in ends if s > now_s)), default=math.inf)
 
     def _notify(self) -> None:
@@ -312,26 +316,26 @@ class DeviceLeases:
         if self._away is not None and not self._is_unleased:
             log.info("the orchestrator answers again", performer=self._performer)
         self._away, self._is_unleased = None, False
-        await self._apply({str(each["device"]): each for each in content["leases"]}, sent_s)
+        await self._apply({str(answer["device"]): answer for answer in content["leases"]}, sent_s)
         return True
 
     async def _apply(self, answers: Mapping[str, Mapping[str, Any]], sent_s: float) -> None:
-        if not self._was_leased and any(each["granted"] for each in answers.values()):
+        if not self._was_leased and any(answer["granted"] for answer in answers.values()):
             self._was_leased = True
             if self._keep_mark is not None:
                 await self._keep_mark()
-        for device, each in answers.items():
+        for device, content in answers.items():
             lease = self._leases.get(device)
             if lease is None:
                 continue
-            if not each["granted"]:
-                holder = each["holder"]
+            if not content["granted"]:
+                holder = content["holder"]
                 who = f"{holder['performer']} (process {holder['pid']} on {holder['host']})"
-                retry_s = self._clock() + min(max(float(each["endsInS"]), 0.05), RETRY_EVERY_S)
+                retry_s = self._clock() + min(max(float(content["endsInS"]), 0.05), RETRY_EVERY_S)
                 if lease.refuse(who, retry_s):
                     log.warning("standby: another process holds the device", device=device, holder=who)
                 continue
-            was_held, number = lease.is_held(), int(each["number"])
+            was_held, number = lease.is_held(), int(content["number"])
             if lease.grant(number, sent_s + LEASE_S):
                 log.warning("another process held the device meanwhile", device=device, number=number)
             if not was_held:

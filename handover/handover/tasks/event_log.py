@@ -61,7 +61,7 @@ def _add_trace(log: etree._Element, process: Mapping[str, Any]) -> None:
     trace = etree.SubElement(log, f"{{{XES}}}trace")
     _add(trace, "string", "concept:name", process["id"])
     changes = (*_transitions(process), *_reserved(process))
-    for at, transition, task in sorted(changes, key=lambda each: each[0]):
+    for at, transition, task in sorted(changes, key=lambda change: change[0]):
         event = etree.SubElement(trace, f"{{{XES}}}event")
         _add(event, "string", "concept:name", task["name"])
         _add(event, "string", "concept:instance", task["id"])
@@ -88,14 +88,18 @@ def _transitions(process: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping
 
 def _reserved(process: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     """Yield time, lifecycle transition and content of each change of a reservation."""
-    for each in process.get("reservations", ()):
-        event = {"name": f"reserve {each['name']}", "id": each["key"], "involves": each["agents"]}
-        yield each["askedAt"], "schedule", event
-        if each["heldAt"] is not None:
-            yield each["heldAt"], "start", event
-        if each["state"] in {"ended", "released"}:
-            transition = "complete" if each["heldAt"] is not None else "withdraw"
-            yield each["since"], transition, event
+    for reservation in process.get("reservations", ()):
+        event = {
+            "name": f"reserve {reservation['name']}",
+            "id": reservation["key"],
+            "involves": reservation["agents"],
+        }
+        yield reservation["askedAt"], "schedule", event
+        if reservation["heldAt"] is not None:
+            yield reservation["heldAt"], "start", event
+        if reservation["state"] in {"ended", "released"}:
+            transition = "complete" if reservation["heldAt"] is not None else "withdraw"
+            yield reservation["since"], transition, event
 
 
 def _add(parent: etree._Element, kind: str, key: str, value: str) -> None:

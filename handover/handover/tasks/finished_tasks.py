@@ -215,8 +215,8 @@ class FinishedTasks:
         return None if row is None else KnownAct(None if row[0] is None else orjson.loads(row[0]))
 
     def _begin_act(self, task_id: str, name: str) -> KnownAct | None:
-        if (known := self._act(task_id, name)) is not None:
-            return known
+        if (recorded := self._act(task_id, name)) is not None:
+            return recorded
         with self._transaction() as connection:
             connection.execute("INSERT INTO acts VALUES (?, ?, NULL, ?)", (task_id, name, self._clock()))
         return None

@@ -24,10 +24,10 @@ class Specification:
         """Return the specification that has `values` by field; raise `ValueError` if one is not usable."""
         texts = {}
         for field in FIELDS[:3]:
-            given = values.get(field)
-            if given is not None and not isinstance(given, str):
-                raise ValueError(f"the {field} of a specification is a text, not {given!r}")
-            texts[field] = given or None
+            text = values.get(field)
+            if text is not None and not isinstance(text, str):
+                raise ValueError(f"the {field} of a specification is a text, not {text!r}")
+            texts[field] = text or None
         command = values.get("commandId")
         if isinstance(command, str) and command.isdecimal():
             command = int(command)

@@ -62,13 +62,13 @@ def is_reachable(before: TaskStatus, after: TaskStatus) -> bool:
     return after in seen
 
 
-def is_news(known: Task | None, seen: Task) -> bool:
-    """Return whether an observer that knows the Task as `known` accepts the state `seen`.
+def is_news(earlier: Task | None, seen: Task) -> bool:
+    """Return whether an observer that knows the Task as `earlier` accepts the state `seen`.
 
     A state that no chain of legal steps can reach is refused. `observedAt` refuses nothing, since clocks
     differ: what a notification says is only a hint, and of two reads of the broker the later one counts.
     """
-    if known is None:
+    if earlier is None:
         return True
-    before, after = known.status.value, seen.status.value
+    before, after = earlier.status.value, seen.status.value
     return before not in FINISHED and (before == after or is_reachable(before, after))

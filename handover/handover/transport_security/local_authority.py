@@ -228,19 +228,19 @@ class LocalAuthority:
 
     def _servers(self) -> dict[str, list[str]]:
         try:
-            found: dict[str, list[str]] = json.loads(self._servers_path.read_bytes())
+            servers: dict[str, list[str]] = json.loads(self._servers_path.read_bytes())
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as error:
             raise UsageError(
                 f"{self._servers_path} cannot be read ({error}); remove it and name the servers again"
             ) from None
-        return found
+        return servers
 
     def _remember(self, folder: Path, names: tuple[str, ...]) -> None:
-        known = self._servers()
-        if known.get(str(folder)) != list(names):
-            content = json.dumps({**known, str(folder): names}, indent=1)
+        servers = self._servers()
+        if servers.get(str(folder)) != list(names):
+            content = json.dumps({**servers, str(folder): names}, indent=1)
             replace_durably(self._servers_path, content.encode(), mode=PRIVATE_MODE)
 
 
@@ -262,13 +262,13 @@ def checked_name(name: str) -> str:
 
 
 def _alternative_names(names: Iterable[str]) -> list[x509.GeneralName]:
-    found: list[x509.GeneralName] = []
+    general_names: list[x509.GeneralName] = []
     for name in names:
         try:
-            found.append(x509.IPAddress(ipaddress.ip_address(name)))
+            general_names.append(x509.IPAddress(ipaddress.ip_address(name)))
         except ValueError:
-            found.append(x509.DNSName(name))
-    return found
+            general_names.append(x509.DNSName(name))
+    return general_names
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: Any, lifetime: timedelta) -> x509.CertificateBuilder:

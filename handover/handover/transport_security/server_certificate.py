@@ -44,8 +44,8 @@ class _Loaded:
         """Return whether the certificate is for a host; `*` stands for one label at its beginning."""
         wanted = host.lower().rstrip(".")
         return any(
-            wanted == one or (one.startswith("*.") and wanted.partition(".")[2] == one[2:])
-            for one in map(str.lower, self.names)
+            wanted == name or (name.startswith("*.") and wanted.partition(".")[2] == name[2:])
+            for name in map(str.lower, self.names)
         )
 
 
@@ -125,14 +125,14 @@ class ServerCertificate:
             connection.context = public.context
 
     def _signature(self) -> Signature:
-        found = []
+        faults = []
         for path in (self.path, self._key):
             try:
                 status = path.stat()
             except OSError as error:
                 raise self._unreadable(path, error) from None
-            found.append((status.st_ino, status.st_mtime_ns, status.st_size))
-        return tuple(found)
+            faults.append((status.st_ino, status.st_mtime_ns, status.st_size))
+        return tuple(faults)
 
     def _load(self) -> _Loaded:
         signature = self._signature()
@@ -186,11 +186,11 @@ def _expiry_and_names(pem: bytes) -> tuple[datetime, tuple[str, ...]]:
     """Return when the first certificate, that of the server, expires, and the names that it has."""
     from cryptography import x509  # noqa: PLC0415 - 30 ms, only with TLS
 
-    found = x509.load_pem_x509_certificates(pem)[0]
+    certificate = x509.load_pem_x509_certificates(pem)[0]
     try:
-        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
-        return found.not_valid_after_utc, ()
+        return certificate.not_valid_after_utc, ()
     hosts = names.get_values_for_type(x509.DNSName)
-    addresses = [str(one) for one in names.get_values_for_type(x509.IPAddress)]
-    return found.not_valid_after_utc, (*hosts, *addresses)
+    addresses = [str(address) for address in names.get_values_for_type(x509.IPAddress)]
+    return certificate.not_valid_after_utc, (*hosts, *addresses)

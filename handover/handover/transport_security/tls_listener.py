@@ -75,24 +75,24 @@ async def listen(
 
 async def _listening(host: str, port: int, backlog: int) -> list[socket.socket]:
     """Return sockets that listen on all addresses of `host`, with the options of `asyncio.create_server`."""
-    found = await asyncio.get_running_loop().getaddrinfo(
+    addresses = await asyncio.get_running_loop().getaddrinfo(
         host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
     )
     sockets: list[socket.socket] = []
     try:
-        for family, kind, protocol, _, address in dict.fromkeys(found):
-            one = socket.socket(family, kind, protocol)
-            sockets.append(one)
+        for family, kind, protocol, _, address in dict.fromkeys(addresses):
+            listener = socket.socket(family, kind, protocol)
+            sockets.append(listener)
             if os.name == "posix":
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if family == socket.AF_INET6:
-                one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-            one.bind(address)
-            one.listen(backlog)
-            one.setblocking(False)
+                listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listener.bind(address)
+            listener.listen(backlog)
+            listener.setblocking(False)
     except OSError:
-        for one in sockets:
-            one.close()
+        for listener in sockets:
+            listener.close()
         raise
     return sockets
 
@@ -108,13 +108,13 @@ class _PlainListener:
         self._make_protocol = make_protocol
         self._loop = loop
         self._opening: set[asyncio.Task[Any]] = set()
-        for one in sockets:
-            self._listen(one)
+        for listener in sockets:
+            self._listen(listener)
 
     def close(self) -> None:
-        for one in self.sockets:
-            self._loop.remove_reader(one)
-            one.close()
+        for listener in self.sockets:
+            self._loop.remove_reader(listener)
+            listener.close()
         self.sockets = []
 
     async def wait_closed(self) -> None:
@@ -151,7 +151,7 @@ class _TlsListener:
     def __init__(self, sockets: list[socket.socket], pending: "_PendingHandshakes") -> None:
         self.sockets = sockets
         self._pending = pending
-        self._tasks = [asyncio.create_task(self._accept(one)) for one in sockets]
+        self._tasks = [asyncio.create_task(self._accept(listener)) for listener in sockets]
         self._tasks.append(asyncio.create_task(self._reload()))
 
     def close(self) -> None:
@@ -206,7 +206,7 @@ class _PendingHandshakes:
         self._by_address.setdefault(address, {})[task] = None
         self._count += 1
         if self._count > self._max_pending:
-            most = max(self._by_address, key=lambda one: len(self._by_address[one]))
+            most = max(self._by_address, key=lambda candidate: len(self._by_address[candidate]))
             oldest = next(iter(self._by_address[most]))
             self._remove(most, oldest)
             HANDSHAKES.labels("too many").inc()

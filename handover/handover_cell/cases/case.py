@@ -61,10 +61,10 @@ def study_of(name: str) -> Study | None:
 
 def print_study(name: str, trial: Trial, say: Say) -> None:
     """Print the figures of a study. Raises `UsageError` if the machine did not do what it should."""
-    for line in table([asdict(one) for one in trial.figures]):
+    for line in table([asdict(figure) for figure in trial.figures]):
         say(line)
     if not trial.passed:
-        wrong = [one.name for one in trial.figures if one.passed is False]
+        wrong = [figure.name for figure in trial.figures if figure.passed is False]
         raise UsageError(f"the case {name} failed: not as it should be: {', '.join(wrong)}")
 
 
@@ -89,7 +89,7 @@ async def run_case(
     """
     services = services_of(case)
     async with Launcher(services, settings, say), cli_access(settings) as access:
-        say(f"{', '.join(one.name for one in services)}: ready")
+        say(f"{', '.join(service.name for service in services)}: ready")
         say(f"Look at it on {service_named('webui').url()}/cases?case={case.name}")
         async with httpx.AsyncClient(
             trust_env=False, verify=client_context(*settings.ca_files), auth=AccessAuth(access), timeout=30
@@ -109,7 +109,7 @@ async def run_case(
         for line in table(trial["figures"]):
             say(line)
         if not trial["passed"]:
-            wrong = [one["name"] for one in trial["figures"] if one["passed"] is False]
+            wrong = [figure["name"] for figure in trial["figures"] if figure["passed"] is False]
             reason = trial["failure"] or f"not as it should be: {', '.join(wrong)}"
             raise UsageError(f"the case {case.name} failed: {reason}")
         if not once:
@@ -127,9 +127,9 @@ async def add_person(http: httpx.AsyncClient, case: Case) -> None:
         "givenBy": "a simulated person",
     }
     await _ask(http, "PUT", f"{base}/people/{person}/consent", consent)
-    for one in case.sensors:
-        sensor = {"person": person, "driver": "simulated", "settings": dict(one.settings)}
-        await _ask(http, "PUT", f"{base}/sensors/{one.name}", sensor)
+    for kind in case.sensors:
+        sensor = {"person": person, "driver": "simulated", "settings": dict(kind.settings)}
+        await _ask(http, "PUT", f"{base}/sensors/{kind.name}", sensor)
     await _ask(http, "PUT", f"{base}/people/{person}/robots/{case.robot}")
 
 
@@ -138,10 +138,10 @@ async def _follow(http: httpx.AsyncClient, machine: str, say: Say) -> dict[str, 
     shown_s = -1.0
     while True:
         trial: dict[str, Any] = (await _ask(http, "GET", machine))["trial"]
-        for each in trial["messages"]:
-            if each["atS"] > shown_s:
-                shown_s = each["atS"]
-                say(f"{shown_s:6.1f} s  {each['text']}")
+        for text in trial["messages"]:
+            if text["atS"] > shown_s:
+                shown_s = text["atS"]
+                say(f"{shown_s:6.1f} s  {text['text']}")
         if not trial["isRunning"]:
             return trial
         await asyncio.sleep(QUERY_EVERY_S)
@@ -157,7 +157,7 @@ async def _ask(http: httpx.AsyncClient, method: str, url: str, body: Any = None)
 def table(figures: Sequence[dict[str, Any]]) -> list[str]:
     """Return the figures of the paper beside ours, as lines."""
     marks = {True: "ok", False: "FAILED", None: ""}
-    rows = [(one["name"], one["paper"], one["ours"], marks[one["passed"]]) for one in figures]
+    rows = [(figure["name"], figure["paper"], figure["ours"], marks[figure["passed"]]) for figure in figures]
     widths = [max(len(row[column]) for row in (COLUMNS, *rows)) for column in range(len(COLUMNS))]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -49,10 +49,12 @@ def case(  # noqa: PLR0917 - options of a command
 
     if name is None:
         if as_json:
-            print_json([{"name": each.name, "summary": each.summary} for each in known_cases()])
+            print_json(
+                [{"name": known_case.name, "summary": known_case.summary} for known_case in known_cases()]
+            )
             return
-        for each in known_cases():
-            say(f"{each.name:<14} {each.summary}")
+        for known_case in known_cases():
+            say(f"{known_case.name:<14} {known_case.summary}")
         return
     chosen = load_case(name)
     say(f"{chosen.summary} Nothing here is a medical device or a safety function.")

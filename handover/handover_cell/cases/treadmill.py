@@ -124,12 +124,12 @@ def walk(participant: Participant, plan: Plan, seed: int, say: Say, word: Wordin
         decision = training.step(now_s, STEP_S, _heart(person, now_s), _allowed_mps(limits, training, now_s))
         if decision is not None:
             bpm = training.record[-1].bpm
-            known = "no heart rate" if bpm is None else f"{bpm:3.0f} bpm"
+            heart_rate = "no heart rate" if bpm is None else f"{bpm:3.0f} bpm"
             at_s = now_s - (training.began_s or 0.0)
             words = word(decision, len(training.decisions) - 1)
             by = {"model": " (model)", "template": f" ({words.problem})" if words.problem else ""}
             spoken = f"{words.text}{by[words.source]}"
-            say(f"{at_s:6.1f} s  {known}, {training.belt.speed_mps:.2f} m/s: {spoken}")
+            say(f"{at_s:6.1f} s  {heart_rate}, {training.belt.speed_mps:.2f} m/s: {spoken}")
             training.follow(decision.advice)
     return training
 
@@ -152,4 +152,4 @@ def _heart(person: SensedPerson, now_s: float) -> tuple[float, float] | None:
 def _allowed_mps(limits: SpeedLimits, training: Training, now_s: float) -> float:
     highest_mps = training.belt.settings.max_speed_mps
     allowed = limits.allowed(now_s)
-    return min((one.pace(highest_mps) for one in allowed), default=0.0) * highest_mps
+    return min((limit.pace(highest_mps) for limit in allowed), default=0.0) * highest_mps

@@ -64,7 +64,9 @@ class Running:
 
 def _places_of(services: Sequence[Service]) -> set[str]:
     """Return the hosts of the services; on this machine with the port, since other programs are there too."""
-    parts = [urlsplit(url) for one in services for url in (one.url(), *one.settings.load().own_urls())]
+    parts = [
+        urlsplit(url) for service in services for url in (service.url(), *service.settings.load().own_urls())
+    ]
     return {
         part.netloc.rpartition("@")[2] if is_loopback(part.hostname) else part.hostname
         for part in parts
@@ -80,8 +82,8 @@ class Launcher:
         self._data_dir = settings.data_dir.absolute()
         self._settings = settings
         # The broker may notify the services at all their addresses.
-        given = BrokerSettings.load().outbound_allow
-        self._broker_outbound_allow = ",".join(filter(None, (*sorted(_places_of(services)), given)))
+        allowed = BrokerSettings.load().outbound_allow
+        self._broker_outbound_allow = ",".join(filter(None, (*sorted(_places_of(services)), allowed)))
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []

@@ -160,7 +160,7 @@ async def test_a_broker_that_replaces_ours_gets_no_credentials_of_ours() -> None
 async def test_a_broker_behind_a_proxy_that_recovers_is_recognized(
     answer: Response, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handover.broker.client.UNCERTAIN_IDENTITY_S", 0.0)
+    monkeypatch.setattr("handover.broker.connection.UNCERTAIN_IDENTITY_S", 0.0)
     ours = Server(lamp, is_ours=True)
     serving = [Server(lambda _: answer)]
 
@@ -181,7 +181,7 @@ async def test_a_broker_behind_a_proxy_that_recovers_is_recognized(
 
 
 async def test_a_broker_of_others_is_asked_once_which_one_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handover.broker.client.UNCERTAIN_IDENTITY_S", 0.0)
+    monkeypatch.setattr("handover.broker.connection.UNCERTAIN_IDENTITY_S", 0.0)
     other = Server(lambda one: lamp(one) if "v1" in one.url.path else JSONResponse({}, 404))
     async with client_of(other, OwnCredentials()) as client:
         for _ in range(3):

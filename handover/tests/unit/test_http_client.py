@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from handover.network.http_client import (
-    MAX_WAITING_BYTES,
     Address,
     BodyReadingHttpClient,
     ResponseTimeout,
     SendError,
     StreamingHttpClient,
 )
+from handover.network.http_connections import MAX_WAITING_BYTES
 from handover.transport_security.server_certificate import ServerCertificate
 from tests.kit.certificates import Certificates
 from tests.kit.waiting import until

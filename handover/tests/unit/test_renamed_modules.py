@@ -128,6 +128,7 @@ def test_an_old_module_runs_as_a_program(tmp_path: Path) -> None:
     "name",
     [
         "datamodels.Nothing",
+        "handover_broker.federation.nothing",
         "handover_robots.nothing",
         "services.nothing",
         "services.study.nothing",

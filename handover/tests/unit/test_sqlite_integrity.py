@@ -20,7 +20,7 @@ from handover.database.sqlite_integrity.wal_file import read_wal
 from handover.errors import UsageError
 from handover.settings import Settings
 from handover.tasks.finished_tasks import End, FinishedTasks
-from handover_cell.check import Checked, check_database
+from handover_cell.check import DatabaseFaults, check_database
 from handover_datamodels.entities import TaskStatus
 from tests.kit.small_disk import small_disk
 
@@ -200,7 +200,7 @@ def test_a_killed_service_starts_and_commits_on_a_full_disk(tmp_path: Path) -> N
         assert check_database(file).faults == []
         disk.free()
         assert count_of(file) >= acknowledged
-        assert check_database(file) == Checked([])
+        assert check_database(file) == DatabaseFaults([])
 
 
 async def test_lost_ends_of_tasks_are_reported(tmp_path: Path) -> None:

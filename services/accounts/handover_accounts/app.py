@@ -5,7 +5,7 @@ from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
-from handover.security.audit_routes import add_audit_routes
+from handover.security.audit_reading.audit_routes import add_audit_routes
 from handover.security.authentication import Guard
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check

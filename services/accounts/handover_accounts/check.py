@@ -17,10 +17,10 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.service_access import read_service_token, service_token_file
 from handover.settings import SERVICE_TOKENS_FOLDER
 from handover.subscriptions.notifications import is_notification_key
-from handover_accounts import secret_token_store, tables
 from handover_accounts.lost_database import require_anybody, require_file
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.signing_keys import SigningKeys
+from handover_accounts.storage import secret_token_store, tables
 
 T = TypeVar("T")
 

@@ -19,10 +19,6 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
-from handover_accounts import links, secret_token_store, sessions, stations, tables, users
-from handover_accounts.changes import Change, Store, revision_of
-from handover_accounts.grants import grants_of
-from handover_accounts.identifiers import IdentifierHashes, IdentifierKind, identified
 from handover_accounts.lost_database import require_anybody, require_file
 from handover_accounts.metrics import SIGN_INS
 from handover_accounts.passwords import (
@@ -31,10 +27,14 @@ from handover_accounts.passwords import (
     require_good_password,
     too_many_attempts,
 )
-from handover_accounts.sessions import SessionLimits
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.sign_in_limits import SignInLimits
 from handover_accounts.signing_keys import SigningKeys
+from handover_accounts.storage import links, secret_token_store, sessions, stations, tables, users
+from handover_accounts.storage.changes import Change, Store, revision_of
+from handover_accounts.storage.grants import grants_of
+from handover_accounts.storage.identifiers import IdentifierHashes, IdentifierKind, identified
+from handover_accounts.storage.sessions import SessionLimits
 
 T = TypeVar("T")
 
@@ -141,10 +141,10 @@ class Directory:
         return await self.read(lambda connection: _revoked_after(connection, position))
 
     async def _look(self) -> None:
-        known = self.revocations.position
-        document = await self.read(lambda connection: _revoked_after(connection, known))
+        position = self.revocations.position
+        document = await self.read(lambda connection: _revoked_after(connection, position))
         self.revocations.apply(document)
-        if document["position"] != known:
+        if document["position"] != position:
             self._revoked.set()
             self._revoked = asyncio.Event()
 
@@ -436,30 +436,30 @@ class Directory:
 
     async def introspect(self, token: str) -> dict[str, Any]:
         """Return what is known of a secret token."""
-        found = await self.read(lambda connection: secret_token_store.introspected(connection, token))
-        if found["active"]:
-            self._uses.setdefault(tables.tokens.c.used_s, {})[found["subject"]] = time.time()
-        return found
+        document = await self.read(lambda connection: secret_token_store.introspected(connection, token))
+        if document["active"]:
+            self._uses.setdefault(tables.tokens.c.used_s, {})[document["subject"]] = time.time()
+        return document
 
 
 def _looked_up(connection: Connection, subject: str) -> dict[str, Any]:
     revision = revision_of(connection)  # first, so that the grants are never older
-    found = secret_token_store.find_subject(connection, subject)
-    if found is None:
+    owner = secret_token_store.find_subject(connection, subject)
+    if owner is None:
         query = select(tables.users.c.name, tables.users.c.person).where(tables.users.c.subject == subject)
         row = connection.execute(query).mappings().first()
         if row is None:
             return {"active": False, "revision": revision}
-        found = {"kind": CallerKind.USER.value, **row}
-    is_service = found["kind"] == CallerKind.SERVICE
-    given = (Grant(Role.SERVICE),) if is_service else grants_of(connection, subject)
+        owner = {"kind": CallerKind.USER.value, **row}
+    is_service = owner["kind"] == CallerKind.SERVICE
+    grants = (Grant(Role.SERVICE),) if is_service else grants_of(connection, subject)
     return {
         "active": True,
-        "kind": found["kind"],
+        "kind": owner["kind"],
         "subject": subject,
-        "name": found["name"],
-        "grants": [{"role": one.role, "resource": one.resource} for one in given],
-        "person": found.get("person"),
+        "name": owner["name"],
+        "grants": [{"role": grant.role, "resource": grant.resource} for grant in grants],
+        "person": owner.get("person"),
         "session": None,
         "revision": revision,
     }

@@ -11,8 +11,8 @@ from sqlalchemy import Connection, func, select
 from handover.errors import UsageError
 from handover.security.accounts_mark import ACCOUNTS_DATABASE
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from handover_accounts import tables
 from handover_accounts.settings import AccountsSettings
+from handover_accounts.storage import tables
 
 _REMEDY = (
     "restore it from a backup. To begin with new accounts, move accounts-keys.json, the files *.accounts and "

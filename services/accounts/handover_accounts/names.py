@@ -6,9 +6,9 @@ from typing import Any
 from sqlalchemy import Connection, select
 
 from handover.security.caller import Caller
-from handover_accounts import tables
 from handover_accounts.directory import Directory
-from handover_accounts.links import LINK_ID
+from handover_accounts.storage import tables
+from handover_accounts.storage.links import LINK_ID
 
 
 class AccountsAudit:

@@ -108,14 +108,14 @@ def lower_priority() -> None:
 
 def require_good_password(password: str, name: str) -> str:
     """Return a new password, normalized; raise `Problem` 422 if it is too weak."""
-    given = normalized(password)
-    if len(given) < MIN_CHARACTERS:
-        raise _weak(f"the password has {len(given)} characters; use {MIN_CHARACTERS} or more")
-    if len(set(given)) < MIN_DISTINCT:
+    text = normalized(password)
+    if len(text) < MIN_CHARACTERS:
+        raise _weak(f"the password has {len(text)} characters; use {MIN_CHARACTERS} or more")
+    if len(set(text)) < MIN_DISTINCT:
         raise _weak(f"the password has fewer than {MIN_DISTINCT} different characters; use more")
-    if name.casefold() in given.casefold() and len(given) < len(name) + MIN_CHARACTERS // 2:
+    if name.casefold() in text.casefold() and len(text) < len(name) + MIN_CHARACTERS // 2:
         raise _weak("the password is nearly the name; use another")
-    return given
+    return text
 
 
 def normalized(password: str) -> str:

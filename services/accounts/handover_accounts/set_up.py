@@ -19,11 +19,11 @@ from handover.security.glove_token import GLOVE_TOKEN_SECRET, make_glove_token, 
 from handover.security.permissions import Grant, Role
 from handover.security.resource_patterns import require_pattern
 from handover.security.service_access import service_token_file
-from handover_accounts import links, secret_token_store, tables
-from handover_accounts.changes import Change, Store
 from handover_accounts.lost_database import require_anybody, require_file
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.signing_keys import SigningKeys
+from handover_accounts.storage import links, secret_token_store, tables
+from handover_accounts.storage.changes import Change, Store
 
 COMMAND: Final = "command-line"
 """The subject of what a command does: a person with access to the files of accounts."""
@@ -124,9 +124,9 @@ def issue_component_token(settings: AccountsSettings, name: str, device: str) ->
     try:
         with opened_store(settings) as store, store.change(COMMAND) as change:
             former = next(iter(_revoke_component_tokens(change, name)), None)
-            given = (Grant(Role.PERFORMER, require_pattern(device)),)
+            grants = (Grant(Role.PERFORMER, require_pattern(device)),)
             _, token = secret_token_store.issue(
-                change, CallerKind.SCRIPT, _token_name(name), given, None, subject=former
+                change, CallerKind.SCRIPT, _token_name(name), grants, None, subject=former
             )
             return token
     except Problem as problem:

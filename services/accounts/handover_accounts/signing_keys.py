@@ -59,7 +59,7 @@ class SigningKeys:
     def are_published(self) -> bool:
         """Return whether the public keys are those of the private ones. Raises `UsageError`."""
         with self._lock:
-            document = key_set(*(one.key for one in self._current(is_forced=True)), retired=self._retired)
+            document = key_set(*(key.key for key in self._current(is_forced=True)), retired=self._retired)
         return self._public_file.exists() and self._public_file.read_bytes() == document
 
     def signing_key(self) -> SigningKey:
@@ -69,7 +69,7 @@ class SigningKeys:
             if not keys:
                 raise UsageError("there is no signing key; run `handover accounts set-up`")
             now_s = time.time()
-            ready = [one for one in keys if one.since_s + ADOPTED_AFTER_S <= now_s]
+            ready = [key for key in keys if key.since_s + ADOPTED_AFTER_S <= now_s]
             return (ready or keys[:1])[-1].key
 
     def create(self) -> bool:
@@ -104,12 +104,12 @@ class SigningKeys:
             now_s = time.time()
             kept: list[_DatedKey] = []
             retired = list(self._retired)
-            for one, successor in pairwise(keys):
+            for key, successor in pairwise(keys):
                 if successor.since_s + SUPERSEDED_S > now_s:
-                    kept.append(one)
+                    kept.append(key)
                 else:
                     until_s = successor.since_s + ADOPTED_AFTER_S
-                    retired.append(RetiredKey(one.key.public_jwk, one.since_s, until_s))
+                    retired.append(RetiredKey(key.key.public_jwk, key.since_s, until_s))
             if len(retired) > len(self._retired):
                 self._write((*kept, *keys[-1:]), tuple(retired))
 
@@ -131,14 +131,14 @@ class SigningKeys:
         try:
             listed = json.loads(self._private_file.read_bytes())
             self._keys = tuple(
-                _DatedKey(SigningKey.from_pem(one["pem"].encode()), float(one["sinceS"]))
-                for one in listed
-                if "pem" in one
+                _DatedKey(SigningKey.from_pem(key["pem"].encode()), float(key["sinceS"]))
+                for key in listed
+                if "pem" in key
             )
             self._retired = tuple(
-                RetiredKey(one["jwk"], float(one["sinceS"]), float(one["untilS"]))
-                for one in listed
-                if "jwk" in one
+                RetiredKey(key["jwk"], float(key["sinceS"]), float(key["untilS"]))
+                for key in listed
+                if "jwk" in key
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(
@@ -150,8 +150,8 @@ class SigningKeys:
 
     def _write(self, keys: tuple[_DatedKey, ...], retired: tuple[RetiredKey, ...]) -> None:
         listed = [
-            *({"pem": one.key.pem().decode(), "sinceS": one.since_s} for one in keys),
-            *({"jwk": one.public_jwk, "sinceS": one.since_s, "untilS": one.until_s} for one in retired),
+            *({"pem": key.key.pem().decode(), "sinceS": key.since_s} for key in keys),
+            *({"jwk": key.public_jwk, "sinceS": key.since_s, "untilS": key.until_s} for key in retired),
         ]
         try:
             replace_durably(self._private_file, json.dumps(listed).encode(), mode=0o600)
@@ -162,6 +162,6 @@ class SigningKeys:
         self._stamp = None
 
     def _publish(self, keys: tuple[_DatedKey, ...], retired: tuple[RetiredKey, ...]) -> None:
-        document = key_set(*(one.key for one in keys), retired=retired)
+        document = key_set(*(key.key for key in keys), retired=retired)
         if not self._public_file.exists() or self._public_file.read_bytes() != document:
             replace_durably(self._public_file, document, mode=0o644)

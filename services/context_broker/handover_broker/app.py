@@ -24,8 +24,20 @@ from handover_broker.contexts.context_store import Documents
 from handover_broker.contexts.fetching import Fetcher
 from handover_broker.contexts.own_address import OwnAddress
 from handover_broker.delivery.notifier import REQUEST_HEADERS, REQUEST_TIME
-from handover_broker.extensions.federation import Federation, LocalOnly, wants_map
-from handover_broker.extensions.snapshots import NoSnapshots, Snapshots, is_inside_snapshot
+from handover_broker.extensions.federation import (
+    FEDERATION,
+    Federation,
+    FederationFactory,
+    LocalOnly,
+    wants_map,
+)
+from handover_broker.extensions.snapshots import (
+    SNAPSHOTS,
+    NoSnapshots,
+    Snapshots,
+    SnapshotsFactory,
+    is_inside_snapshot,
+)
 from handover_broker.model.problems import not_stored
 from handover_broker.model.stored_documents import isolated
 from handover_broker.operations.batch_operations import BatchOperations
@@ -252,8 +264,8 @@ class Broker:
 
     async def _by_name(self, name: str, context: RequestContext) -> Response:
         """Execute an operation that another one needs."""
-        operations = (one for one in self.router.operations if one.name == name)
-        wanted = next(one for one in operations if one.method == context.method)
+        operations = (operation for operation in self.router.operations if operation.name == name)
+        wanted = next(operation for operation in operations if operation.method == context.method)
         return await self.federation.distribute(wanted, context)
 
     async def _renew(self, context_id: str) -> None:
@@ -268,20 +280,14 @@ class Broker:
             await self.subscriptions.restore(tenant, stored.get(tenant.name, ()))
 
     def _federation(self) -> Federation:
-        """Return federation as the settings have it; without it, its package is not imported."""
-        if not self.settings.broker_federation:
-            return LocalOnly()
-        from handover_broker.federation.broker_federation import BrokerFederation  # noqa: PLC0415 - optional
-
-        return BrokerFederation(self.tenants, self.contexts, self.settings, self._by_name)
+        """Return federation, if it is installed and the settings have it."""
+        make: FederationFactory | None = FEDERATION.factory(is_wanted=self.settings.broker_federation)
+        return make(self.tenants, self.contexts, self.settings, self._by_name) if make else LocalOnly()
 
     def _snapshots(self) -> Snapshots:
-        """Return snapshots as the settings have them; without them, their package is not imported."""
-        if not self.settings.broker_snapshots:
-            return NoSnapshots()
-        from handover_broker.snapshots.operations import BrokerSnapshots  # noqa: PLC0415 - optional
-
-        return BrokerSnapshots(self.tenants, self.federation.distribute, self._by_name)
+        """Return snapshots, if they are installed and the settings have them."""
+        make: SnapshotsFactory | None = SNAPSHOTS.factory(is_wanted=self.settings.broker_snapshots)
+        return make(self.tenants, self.federation.distribute, self._by_name) if make else NoSnapshots()
 
     async def _keep_documents(self, documents: Documents) -> None:
         names = {tenant for _, tenant, _ in documents}

@@ -22,7 +22,7 @@ from handover_broker.storage.entries import DocumentKind, Entries
 from handover_broker.storage.expiry_queue import ExpiryQueue
 from handover_broker.storage.journal import Journal
 from handover_broker.storage.store import Store
-from handover_broker.temporal.history import Recorder
+from handover_broker.temporal.history import HistoryRecorder
 from handover_broker.tenant_extensions import LocalTenant, TenantFederation
 
 DEFAULT: Final = ""
@@ -105,7 +105,7 @@ class Tenants:
         self.commits = CommitQueue(journal, self._forget_staged)
         self.places: Iterator[int]
         self.outbound: Outbound
-        self.recorder = Recorder() if settings.broker_history else None
+        self.recorder = HistoryRecorder() if settings.broker_history else None
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
@@ -160,7 +160,11 @@ class Tenants:
 
     def named(self) -> list[str]:
         """Return the names of the tenants that something was stored for, without the default one."""
-        return [one.name for one in self if one.name and one.is_kept and outside(one.name)[1] is None]
+        return [
+            tenant.name
+            for tenant in self
+            if tenant.name and tenant.is_kept and outside(tenant.name)[1] is None
+        ]
 
     def of(self, header: bytes, *, makes: bool) -> Tenant:
         """Return the tenant that a request names; `makes` allows the request to create it.
@@ -189,10 +193,10 @@ class Tenants:
     def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
         """Return the tenant with the content of a snapshot; created if needed."""
         name = inside(tenant.name, snapshot_id)
-        found = self._tenants.get(name)
-        if found is None:
-            found = self._tenants[name] = Tenant(name, self, is_kept=False)
-        return found
+        existing = self._tenants.get(name)
+        if existing is None:
+            existing = self._tenants[name] = Tenant(name, self, is_kept=False)
+        return existing
 
     def drop(self, name: str) -> None:
         """Remove the content of a deleted snapshot."""
@@ -222,7 +226,7 @@ class Tenants:
 
     def entities(self) -> int:
         """Return the number of entities of all tenants."""
-        return sum(len(one.store) for one in self._tenants.values())
+        return sum(len(tenant.store) for tenant in self._tenants.values())
 
     def _forget_staged(self) -> None:
         for tenant in self._tenants.values():

@@ -22,7 +22,7 @@ from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller
 from handover.security.guard import Guard, ResourceOf, guard_of, require, require_somewhere
 from handover.security.permissions import Permission
-from handover.security.pin_check import MAX_PIN_CHARACTERS, require_pin
+from handover.security.proofs.pin_check import MAX_PIN_CHARACTERS, require_pin
 from handover.security.protection import require_protection
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check

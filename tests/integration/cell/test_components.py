@@ -16,9 +16,9 @@ import pytest
 from handover.network.tls_trust import client_context
 from handover.security.permissions import Grant, Role
 from handover.transport_security.local_authority import ServerFiles
-from handover_accounts import grants, users
 from handover_accounts.set_up import opened_store, set_up
 from handover_accounts.settings import AccountsSettings
+from handover_accounts.storage import grants, users
 from tests.integration.cell.test_performer import HERE, LAMP, a_task
 from tests.kit import processes
 from tests.kit.cell import Cell, new_cell

@@ -163,11 +163,11 @@ def _compare_pages(
     frames = [(frame.page, frame.database_pages) for frame in wal.frames()] if wal else []
     if commits - accepted[0].commits > sum(1 for _, size in frames if size):
         return Comparison(is_other=True)
-    found = list(
+    marks = list(
         islice(differing_pages(database, accepted, {page for page, _ in frames}, end_s), MAX_LISTED + 1)
     )
-    pages = [str(page) for page in found if page is not None]
+    pages = [str(page) for page in marks if page is not None]
     faults = [f"{database}: page {page} is not as it was written" for page in pages[:MAX_LISTED]]
     if len(pages) > MAX_LISTED:
         faults.append(f"{database}: more pages are not as they were written")
-    return Comparison(tuple(faults), is_complete=None not in found)
+    return Comparison(tuple(faults), is_complete=None not in marks)

@@ -80,9 +80,12 @@ def differing_pages(
         if number in ignored:
             continue
         checksum = crc32(page)
-        if all(number > len(one.values) or one.values[number - 1] != checksum for one in accepted):
+        if all(
+            number > len(checksums.values) or checksums.values[number - 1] != checksum
+            for checksums in accepted
+        ):
             yield number
-    shortest = min(len(one.values) for one in accepted)
+    shortest = min(len(checksums.values) for checksums in accepted)
     yield from (missing for missing in range(number + 1, shortest + 1) if missing not in ignored)
 
 

@@ -14,9 +14,9 @@ from handover.command_line.main import app as command_line
 from handover.database import connect
 from handover.database.migrations import migrate
 from handover.errors import Problem
-from handover.security import audit_chains
 from handover.security.act_recording import lowers, recorded_with_change
 from handover.security.audit import INTENDED, AuditLog, AuditTables
+from handover.security.audit_reading import audit_chains
 from handover.security.audit_trail import AuditEntry, AuditTrail, record_deletion, record_request
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Guard, in_path, require

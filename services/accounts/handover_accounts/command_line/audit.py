@@ -12,7 +12,7 @@ from handover.errors import UsageError
 from handover.settings import Settings
 
 if TYPE_CHECKING:
-    from handover.security.audit_chains import AuditChain
+    from handover.security.audit_reading.audit_chains import AuditChain
 
 app = typer.Typer(help="Audit: verify and export the records of all services.", no_args_is_help=True)
 
@@ -31,14 +31,16 @@ def verify(data_dir: DataDir = None) -> None:
     for chain in _chains(data_dir):
         began_s = time.perf_counter()
         with chain.engine.connect() as connection:
-            found = chain.log.verify(connection)
+            verification = chain.log.verify(connection)
             without_outcome = chain.log.open_intents(connection)
         took_s = time.perf_counter() - began_s
-        if found.fault is None:
-            print(f"{chain.service}: {found.records} records are intact ({took_s:.1f} s), head {found.head}")
+        if verification.fault is None:
+            intact = f"{verification.records} records are intact ({took_s:.1f} s)"
+            print(f"{chain.service}: {intact}, head {verification.head}")
         else:
             damaged += 1
-            print(f"{chain.service}: damaged: {found.fault}; the {found.records} records before are intact")
+            intact = f"the {verification.records} records before are intact"
+            print(f"{chain.service}: damaged: {verification.fault}; {intact}")
         if without_outcome:
             numbers = ", ".join(str(seq) for seq in without_outcome[:MAX_NUMBERS_SHOWN])
             more = ", …" if len(without_outcome) > MAX_NUMBERS_SHOWN else ""
@@ -59,8 +61,8 @@ def export(
     ] = None,
 ) -> None:
     """Write the records of all services, by time."""
-    from handover.security.audit_chains import records_of  # noqa: PLC0415 - the database is slow to import
-    from handover.security.audit_routes import csv_of  # noqa: PLC0415 - as above
+    from handover.security.audit_reading.audit_chains import records_of  # noqa: PLC0415 - the database is slow to import
+    from handover.security.audit_reading.audit_routes import csv_of  # noqa: PLC0415 - as above
 
     chains = _chains(data_dir)
     views = records_of(chains, _names(chains))
@@ -87,7 +89,7 @@ def _names(chains: "list[AuditChain]") -> Mapping[str, str]:
 
 
 def _chains(data_dir: Path | None) -> "list[AuditChain]":
-    from handover.security.audit_chains import chains_of  # noqa: PLC0415 - the database is slow to import
+    from handover.security.audit_reading.audit_chains import chains_of  # noqa: PLC0415 - the database is slow to import
 
     settings = Settings.load(**({} if data_dir is None else {"data_dir": data_dir}))
     chains = chains_of(settings)

@@ -191,7 +191,7 @@ def _host_of_cell(settings: AccountsSettings, cell: str | None) -> str | None:
     if cell is None:
         names = () if certificate is None else certificate.names
         listens = () if re.fullmatch(r"[0:.]*", settings.host) else (settings.host,)  # 0.0.0.0 and ::
-        usable = (one for one in (*names, *listens) if not is_loopback(one) and "*" not in one)
+        usable = (name for name in (*names, *listens) if not is_loopback(name) and "*" not in name)
         return next(usable, None)
     host = checked_name(cell)
     if certificate is not None and not certificate.is_for(host):
@@ -225,11 +225,11 @@ async def _delete_subscriptions(settings: AccountsSettings, name: str, endpoint:
     own = settings.entity_id("Subscription", f"{name}-tasks")
     count = 0
     async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
-        for one in await broker.subscriptions():
-            uri = str(one.get("notification", {}).get("endpoint", {}).get("uri", ""))
-            if one.get("id") == own or (endpoint is not None and _is_at(uri, endpoint)):
+        for subscription in await broker.subscriptions():
+            uri = str(subscription.get("notification", {}).get("endpoint", {}).get("uri", ""))
+            if subscription.get("id") == own or (endpoint is not None and _is_at(uri, endpoint)):
                 with suppress(NotFound):
-                    await broker.delete_subscription(str(one["id"]))
+                    await broker.delete_subscription(str(subscription["id"]))
                 count += 1
     return count
 
@@ -250,8 +250,8 @@ def _noted_endpoint(settings: AccountsSettings, name: str) -> str | None:
 def _note_endpoint(settings: AccountsSettings, name: str, endpoint: str | None) -> None:
     """Allow the broker to notify a component at its endpoint alone."""
     file = settings.security_folder / COMPONENTS_FILE
-    known = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    others = [line for line in known if line.partition(" ")[2] != name]
+    lines_before = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    others = [line for line in lines_before if line.partition(" ")[2] != name]
     lines = others if endpoint is None else [*others, f"{endpoint} {name}"]
-    if lines != known:
+    if lines != lines_before:
         replace_durably(file, "".join(f"{line}\n" for line in lines).encode(), mode=0o644)

@@ -15,8 +15,8 @@ from typing import Any, Final
 from handover.errors import Problem, UsageError
 from handover.security.permissions import Grant
 from handover.security.resource_patterns import ANY_RESOURCE
-from handover_accounts.grants import checked_grant
-from handover_accounts.users import checked_name
+from handover_accounts.storage.grants import checked_grant
+from handover_accounts.storage.users import checked_name
 
 NAME_CLAIMS: Final = ("preferred_username", "username", "name", "email", "sub")
 """The claims for the name of a new user, in this order; `username` is that of Keyrock."""
@@ -33,16 +33,16 @@ class RoleMapping:
 
     def grants_of(self, claims: Claims) -> tuple[Grant, ...]:
         """Return the grants of the values that the claim has; other values give none."""
-        found = (grant for value in values_of(claims, self.claim) for grant in self.grants.get(value, ()))
-        return tuple(dict.fromkeys(found))
+        mapped = (grant for value in values_of(claims, self.claim) for grant in self.grants.get(value, ()))
+        return tuple(dict.fromkeys(mapped))
 
 
 def role_mapping(claim: str, entries: Sequence[str]) -> RoleMapping:
     """Return the mapping of the settings; raise `UsageError` for an entry that is none."""
     grants: dict[str, tuple[Grant, ...]] = {}
     for entry in entries:
-        value, _, given = entry.rpartition("=")
-        role, _, resource = given.partition("@")
+        value, _, grant_text = entry.rpartition("=")
+        role, _, resource = grant_text.partition("@")
         value = value.strip()
         if not value:
             raise _invalid(entry, "it has no value before the =")
@@ -62,12 +62,12 @@ def _invalid(entry: str, why: str) -> UsageError:
 
 def values_of(claims: Claims, claim: str) -> Iterator[str]:
     """Yield the values of a claim, by its name or by a path through objects."""
-    found: Any = claims.get(claim)
-    if found is None:
-        found = claims
+    part: Any = claims.get(claim)
+    if part is None:
+        part = claims
         for step in claim.split("."):
-            found = found.get(step) if isinstance(found, Mapping) else None
-    for value in found if isinstance(found, list) else [found]:
+            part = part.get(step) if isinstance(part, Mapping) else None
+    for value in part if isinstance(part, list) else [part]:
         named = value.get("name") if isinstance(value, Mapping) else value
         if isinstance(named, str):
             yield named
@@ -76,11 +76,11 @@ def values_of(claims: Claims, claim: str) -> Iterator[str]:
 def name_of(claims: Claims) -> str:
     """Return a name for a new user; raise `Problem` 422 if no claim has a possible one."""
     for claim in NAME_CLAIMS:
-        given = claims.get(claim)
-        if isinstance(given, str):
+        name = claims.get(claim)
+        if isinstance(name, str):
             try:
-                return checked_name(given)
+                return checked_name(name)
             except Problem:
                 continue
-    known = ", ".join(NAME_CLAIMS)
-    raise Problem(422, "No name", f"the provider gives no name for an account; it needs one of {known}")
+    names = ", ".join(NAME_CLAIMS)
+    raise Problem(422, "No name", f"the provider gives no name for an account; it needs one of {names}")

@@ -11,10 +11,10 @@ from sqlalchemy import Connection, delete, func, insert, select
 from handover.errors import Problem
 from handover.security.permissions import Grant
 from handover.security.secret_tokens import new_token, token_hash
-from handover_accounts.changes import Change
-from handover_accounts.grants import add_grant, remove_grant
 from handover_accounts.openid_connect.provider import AuthorizationRequest
-from handover_accounts.tables import (
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, remove_grant
+from handover_accounts.storage.tables import (
     grants,
     identities,
     provider_grants,
@@ -44,8 +44,8 @@ def begin(change: Change, redirect_uri: str) -> tuple[str, AuthorizationRequest]
     connection = change.connection
     connection.execute(delete(table).where(table.c.created_s <= now_s - SIGN_IN_VALID_S))
     oldest = select(table.c.secret_hash).order_by(table.c.created_s.desc()).offset(MAX_SIGN_INS - 1)
-    for one in list(connection.execute(oldest).scalars()):
-        connection.execute(delete(table).where(table.c.secret_hash == one))
+    for secret_hash in list(connection.execute(oldest).scalars()):
+        connection.execute(delete(table).where(table.c.secret_hash == secret_hash))
     secret = new_token("signin")
     request = AuthorizationRequest(
         state=secrets.token_urlsafe(32),
@@ -87,8 +87,8 @@ def user_of(connection: Connection, issuer: str, provider_subject: str) -> str |
     query = select(table.c.subject).where(
         table.c.issuer == issuer, table.c.provider_subject == provider_subject
     )
-    found = connection.execute(query).scalar()
-    return None if found is None else str(found)
+    subject = connection.execute(query).scalar()
+    return None if subject is None else str(subject)
 
 
 def set_identity(change: Change, subject: str, issuer: str, provider_subject: str | None) -> None:
@@ -113,7 +113,7 @@ def identity_of(connection: Connection, subject: str) -> dict[str, Any] | None:
     return None if row is None else dict(row)
 
 
-def set_grants(change: Change, subject: str, given: tuple[Grant, ...]) -> None:
+def set_grants(change: Change, subject: str, new_grants: tuple[Grant, ...]) -> None:
     """Replace the grants that came from the provider; those that an admin gave remain.
 
     The last admin remains one: the grants of the provider cannot shut everybody out.
@@ -125,12 +125,12 @@ def set_grants(change: Change, subject: str, given: tuple[Grant, ...]) -> None:
         (row.role, row.resource): row.id
         for row in connection.execute(query.where(grants.c.subject == subject))
     }
-    wanted = {(grant.role.value, grant.resource): grant for grant in given}
+    wanted = {(grant.role.value, grant.resource): grant for grant in new_grants}
     for key, grant in wanted.items():
         if key in before:
             continue
-        known = select(func.count()).select_from(grants)
-        by_admin = known.where(
+        count = select(func.count()).select_from(grants)
+        by_admin = count.where(
             grants.c.subject == subject, grants.c.role == grant.role, grants.c.resource == grant.resource
         )
         if not connection.execute(by_admin).scalar_one():
@@ -153,8 +153,8 @@ def keep_id_token(change: Change, session: str, id_token: str) -> None:
 def id_token_of(connection: Connection, session: str) -> str | None:
     """Return the ID token of a session that began at the provider."""
     table = provider_sessions
-    found = connection.execute(select(table.c.id_token).where(table.c.session == session)).scalar()
-    return None if found is None else str(found)
+    id_token = connection.execute(select(table.c.id_token).where(table.c.session == session)).scalar()
+    return None if id_token is None else str(id_token)
 
 
 def is_name_free(connection: Connection, key: str) -> bool:

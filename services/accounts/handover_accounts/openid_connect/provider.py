@@ -137,20 +137,20 @@ class OpenIdProvider:
             return self._metadata
         file = self._settings.oidc_metadata_file
         if file is not None:
-            found = _read_metadata(file)
+            document = _read_metadata(file)
         else:
-            found = await self._ask("GET", get_well_known_url(self._issuer, external=True))
-        if str(found.get("issuer", "")).rstrip("/") != self._issuer.rstrip("/"):
+            document = await self._ask("GET", get_well_known_url(self._issuer, external=True))
+        if str(document.get("issuer", "")).rstrip("/") != self._issuer.rstrip("/"):
             raise ProviderError(
-                f'the provider names itself "{found.get("issuer")}" and HANDOVER_OIDC_ISSUER is '
+                f'the provider names itself "{document.get("issuer")}" and HANDOVER_OIDC_ISSUER is '
                 f'"{self._issuer}"; set it to the same address'
             )
         required = _ENDPOINTS[: 2 if self._settings.oidc_token_secret is not None else 3]
         for name in _ENDPOINTS:
-            if name in found or name in required:
-                _checked_url(name, found.get(name))
-        self._metadata, self._metadata_s = found, now_s
-        return found
+            if name in document or name in required:
+                _checked_url(name, document.get(name))
+        self._metadata, self._metadata_s = document, now_s
+        return document
 
     async def _exchange(
         self, metadata: Mapping[str, Any], request: AuthorizationRequest, code: str
@@ -219,8 +219,8 @@ class OpenIdProvider:
             key_id is None or any(key.kid == key_id for key in self._keys.keys)
         )
         if self._keys is None or age_s > METADATA_S or (not is_known and age_s > MIN_KEY_AGE_S):
-            found = await self._ask("GET", str(metadata["jwks_uri"]))
-            self._keys, self._keys_s = KeySet.import_key_set(_signing_keys(found)), now_s
+            key_set = await self._ask("GET", str(metadata["jwks_uri"]))
+            self._keys, self._keys_s = KeySet.import_key_set(_signing_keys(key_set)), now_s
         return self._keys
 
     async def _user_info(
@@ -229,17 +229,17 @@ class OpenIdProvider:
         endpoint = metadata.get("userinfo_endpoint")
         if not isinstance(endpoint, str) or not isinstance(access_token, str):
             return {}
-        found = await self._ask("GET", endpoint, {"Authorization": f"Bearer {access_token}"})
-        if found.get("sub") != subject:  # OpenID Connect Core 5.3.2
+        user_info = await self._ask("GET", endpoint, {"Authorization": f"Bearer {access_token}"})
+        if user_info.get("sub") != subject:  # OpenID Connect Core 5.3.2
             raise ProviderError("the user info is of another subject than the ID token")
-        return found
+        return user_info
 
     async def _ask(
         self, method: str, url: str, headers: Mapping[str, str] | None = None, form: str = ""
     ) -> dict[str, Any]:
-        given = [("Accept", "application/json"), *(headers or {}).items()]
+        all_headers = [("Accept", "application/json"), *(headers or {}).items()]
         try:
-            answer = await self._http.request(method, url, given, form.encode(), TIMEOUT_S)
+            answer = await self._http.request(method, url, all_headers, form.encode(), TIMEOUT_S)
             document = orjson.loads(answer.body) if answer.body else {}
         except (SendError, OSError, orjson.JSONDecodeError) as error:
             raise ProviderError(f"the provider at {url}: {error}") from None
@@ -249,10 +249,10 @@ class OpenIdProvider:
         return document
 
 
-def _signing_keys(found: Mapping[str, Any]) -> Any:
-    keys = found.get("keys")
-    signing = [one for one in keys if isinstance(one, dict)] if isinstance(keys, list) else []
-    signing = [one for one in signing if one.get("use", "sig") == "sig" and one.get("kty") != "oct"]
+def _signing_keys(key_set: Mapping[str, Any]) -> Any:
+    keys = key_set.get("keys")
+    signing = [key for key in keys if isinstance(key, dict)] if isinstance(keys, list) else []
+    signing = [key for key in signing if key.get("use", "sig") == "sig" and key.get("kty") != "oct"]
     if not signing:
         raise ProviderError("the provider publishes no key for signatures")
     return {"keys": signing}
@@ -260,19 +260,19 @@ def _signing_keys(found: Mapping[str, Any]) -> Any:
 
 def _read_metadata(file: Path) -> dict[str, Any]:
     try:
-        found = orjson.loads(file.read_bytes())
+        metadata = orjson.loads(file.read_bytes())
     except (OSError, orjson.JSONDecodeError) as error:
         raise UsageError(f"HANDOVER_OIDC_METADATA_FILE: {file} cannot be read: {error}") from None
-    if not isinstance(found, dict):
+    if not isinstance(metadata, dict):
         raise UsageError(f"HANDOVER_OIDC_METADATA_FILE: {file} is no JSON object")
-    return found
+    return metadata
 
 
-def _checked_url(name: str, given: Any) -> str:
+def _checked_url(name: str, url: Any) -> str:
     """Return an address of the provider; raise `ProviderError` unless it is https or on this machine."""
-    parts = urlsplit(given) if isinstance(given, str) else None
+    parts = urlsplit(url) if isinstance(url, str) else None
     host = (parts.hostname if parts is not None else None) or ""
     is_local = host == "localhost" or is_loopback(host)
     if parts is None or not host or parts.scheme not in ({"https", "http"} if is_local else {"https"}):
-        raise ProviderError(f'the {name} of the provider, "{str(given)[:100]}", must be an https address')
-    return str(given)
+        raise ProviderError(f'the {name} of the provider, "{str(url)[:100]}", must be an https address')
+    return str(url)

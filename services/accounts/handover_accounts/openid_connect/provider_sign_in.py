@@ -7,13 +7,13 @@ from sqlalchemy import Connection
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from handover_accounts import sessions, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import NOBODY, Directory
 from handover_accounts.metrics import SIGN_INS
 from handover_accounts.openid_connect import identities
 from handover_accounts.openid_connect.claims import name_of, role_mapping
 from handover_accounts.openid_connect.provider import OpenIdProvider, ProvenIdentity, ProviderError
+from handover_accounts.storage import sessions, users
+from handover_accounts.storage.changes import Change
 
 log = get_logger(__name__)
 

@@ -8,13 +8,13 @@ from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require_signed_in
 from handover.security.permissions import Permission
-from handover_accounts import sessions, stations, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import admin_names
 from handover_accounts.names import subject_names
 from handover_accounts.routes.views import MeView, SessionView, time_of
-from handover_accounts.sessions import SessionLimits
+from handover_accounts.storage import sessions, stations, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import admin_names
+from handover_accounts.storage.sessions import SessionLimits
 
 SignedIn = Annotated[Caller, require_signed_in()]
 MAX_NAMES: Final = 100
@@ -31,8 +31,8 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
             "subject": caller.subject,
             "name": caller.name,
             "person": caller.person,
-            "grants": [{"role": one.role, "resource": one.resource} for one in caller.grants],
-            "permissions": [one for one in Permission if caller.may_somewhere(one)],
+            "grants": [{"role": grant.role, "resource": grant.resource} for grant in caller.grants],
+            "permissions": [permission for permission in Permission if caller.may_somewhere(permission)],
             "hasAccounts": directory.keys.exist(),
         }
 
@@ -47,8 +47,12 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
 
         For those who see such ids, as in the list of who looked at the own health data.
         """
-        known = await directory.read(subject_names)
-        return {one: known[one] for one in subject if one in known}
+        names_of_subjects = await directory.read(subject_names)
+        return {
+            subject_id: names_of_subjects[subject_id]
+            for subject_id in subject
+            if subject_id in names_of_subjects
+        }
 
     @app.get("/me/sessions", tags=["own account"])
     async def own_sessions(caller: SignedIn) -> list[SessionView]:

@@ -11,10 +11,7 @@ from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_accounts import links, secret_token_store, sessions, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import add_grant, checked_grant, grant_rows, remove_grant
 from handover_accounts.routes.bodies import NewGrant, NewInvitation, NewToken, UserChange
 from handover_accounts.routes.own_routes import session_view
 from handover_accounts.routes.views import (
@@ -29,6 +26,9 @@ from handover_accounts.routes.views import (
     UserView,
     time_of,
 )
+from handover_accounts.storage import links, secret_token_store, sessions, tables, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, checked_grant, grant_rows, remove_grant
 
 MAX_PAGE: Final = 500
 
@@ -105,16 +105,16 @@ def add_user_routes(app: FastAPI, directory: Directory) -> None:
     @app.post("/grants", status_code=201, tags=["people"])
     async def grant(caller: Admin, body: NewGrant) -> GrantView:
         """Grant a role to a user or token, for the resources that a pattern includes."""
-        given = checked_grant(body.role, body.resource)
+        added = checked_grant(body.role, body.resource)
 
         def add(change: Change) -> str:
             _require_subject(change.connection, body.subject)
-            return add_grant(change, body.subject, given)
+            return add_grant(change, body.subject, added)
 
         return {
             "id": await directory.change(caller.subject, add),
-            "role": given.role,
-            "resource": given.resource,
+            "role": added.role,
+            "resource": added.resource,
         }
 
     @app.delete("/grants/{grant}", status_code=204, tags=["people"])
@@ -146,8 +146,8 @@ def add_invitation_routes(app: FastAPI, directory: Directory) -> None:
     async def invite(caller: Admin, body: NewInvitation) -> NewLink:
         """Make a one-time link with which a person chooses name and password."""
         name = None if body.name is None else users.checked_name(body.name)
-        given = tuple(checked_grant(one.role, one.resource) for one in body.grants)
-        return await _new_link(directory, caller, links.INVITATION, name=name, given=given)
+        grants = tuple(checked_grant(grant.role, grant.resource) for grant in body.grants)
+        return await _new_link(directory, caller, links.INVITATION, name=name, given=grants)
 
     @app.delete("/invitations/{link}", status_code=204, tags=["people"])
     async def withdraw(caller: Admin, link: str) -> None:
@@ -212,11 +212,11 @@ def add_token_routes(app: FastAPI, directory: Directory) -> None:
         """Issue a token for a script or device; it is shown only in this answer."""
         directory.require_accounts()
         name = users.checked_name(body.name)
-        given = tuple(checked_grant(one.role, one.resource) for one in body.grants)
+        grants = tuple(checked_grant(grant.role, grant.resource) for grant in body.grants)
         expires_s = None if body.valid_days is None else time.time() + body.valid_days * 86400
 
         def add(change: Change) -> tuple[str, str]:
-            return secret_token_store.issue(change, CallerKind(body.kind), name, given, expires_s)
+            return secret_token_store.issue(change, CallerKind(body.kind), name, grants, expires_s)
 
         subject, token = await directory.change(caller.subject, add)
         return {"subject": subject, "token": token}

@@ -15,8 +15,6 @@ from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.security.secret_tokens import is_secret_token
 from handover.serving.service import json_response
-from handover_accounts import links, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import NOBODY, Directory
 from handover_accounts.routes.bodies import (
     LinkBody,
@@ -37,6 +35,8 @@ from handover_accounts.routes.views import (
     UserToken,
     time_of,
 )
+from handover_accounts.storage import links, tables, users
+from handover_accounts.storage.changes import Change
 
 PAGE_SERVER: Final = "webui"
 """The service that may open sessions of people and act for them."""
@@ -54,8 +54,8 @@ def add_service_routes(app: FastAPI, directory: Directory) -> None:
     @max_body(MAX_BODY_BYTES)
     async def service_token(caller: Verifier, request: Request) -> ServiceToken:
         """Exchange the secret token of a service (Authorization: Bearer) for an access token."""
-        given = request.headers.get("authorization", "").partition(" ")[2].strip()
-        if not is_secret_token(given) or caller.kind is not CallerKind.SERVICE:
+        token = request.headers.get("authorization", "").partition(" ")[2].strip()
+        if not is_secret_token(token) or caller.kind is not CallerKind.SERVICE:
             raise Problem(403, "No secret token", "send the secret token of the service, not an access token")
         return cast("ServiceToken", await directory.service_token(caller))
 

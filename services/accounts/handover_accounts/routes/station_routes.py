@@ -10,18 +10,7 @@ from handover.http.body_limit import max_body
 from handover.security.caller import Caller
 from handover.security.guard import require, require_signed_in, require_somewhere
 from handover.security.permissions import Permission, Role
-from handover_accounts import sessions, stations, tables, users
-from handover_accounts.changes import Change
 from handover_accounts.directory import Directory
-from handover_accounts.grants import add_grant, checked_grant, grants_of
-from handover_accounts.identifiers import (
-    IdentifierKind,
-    checked_identifier,
-    identified,
-    kinds_of,
-    new_qr_code,
-    set_identifier,
-)
 from handover_accounts.routes.bodies import (
     GestureIdentification,
     Identification,
@@ -41,6 +30,17 @@ from handover_accounts.routes.views import (
     StationJoins,
     StationView,
     time_of,
+)
+from handover_accounts.storage import sessions, stations, tables, users
+from handover_accounts.storage.changes import Change
+from handover_accounts.storage.grants import add_grant, checked_grant, grants_of
+from handover_accounts.storage.identifiers import (
+    IdentifierKind,
+    checked_identifier,
+    identified,
+    kinds_of,
+    new_qr_code,
+    set_identifier,
 )
 
 SignedIn = Annotated[Caller, require_signed_in()]
@@ -66,8 +66,8 @@ def _add_engineer_routes(app: FastAPI, directory: Directory) -> None:
     async def add(caller: Engineer, body: NewStation) -> StationView:
         """Add a station, which may perform Tasks of the resources for which the caller may."""
         directory.require_accounts()
-        given = [checked_grant(Role.OPERATOR, resource) for resource in body.resources]
-        for grant in given:
+        grants = [checked_grant(Role.OPERATOR, resource) for resource in body.resources]
+        for grant in grants:
             if not (
                 caller.may(Permission.PERFORM_TASKS, grant.resource) and caller.may(Permission.CONFIGURE)
             ):
@@ -79,9 +79,9 @@ def _add_engineer_routes(app: FastAPI, directory: Directory) -> None:
 
         def added(change: Change) -> StationView:
             subject = stations.add_station(change, body.name, body.gloves, body.leave_after_min)
-            for grant in given:
+            for grant in grants:
                 add_grant(change, subject, grant)
-            return next(one for one in _views(directory, change.connection) if one["subject"] == subject)
+            return next(view for view in _views(directory, change.connection) if view["subject"] == subject)
 
         return await directory.change(caller.subject, added)
 
@@ -106,7 +106,9 @@ def _add_engineer_routes(app: FastAPI, directory: Directory) -> None:
             _require_known(connection, body.station)
             session = sessions.require_session(connection, body.session, directory.session_limits)
             change.actor = session["subject"]
-            if not any(one.allows(Permission.CONFIGURE, "*") for one in grants_of(connection, change.actor)):
+            if not any(
+                grant.allows(Permission.CONFIGURE, "*") for grant in grants_of(connection, change.actor)
+            ):
                 raise Problem(403, "Not allowed", 'signing a station in needs "configure" for everything')
             _, token = sessions.open_session(
                 change, body.station, method=STATION_METHOD, address=body.address, device=body.device
@@ -125,7 +127,7 @@ def _add_screen_routes(app: FastAPI, directory: Directory) -> None:
 
         def found(connection: Connection) -> StationView:
             stations.require_station(connection, caller.subject)
-            return next(one for one in _views(directory, connection) if one["subject"] == caller.subject)
+            return next(view for view in _views(directory, connection) if view["subject"] == caller.subject)
 
         return await directory.read(found)
 
@@ -162,10 +164,11 @@ def _add_service_routes(app: FastAPI, directory: Directory) -> None:
     @app.get("/station-joins", tags=["services"], dependencies=verifier)
     async def joins() -> StationJoins:
         """Return who has joined the station of which gloves."""
-        found = await directory.read(lambda connection: _views(directory, connection))
+        views = await directory.read(lambda connection: _views(directory, connection))
         return {
             "stations": [
-                {"station": one["subject"], "gloves": one["gloves"], "joined": one["joined"]} for one in found
+                {"station": view["subject"], "gloves": view["gloves"], "joined": view["joined"]}
+                for view in views
             ]
         }
 
@@ -242,14 +245,14 @@ async def _set(
 ) -> IdentifiersView:
     directory.require_accounts()
     is_qr = kind is IdentifierKind.QR and value is not None
-    given = new_qr_code() if is_qr else None if value is None else checked_identifier(kind, value)
+    identifier = new_qr_code() if is_qr else None if value is None else checked_identifier(kind, value)
 
     def change_it(change: Change) -> list[str]:
         users.find(change.connection, subject)
-        set_identifier(change, directory.identifiers, subject, kind, given)
+        set_identifier(change, directory.identifiers, subject, kind, identifier)
         return kinds_of(change.connection, subject)
 
-    return {"kinds": await directory.change(caller.subject, change_it), "qr": given if is_qr else None}
+    return {"kinds": await directory.change(caller.subject, change_it), "qr": identifier if is_qr else None}
 
 
 def _require_person(connection: Connection, subject: str) -> None:
@@ -269,11 +272,11 @@ def _views(directory: Directory, connection: Connection) -> list[StationView]:
         .select_from(tables.stations.join(tables.users, tables.users.c.subject == tables.stations.c.subject))
         .order_by(tables.users.c.name_key)
     )
-    found: list[StationView] = []
+    views: list[StationView] = []
     for row in connection.execute(query).mappings().all():
         station = stations.require_station(connection, row["subject"])
         opened = sessions.sessions_of(connection, row["subject"], directory.session_limits)
-        found.append(
+        views.append(
             {
                 "subject": row["subject"],
                 "name": row["name"],
@@ -283,7 +286,7 @@ def _views(directory: Directory, connection: Connection) -> list[StationView]:
                 "joined": _joined_view(stations.joined(connection, row["subject"])),
             }
         )
-    return found
+    return views
 
 
 def _joined_view(row: dict[str, Any] | None) -> JoinedPerson | None:

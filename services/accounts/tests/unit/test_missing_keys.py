@@ -15,10 +15,10 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.revocations import FollowedRevocations
 from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.settings import SERVICE_TOKENS_FOLDER, SIGNING_KEYS_FILE, Settings
-from handover_accounts.changes import Store
 from handover_accounts.check import faults_in
 from handover_accounts.set_up import owner_link, set_up
 from handover_accounts.settings import AccountsSettings
+from handover_accounts.storage.changes import Store
 from services.accounts.tests.unit.conftest import Accounts, running
 
 

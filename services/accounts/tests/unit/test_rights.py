@@ -16,10 +16,10 @@ from handover.security.permissions import Permission
 from handover.security.revocations import FollowedRevocations
 from handover.security.secret_tokens import token_hash
 from handover_accounts import signing_keys
-from handover_accounts.changes import Store
 from handover_accounts.set_up import set_up
 from handover_accounts.settings import AccountsSettings
 from handover_accounts.signing_keys import ADOPTED_AFTER_S, SigningKeys
+from handover_accounts.storage.changes import Store
 from services.accounts.tests.unit.conftest import HOME, PASSWORD, Accounts, running
 
 UR10 = "urn:ngsi-ld:Device:demo:ur10-1"

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from handover.security.permissions import Grant, Permission, Role
-from handover_accounts.stations import joined
+from handover_accounts.storage.stations import joined
 from services.accounts.tests.unit.conftest import HOME, Accounts
 
 ANNA, BEN = "urn:ngsi-ld:Person:demo:anna", "urn:ngsi-ld:Person:demo:ben"

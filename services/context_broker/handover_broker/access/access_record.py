@@ -163,8 +163,8 @@ def _first_id(body: bytes) -> str | None:
         return None
     if isinstance(document, list):
         document = document[0] if len(document) == 1 else None
-    found = document.get("id") if isinstance(document, dict) else document
-    return found if isinstance(found, str) else None
+    entity_id = document.get("id") if isinstance(document, dict) else document
+    return entity_id if isinstance(entity_id, str) else None
 
 
 class AccessLog:

@@ -123,18 +123,18 @@ class Authorization:
             return
         selectors = document.get("entities")
         types: list[Any] = (
-            [one.get("type") for one in selectors if isinstance(one, dict)]
+            [selector.get("type") for selector in selectors if isinstance(selector, dict)]
             if isinstance(selectors, list)
             else []
         )
-        texts = [one for one in types if isinstance(one, str) and one != ANY_RESOURCE]
+        texts = [kind for kind in types if isinstance(kind, str) and kind != ANY_RESOURCE]
         if not texts or len(texts) < len(types):
             raise replace(
                 rights.denied(Permission.READ_HEALTH_DATA),
                 detail=f'"{rights.caller.name}" has no permission "{Permission.READ_HEALTH_DATA}", so each '
                 "selector of a subscription names a type; add `entities` with a `type` each",
             )
-        named = {short_name(name) for one in texts for name in _NAME.findall(one)}
+        named = {short_name(name) for text in texts for name in _NAME.findall(text)}
         if not named.isdisjoint(self.health_types):
             raise rights.denied(Permission.READ_HEALTH_DATA)
 
@@ -146,8 +146,8 @@ def _require_each(rights: Rights, ids: tuple[str, ...], tenant: Tenant) -> None:
     for entity_id in ids:
         if rights.may(Permission.WRITE_ENTITIES, entity_id):
             continue
-        known = tenant.store.latest(entity_id)
-        if known is None or not rights.performs(known):
+        entity = tenant.store.latest(entity_id)
+        if entity is None or not rights.performs(entity):
             raise rights.denied(Permission.WRITE_ENTITIES, entity_id)
 
 
@@ -157,10 +157,10 @@ def _ids_in(body: bytes) -> tuple[str, ...]:
         document: Any = orjson.loads(body)
     except orjson.JSONDecodeError:
         return ()
-    found: list[str] = []
-    for one in document if isinstance(document, list) else [document]:
-        given = one.get("id", one.get("@id")) if isinstance(one, dict) else one
-        if not isinstance(given, str):
+    ids: list[str] = []
+    for part in document if isinstance(document, list) else [document]:
+        entity_id = part.get("id", part.get("@id")) if isinstance(part, dict) else part
+        if not isinstance(entity_id, str):
             return ()
-        found.append(given)
-    return tuple(found)
+        ids.append(entity_id)
+    return tuple(ids)

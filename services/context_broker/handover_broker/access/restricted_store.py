@@ -14,7 +14,7 @@ from handover.security.permissions import Permission
 from handover_broker.access.rights import Rights
 from handover_broker.model.entity import Entity, Event
 from handover_broker.query.geo_query import GeoQuery
-from handover_broker.query.q_index import Condition
+from handover_broker.query.indexes.q_index import Condition
 from handover_broker.query.type_selection import TypeSelection
 from handover_broker.storage.store import OverlayStore, Store
 from handover_broker.storage.type_statistics import TypeStatistics
@@ -111,7 +111,11 @@ class RestrictedStore(Store):
         places: GeoQuery | None = None,
     ) -> list[Entity]:
         """Return the visible ones of the candidates."""
-        return [one for one in self._store.candidates(ids, types, conditions, places) if self._shows(one)]
+        return [
+            candidate
+            for candidate in self._store.candidates(ids, types, conditions, places)
+            if self._shows(candidate)
+        ]
 
     def overlay(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
@@ -124,8 +128,8 @@ class RestrictedStore(Store):
             ids,
             types,
             {
-                one: None if entity is None or self.hides(one, entity.types) else entity
-                for one, entity in others.items()
+                entity_id: None if entity is None or self.hides(entity_id, entity.types) else entity
+                for entity_id, entity in others.items()
             },
         )
 

@@ -59,7 +59,7 @@ class Rights:
         if not self.may_somewhere_perform or not is_of(entity, _TASKS):
             return False
         resources = performers_of(resources_of(entity))
-        return any(self.may(Permission.PERFORM_FOR_DEVICES, one) for one in resources)
+        return any(self.may(Permission.PERFORM_FOR_DEVICES, resource) for resource in resources)
 
     @property
     def may_somewhere_perform(self) -> bool:
@@ -84,19 +84,19 @@ class Rights:
             if event.before is not None and self.performs(event.before):
                 return performer_refusal(event) or task_refusal(event, find)
             return self.denied(Permission.WRITE_ENTITIES, entity.id)
-        ends = [one for one in (event.before, event.after) if one is not None]
+        ends = [end for end in (event.before, event.after) if end is not None]
         is_service = self.caller.kind is CallerKind.SERVICE
-        if not is_service and any(is_of(one, _PEOPLE) for one in ends):
+        if not is_service and any(is_of(end, _PEOPLE) for end in ends):
             return (
                 None
                 if self.may(Permission.MANAGE_PEOPLE, entity.id)
                 else self.denied(Permission.MANAGE_PEOPLE, entity.id)
             )
-        if any(self.is_private(one.id, one.types) for one in ends) and not self.may(
+        if any(self.is_private(end.id, end.types) for end in ends) and not self.may(
             Permission.READ_HEALTH_DATA, entity.id
         ):
             return self.denied(Permission.READ_HEALTH_DATA, entity.id)
-        if not is_service and any(is_of(one, _TASKS) for one in ends):
+        if not is_service and any(is_of(end, _TASKS) for end in ends):
             return task_refusal(event, find)
         return None
 
@@ -109,7 +109,7 @@ class Rights:
         asked = [Permission.READ, Permission.WRITE_ENTITIES, Permission.READ_HEALTH_DATA]
         if self.caller.kind is not CallerKind.SERVICE:
             asked.append(Permission.MANAGE_PEOPLE)
-        return next((one for one in asked if not self.may_everywhere(one)), None)
+        return next((permission for permission in asked if not self.may_everywhere(permission)), None)
 
 
 def resource_prefix(tenant: str, own_tenant: str) -> str:

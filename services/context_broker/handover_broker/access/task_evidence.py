@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from handover.errors import Problem
-from handover.security.pin_check import PIN_REQUIRED
+from handover.security.proofs.pin_check import PIN_REQUIRED
 from handover_broker.model.entity import VALUE_MEMBER, Entity, Event
 from handover_datamodels.entities import TaskStatus
 
@@ -39,11 +39,11 @@ def task_refusal(event: Event, find: Callable[[str], Entity | None]) -> Problem 
             f"performedBy of {after.id} names the person whom a service has identified, so that no client "
             "changes it; leave it as it is, or complete the Task on the page Tasks",
         )
-    known = before or after
-    assert known is not None  # noqa: S101 - a change has at least one end
-    if not _demands_pin(known, find):
+    task = before or after
+    assert task is not None  # noqa: S101 - a change has at least one end
+    if not _demands_pin(task, find):
         return None
-    status = set(_values(known, _STATUS))
+    status = set(_values(task, _STATUS))
     if before is None:
         is_refused = status != {TaskStatus.PENDING.value}
     elif after is None:
@@ -55,7 +55,7 @@ def task_refusal(event: Event, find: Callable[[str], Entity | None]) -> Problem 
     return Problem(
         403,
         "PIN required",
-        f"{known.id} demands the PIN of the person who answers it, so that only the service that checks the "
+        f"{task.id} demands the PIN of the person who answers it, so that only the service that checks the "
         "PIN changes its status and parameters; answer it on the page Tasks or Work, or cancel its process",
         PIN_REQUIRED,
     )
@@ -68,9 +68,9 @@ def performer_refusal(event: Event) -> Problem | None:
     """
     before, after = event.before, event.after
     if before is None or after is None:
-        known = before or after
-        assert known is not None  # noqa: S101 - a change has at least one end
-        return _performer_denied(known)
+        task = before or after
+        assert task is not None  # noqa: S101 - a change has at least one end
+        return _performer_denied(task)
     names = before.attributes.keys() | after.attributes.keys()
     changed = {_short(iri) for iri in names if before.attributes.get(iri) != after.attributes.get(iri)}
     is_allowed = changed <= _OF_PERFORMERS and before.types == after.types
@@ -108,8 +108,12 @@ def _demands_pin(task: Entity, find: Callable[[str], Entity | None]) -> bool:
     for inputs in _values(task, _INPUTS):
         if isinstance(inputs, dict) and "requirePin" in inputs:
             return inputs["requirePin"] is True
-    definitions = (find(one) for one in _values(task, _DEFINITION) if isinstance(one, str))
-    return any(True in _values(one, "requirePin") for one in definitions if one is not None)
+    definitions = (
+        find(definition_id) for definition_id in _values(task, _DEFINITION) if isinstance(definition_id, str)
+    )
+    return any(
+        True in _values(definition, "requirePin") for definition in definitions if definition is not None
+    )
 
 
 def _performed_by(task: Entity) -> list[Any]:

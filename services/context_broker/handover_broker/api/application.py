@@ -53,7 +53,7 @@ CHECK_INTERVAL_S: Final = 1.0
 STANDBY = Gauge("handover_broker_standby", "1 while another broker writes the database and this one waits")
 
 
-class Broker(Protocol):
+class ServedBroker(Protocol):
     """What the application needs of a broker."""
 
     journal: Journal
@@ -77,10 +77,12 @@ class BrokerApplication:
     `open_broker` returns a broker on its database. It is called again when another broker has taken over.
     """
 
-    def __init__(self, open_broker: Callable[[], Broker], data_dir: Path, *, over_asgi: bool = False) -> None:
+    def __init__(
+        self, open_broker: Callable[[], ServedBroker], data_dir: Path, *, over_asgi: bool = False
+    ) -> None:
         self._open_broker = open_broker
         self._data_dir = data_dir
-        self._broker: Broker
+        self._broker: ServedBroker
         self._is_serving = False
         self._standby_reason = ""
         self._checks: Mapping[str, Check] = {"database": self._check_database, "storage": self._check_storage}

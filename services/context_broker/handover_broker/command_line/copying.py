@@ -97,12 +97,12 @@ def _tenants(
     return list(dict.fromkeys(["", *([own] if own else []), *(listed or ()), *wish.tenants]))
 
 
-def _settings_for(given: str, settings: Settings, token_file: Path | None) -> Settings:
+def _settings_for(address: str, settings: Settings, token_file: Path | None) -> Settings:
     """Return the settings for a broker: those of the cell have credentials for its own broker only."""
-    url = given.rstrip("/").removesuffix("/ngsi-ld/v1")
+    url = address.rstrip("/").removesuffix("/ngsi-ld/v1")
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        raise UsageError(f'"{given}" is no URL of a broker; write it as http://127.0.0.1:1026')
+        raise UsageError(f'"{address}" is no URL of a broker; write it as http://127.0.0.1:1026')
     if parts.username is not None:
         raise UsageError("the URL of a broker has no user and password; use a file with a token")
     changes: dict[str, Path | None] = {}

@@ -126,10 +126,10 @@ class ContextResolver:
 
     async def tidy(self) -> None:
         """Delete contexts that are not needed any more; call it once all subscriptions are loaded."""
-        gone = [one for one in self._shelf if one.gone and one.id not in self._needed]
+        gone = [stored for stored in self._shelf if stored.gone and stored.id not in self._needed]
         self._needed.clear()
         self._ready = {
-            key: ready for key, ready in self._ready.items() if not any(one.gone for one in ready.uses)
+            key: ready for key, ready in self._ready.items() if not any(use.gone for use in ready.uses)
         }
         for context in gone:
             self._shelf.remove(context)
@@ -138,13 +138,13 @@ class ContextResolver:
 
     # For requests
 
-    async def of(self, given: Any) -> Context:
+    async def of(self, document: Any) -> Context:
         """Return the context for a URL, an object, a list of them, or None for the core context alone.
 
         Raises a problem with status 504 when one cannot be loaded, 400 when one is malformed.
         """
-        key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
-        return self.at_hand(key) or self._noted(await self._make(key, given))
+        key: str | bytes = document if isinstance(document, str) else orjson.dumps(document)
+        return self.at_hand(key) or self._noted(await self._make(key, document))
 
     async def link_with(self, name: str, iri: str) -> str | None:
         """Return the URL of an @context that gives a name this IRI, of those at hand; None if none does."""
@@ -152,8 +152,8 @@ class ContextResolver:
             if url not in self._ready:
                 await self._make(url, url)
         ready = [self._ready[url] for url in SHIPPED if url in self._ready]
-        found = (one for one in (*ready, *self._ready.values()) if one.link is not None)
-        return next((one.link for one in found if one.terms.expand(name) == iri), None)
+        candidates = (resolved for resolved in (*ready, *self._ready.values()) if resolved.link is not None)
+        return next((resolved.link for resolved in candidates if resolved.terms.expand(name) == iri), None)
 
     def at_hand(self, key: str | bytes) -> Context | None:
         """Return the context of a URL, or of a document as JSON, if it is cached."""
@@ -166,23 +166,23 @@ class ContextResolver:
             self.usage.note(context.uses)
         return context
 
-    async def as_before(self, given: Any) -> Context:
+    async def as_before(self, document: Any) -> Context:
         """Return a context that was in use before a restart, even if it was deleted since; never fetches.
 
         A missing one is replaced by the core context: stored names are expanded already.
         """
-        key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
+        key: str | bytes = document if isinstance(document, str) else orjson.dumps(document)
         ready = self._ready.get(key)
         if ready is not None:
             return ready
         met: list[StoredContext] = []
         try:
-            terms = TermMap(given, lambda url: self._met(url, met, of_before=True))
-            self._needed.update(one.id for one in met)
+            terms = TermMap(document, lambda url: self._met(url, met, of_before=True))
+            self._needed.update(stored.id for stored in met)
         except ValueError as error:
-            log.warning("a context in use is missing", context=str(given)[:200], why=str(error))
+            log.warning("a context in use is missing", context=str(document)[:200], why=str(error))
             return await self.of(None)
-        return self._remembered(key, given, terms, met)
+        return self._remembered(key, document, terms, met)
 
     async def linked(self, context: Context, tenant: str, base: str) -> Context:
         """Return the context with a URL for a Link header, of the broker at `base` if it has none.
@@ -192,34 +192,34 @@ class ContextResolver:
         if context.link is not None:
             return context
         linked = implicit(tenant, {"@context": context.document})
-        known = self._shelf.named(linked.id)
-        if known is None or known.gone:
+        stored = self._shelf.named(linked.id)
+        if stored is None or stored.gone:
             await self._keep_one(linked)
-        return await self.of((known or linked).address(base))
+        return await self.of((stored or linked).address(base))
 
-    async def _make(self, key: str | bytes, given: Any) -> _ResolvedContext:
+    async def _make(self, key: str | bytes, document: Any) -> _ResolvedContext:
         """Return a context once everything it refers to is loaded."""
         while True:
             met: list[StoredContext] = []
             try:
-                terms = TermMap(given, partial(self._met, met=met))
+                terms = TermMap(document, partial(self._met, met=met))
             except ContextNotAvailable as missing:
                 await self._fetch(missing.url)
             except ValueError as error:
                 raise bad_request_data(f"the @context cannot be used: {error}") from None
             else:
-                return self._remembered(key, given, terms, met)
+                return self._remembered(key, document, terms, met)
 
     def _remembered(
-        self, key: str | bytes, given: Any, terms: Terms, met: list[StoredContext]
+        self, key: str | bytes, reference: Any, terms: Terms, met: list[StoredContext]
     ) -> _ResolvedContext:
         if len(self._ready) >= MAX_CONTEXTS:
             del self._ready[next(iter(self._ready))]
         self._made += 1
-        document = CORE if given is None else given
+        document = CORE if reference is None else reference
         text = orjson.dumps(document)
         uses = tuple(dict.fromkeys(met))
-        parts = frozenset(one.id for one in uses)
+        parts = frozenset(use.id for use in uses)
         context = _ResolvedContext(self._made, terms, document, text, _link(document), parts, uses)
         if len(key) <= LARGEST_REMEMBERED:
             self._ready[key] = context
@@ -252,9 +252,9 @@ class ContextResolver:
         fetched = await self._fetcher.fetch(url)
         if self._at(url) is not None:  # another request fetched it
             return
-        others = [one for one in self._shelf if one.url is not None]
+        others = [stored for stored in self._shelf if stored.url is not None]
         if len(others) >= MAX_FETCHED:
-            oldest = min(others, key=lambda one: one.used_s or moment(one.created_at) or 0.0)
+            oldest = min(others, key=lambda stored: stored.used_s or moment(stored.created_at) or 0.0)
             await self._keep(_erasing([oldest]))
             self._unready(oldest)
             self._shelf.remove(oldest)
@@ -308,9 +308,7 @@ class ContextResolver:
         """Remove everything that was made of a changed context from the cache."""
         ours = {context.id}
         self._ready = {
-            key: ready
-            for key, ready in self._ready.items()
-            if ours.isdisjoint(each.id for each in ready.uses)
+            key: ready for key, ready in self._ready.items() if ours.isdisjoint(use.id for use in ready.uses)
         }
 
     # For clients (clause 5.13)
@@ -318,17 +316,17 @@ class ContextResolver:
     def all(self, tenant: str) -> list[StoredContext]:
         """Return the contexts that a tenant may see, and the core context."""
         contexts = shown_to(tenant, self._shelf)
-        urls = {one.url for one in contexts}
+        urls = {context.url for context in contexts}
         core = self._of_package(CORE)
-        used = [one for one in self._shipped.values() if one is core or one.hits]
-        return [*(one for one in used if one.url not in urls), *contexts]
+        used = [shipped for shipped in self._shipped.values() if shipped is core or shipped.hits]
+        return [*(shipped for shipped in used if shipped.url not in urls), *contexts]
 
     def named(self, name: str, tenant: str) -> StoredContext | None:
         """Return the context with a local identifier or URL, None if the tenant sees none."""
         context = self._shelf.named(name)
         if context is not None and shown_to(tenant, [context]):
             return context
-        shipped = next((each for each in self._shipped.values() if each.id == name), None)
+        shipped = next((stored for stored in self._shipped.values() if stored.id == name), None)
         return shipped or self._of_package(name)
 
     def served(self, own_id: str) -> StoredContext | None:
@@ -336,11 +334,11 @@ class ContextResolver:
         context = self._shelf.named(own_id)
         return None if context is None or context.gone else context
 
-    async def add(self, tenant: str, given: Any) -> StoredContext:
+    async def add(self, tenant: str, document: Any) -> StoredContext:
         """Store a context of a client; raise a problem: 400 if it is not one, 413 if it is too large."""
-        context = hosted(tenant, {"@context": given})
+        context = hosted(tenant, {"@context": document})
         try:
-            TermMap(given, lambda _: {"@context": {}})  # what it refers to is loaded when it is used
+            TermMap(document, lambda _: {"@context": {}})  # what it refers to is loaded when it is used
         except ValueError as error:
             raise bad_request_data(f"the @context cannot be used: {error}") from None
         stored = context.stored()
@@ -385,7 +383,7 @@ async def _nobody(_: str) -> None:
 
 def _erasing(gone: list[StoredContext]) -> dict[DocumentKey, bytes | None]:
     kinds = (DocumentKind.CONTEXT, DocumentKind.CONTEXT_USAGE)
-    return {(kind, one.tenant, one.key): None for one in gone for kind in kinds}
+    return {(kind, stored.tenant, stored.key): None for stored in gone for kind in kinds}
 
 
 def _link(document: Any) -> str | None:
@@ -393,7 +391,7 @@ def _link(document: Any) -> str | None:
     if isinstance(document, str):
         return document
     if isinstance(document, list):
-        urls = [one for one in document if not (isinstance(one, str) and is_core(one))]
+        urls = [part for part in document if not (isinstance(part, str) and is_core(part))]
         if len(urls) == 1 and isinstance(urls[0], str):
             return urls[0]
     return None

@@ -161,8 +161,8 @@ class ContextStore:
         The broker has many names (a mapped port, a proxy); an identifier belongs to one broker.
         """
         context = self._by_url.get(url)
-        if context is None and (found := _OURS.fullmatch(url)) is not None:
-            context = self._by_id.get(unquote(found[1]))
+        if context is None and (match := _OURS.fullmatch(url)) is not None:
+            context = self._by_id.get(unquote(match[1]))
         return context
 
     def named(self, name: str) -> StoredContext | None:
@@ -173,5 +173,7 @@ class ContextStore:
 def shown_to(tenant: str, contexts: Iterable[StoredContext]) -> list[StoredContext]:
     """Return the contexts that a tenant may see: fetched ones belong to all (clause 5.5.10)."""
     return [
-        one for one in contexts if not one.gone and (one.kind is ContextKind.CACHED or one.tenant == tenant)
+        context
+        for context in contexts
+        if not context.gone and (context.kind is ContextKind.CACHED or context.tenant == tenant)
     ]

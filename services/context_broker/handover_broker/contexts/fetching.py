@@ -159,8 +159,8 @@ def kept_for_s(headers: Mapping[str, str]) -> float:
     5.2)."""
     wanted: float | None = None
     control = headers.get("cache-control", "").lower()
-    if found := _MAX_AGE.search(control):
-        wanted = float(found[1])
+    if match := _MAX_AGE.search(control):
+        wanted = float(match[1])
     elif "no-cache" in control or "no-store" in control:
         wanted = 0.0
     elif (expires := headers.get("expires")) is not None:

@@ -62,12 +62,15 @@ class Usage:
         if self._due is not None:
             self._due.cancel()
             self._due = None
-        used = [one for one in self._shelf if one.hits != one.hits_kept and not one.gone]
+        used = [stored for stored in self._shelf if stored.hits != stored.hits_kept and not stored.gone]
         for context in used:
             context.hits_kept = context.hits
         if used:
             self._keep_later(
-                {(DocumentKind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used}
+                {
+                    (DocumentKind.CONTEXT_USAGE, stored.tenant, stored.key): stored.stored_usage()
+                    for stored in used
+                }
             )
 
     def _write_soon(self) -> None:

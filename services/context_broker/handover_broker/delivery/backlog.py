@@ -59,5 +59,5 @@ class Backlog:
             room_bytes -= size
             if room_bytes <= 0:
                 break
-        found = journal.pending(tenant, subscription, after, fitting) if fitting else []
-        return BacklogPage(found, len(sizes) == limit or fitting < len(sizes), pending)
+        notices = journal.pending(tenant, subscription, after, fitting) if fitting else []
+        return BacklogPage(notices, len(sizes) == limit or fitting < len(sizes), pending)

@@ -26,19 +26,19 @@ def first_together(queue: Iterable[PendingNotification]) -> list[PendingNotifica
 
     They are of the same request, with the same headers, and of different entities.
     """
-    found: list[PendingNotification] = []
+    notices: list[PendingNotification] = []
     entities, size = set[str](), 0
     for notice in islice(queue, MAX_CHANGES_PER_NOTIFICATION):
-        if found and (
-            (notice.at, notice.headers) != (found[0].at, found[0].headers)
+        if notices and (
+            (notice.at, notice.headers) != (notices[0].at, notices[0].headers)
             or notice.entity in entities
             or size + notice.size > MAX_BYTES_PER_NOTIFICATION
         ):
             break
-        found.append(notice)
+        notices.append(notice)
         entities.add(notice.entity)
         size += notice.size
-    return found
+    return notices
 
 
 def combined(bodies: Sequence[bytes]) -> bytes:
@@ -55,5 +55,5 @@ def combined(bodies: Sequence[bytes]) -> bytes:
 def _list_of(message: dict[str, Any]) -> list[Any]:
     """Return the entities of a notification, which are the features of a collection in GeoJSON."""
     data = message["data"]
-    found: list[Any] = data["features"] if isinstance(data, dict) else data
-    return found
+    entities: list[Any] = data["features"] if isinstance(data, dict) else data
+    return entities

@@ -227,16 +227,16 @@ class DeliveryWorker:
             self._sending = first_together(self._queue)
         some, self._is_sending = self._sending, True
         try:
-            is_done = await self._send_released({one.entity: one for one in some}, notice)
+            is_done = await self._send_released({pending.entity: pending for pending in some}, notice)
         finally:
             self._is_sending = False
         if is_done:
             self._sending = []
             sent: list[PendingNotification] = []
-            for one in some:  # those that were dropped, or moved with the subscription, are not first
-                if self._queue and self._queue[0] is one:
+            for pending in some:  # those that were dropped, or moved with the subscription, are not first
+                if self._queue and self._queue[0] is pending:
                     sent.append(self._queue.popleft())
-                    self._endpoint_queue.release(one.size)
+                    self._endpoint_queue.release(pending.size)
             self._settle(sent)
 
     async def _send_periodic(self, notice: PendingNotification) -> None:
@@ -250,7 +250,7 @@ class DeliveryWorker:
         """Send one notification with the present state of everything that changed while throttled."""
         some = self._context.together(self._throttled)
         if await self._send_released(some, next(reversed(some.values()))):
-            sent = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
+            sent = [notice for entity_id, notice in some.items() if self._throttled.get(entity_id) is notice]
             for notice in sent:
                 del self._throttled[notice.entity]
             self._settle(sent)
@@ -334,7 +334,7 @@ class DeliveryWorker:
 
     async def _load(self) -> None:
         self._is_loading, self._has_more_on_disk = True, False
-        sharing = sum(1 for one in self._endpoint_queue.workers if one.pending_bytes)
+        sharing = sum(1 for worker in self._endpoint_queue.workers if worker.pending_bytes)
         limit = max(1, min(WINDOW // max(1, sharing), self._endpoint_queue.room))
         try:
             page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)
@@ -368,7 +368,7 @@ class DeliveryWorker:
         limit."""
         try:
             while endpoint_queue.has_too_much:
-                most = max(endpoint_queue.workers, key=lambda one: one.pending_bytes)
+                most = max(endpoint_queue.workers, key=lambda worker: worker.pending_bytes)
                 assert isinstance(most, DeliveryWorker)  # noqa: S101 - only workers are put there
                 wanted_bytes = endpoint_queue.pending_bytes - int(
                     endpoint_queue.max_pending_bytes * (1 - SHED)
@@ -396,7 +396,7 @@ class DeliveryWorker:
         try:
             async for page in self._backlog.sizes():
                 gone: dict[int, int] = {}
-                sending = {one.seq for one in self._sending} if self._is_sending else set()
+                sending = {notice.seq for notice in self._sending} if self._is_sending else set()
                 for seq, size in page:
                     if left_bytes > 0 and seq not in sending:
                         gone[seq] = size
@@ -426,7 +426,7 @@ class DeliveryWorker:
         if dropped:
             self._queue = deque(notice for notice in self._queue if notice.seq not in gone)
         self._sending = [notice for notice in self._sending if notice.seq not in gone]
-        for entity in [one for one, notice in self._throttled.items() if notice.seq in gone]:
+        for entity in [entity_id for entity_id, notice in self._throttled.items() if notice.seq in gone]:
             del self._throttled[entity]
         self._last_seq = max(self._last_seq, *gone) if gone else self._last_seq
         self._count_pending(-len(gone), -sum(gone.values()))

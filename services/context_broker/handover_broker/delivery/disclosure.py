@@ -116,12 +116,12 @@ def taken_headers(stored: bytes | None) -> list[list[str]]:
     """Return the headers that a pending notification copies from the request that made the change."""
     if stored is None:
         return []
-    found: Any = orjson.loads(stored)
-    headers = found["headers"] if isinstance(found, dict) else found
+    document: Any = orjson.loads(stored)
+    headers = document["headers"] if isinstance(document, dict) else document
     return headers or []
 
 
 def private_in(stored: bytes | None) -> Mapping[str, str] | None:
     """Return the note of a pending notification; None if it was composed without one."""
-    found = None if stored is None else orjson.loads(stored)
-    return found["private"] if isinstance(found, dict) else None
+    document = None if stored is None else orjson.loads(stored)
+    return document["private"] if isinstance(document, dict) else None

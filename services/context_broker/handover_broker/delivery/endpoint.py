@@ -62,25 +62,25 @@ class Endpoint:
         return (self.uri, self.headers, self.taken, self.mqtt)
 
 
-def endpoint(given: Any) -> Endpoint:
+def endpoint(document: Any) -> Endpoint:
     """Return the endpoint of a subscription; raise a problem (400) for one that cannot be used."""
-    if not isinstance(given, Mapping) or "uri" not in given:
+    if not isinstance(document, Mapping) or "uri" not in document:
         raise bad_request_data('notification.endpoint is an object with a "uri"; add it')
-    if unknown := sorted(set(given) - _KNOWN):
+    if unknown := sorted(set(document) - _KNOWN):
         raise bad_request_data(
             f"notification.endpoint has no member {shown(unknown[0])}; it has {', '.join(sorted(_KNOWN))}"
         )
-    uri = require_uri(given["uri"], "notification.endpoint.uri")
-    notifier = _pairs(given.get("notifierInfo"), "notifierInfo")
+    uri = require_uri(document["uri"], "notification.endpoint.uri")
+    notifier = _pairs(document.get("notifierInfo"), "notifierInfo")
     mqtt = mqtt_address(uri, notifier) if uri.startswith(MQTT_SCHEMES) else None
     if mqtt is None:
         _check_http(uri)
-    accept = given.get("accept", JSON)
+    accept = document.get("accept", JSON)
     if accept not in (JSON, JSON_LD, GEO_JSON):
         raise bad_request_data(
             f"notification.endpoint.accept is {JSON}, {JSON_LD} or {GEO_JSON}, not {shown(accept)}"
         )
-    headers = _pairs(given.get("receiverInfo"), "receiverInfo")
+    headers = _pairs(document.get("receiverInfo"), "receiverInfo")
     for key, value in headers:
         _check_header(key, value)
     return Endpoint(
@@ -88,8 +88,8 @@ def endpoint(given: Any) -> Endpoint:
         accept,
         tuple(pair for pair in headers if pair[1] != FROM_THE_REQUEST),
         tuple(key for key, value in headers if value == FROM_THE_REQUEST),
-        _milliseconds(given.get("timeout"), "timeout") or None,
-        _milliseconds(given.get("cooldown"), "cooldown"),
+        _milliseconds(document.get("timeout"), "timeout") or None,
+        _milliseconds(document.get("cooldown"), "cooldown"),
         mqtt,
     )
 
@@ -107,15 +107,15 @@ def _check_http(uri: str) -> None:
         )
 
 
-def _pairs(given: Any, what: str) -> Pairs:
-    if given is None:
+def _pairs(listed: Any, what: str) -> Pairs:
+    if listed is None:
         return ()
-    if not isinstance(given, list) or len(given) > MAX_PAIRS:
+    if not isinstance(listed, list) or len(listed) > MAX_PAIRS:
         raise bad_request_data(
             f'{what} is a list of at most {MAX_PAIRS} objects such as {{"key": "X-Cell", "value": "4"}}'
         )
     pairs: list[tuple[str, str]] = []
-    for pair in given:
+    for pair in listed:
         key, value = (pair.get("key"), pair.get("value")) if isinstance(pair, dict) else (None, None)
         if not isinstance(key, str) or not isinstance(value, str):
             raise bad_request_data(f'each {what} has a "key" and a "value" of text, not {shown(pair)}')
@@ -134,12 +134,12 @@ def _check_header(key: str, value: str) -> None:
         )
 
 
-def _milliseconds(given: Any, what: str) -> float:
-    """Return `given` milliseconds in seconds."""
-    if given is None:
+def _milliseconds(duration: Any, what: str) -> float:
+    """Return a duration in milliseconds as seconds."""
+    if duration is None:
         return 0.0
-    if not isinstance(given, int | float) or isinstance(given, bool) or not 0 <= given < 1e12:
+    if not isinstance(duration, int | float) or isinstance(duration, bool) or not 0 <= duration < 1e12:
         raise bad_request_data(
-            f"notification.endpoint.{what} is a number of milliseconds from 0 on, not {shown(given)}"
+            f"notification.endpoint.{what} is a number of milliseconds from 0 on, not {shown(duration)}"
         )
-    return given / 1000
+    return duration / 1000

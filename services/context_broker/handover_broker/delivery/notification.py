@@ -25,7 +25,7 @@ from handover_broker.delivery.triggers import (
 from handover_broker.model.context import link_header
 from handover_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Entity, Instance, dataset_of
 from handover_broker.model.negotiation import Version
-from handover_broker.model.rendering import Form, View, render, rendered, with_context
+from handover_broker.model.representation.rendering import Form, View, render, rendered, with_context
 from handover_broker.model.validation import tenant_headers, timestamp, timestamp_now
 from handover_broker.query.linked import Shown, joined
 from handover_broker.query.q_match import Lookup, no_lookup
@@ -57,7 +57,7 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
 
 def _conformed(data: bytes, version: Version, view: View) -> bytes:
     """Return data in the form of an earlier version of NGSI-LD (clause 4.3.6.8)."""
-    from handover_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+    from handover_broker.model.representation import conformance  # noqa: PLC0415 - few ask for another version
 
     simplified = view.form is Form.KEY_VALUES
     return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
@@ -98,7 +98,7 @@ def headers(subscription: Subscription, tenant: str, taken: bytes | None = None)
     own_names = {name.lower() for name, _ in own}
     result = [("Content-Type", endpoint.accept)]
     if tenant:
-        result += [one for one in tenant_headers(tenant) if one[0].lower() not in own_names]
+        result += [header for header in tenant_headers(tenant) if header[0].lower() not in own_names]
     if endpoint.accept != JSON_LD and subscription.context.link and "link" not in own_names:
         result.append(("Link", link_header(subscription.context.link)))
     return [*result, *((name, value) for name, value in own)]
@@ -123,13 +123,13 @@ def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> li
 
 def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
     if subscription.endpoint.accept != GEO_JSON:
-        return b",".join(orjson.dumps(one) for _, one in documents)
-    from handover_broker.model import geojson  # noqa: PLC0415 - it knows requests, which know of us
+        return b",".join(orjson.dumps(document) for _, document in documents)
+    from handover_broker.model.representation import geojson  # noqa: PLC0415 - it knows requests, which know of us
 
     place, datasets = subscription.context.terms.expand(geojson.LOCATION), subscription.view.datasets
     return b",".join(
-        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place, datasets)))
-        for entity, one in documents
+        orjson.dumps(geojson.feature_of(document, geojson.geometry(entity, place, datasets)))
+        for entity, document in documents
     )
 
 
@@ -180,12 +180,12 @@ def _reports_deletions(subscription: Subscription, change: EntityChange) -> bool
 
 
 def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
-    before = {dataset_of(one): one for one in old}
+    before = {dataset_of(instance): instance for instance in old}
     return [
-        one
-        if (was := before.get(dataset_of(one))) is None or was is one
-        else {**one, _PREVIOUS[was["type"]]: was[VALUE_MEMBER[was["type"]]]}
-        for one in new
+        instance
+        if (was := before.get(dataset_of(instance))) is None or was is instance
+        else {**instance, _PREVIOUS[was["type"]]: was[VALUE_MEMBER[was["type"]]]}
+        for instance in new
     ]
 
 
@@ -193,7 +193,7 @@ def _add_gone(
     attributes: Attributes, name: str, old: list[Instance], view: View, deleted_at: str, *, shows: bool
 ) -> None:
     instances = attributes.get(name, [])
-    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, instances)]
+    gone = [_gone(instance, view, deleted_at, shows=shows) for instance in lost_instances(old, instances)]
     attributes[name] = [*instances, *gone]
 
 

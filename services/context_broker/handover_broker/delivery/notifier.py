@@ -96,7 +96,7 @@ class Notifier(SubscriptionDispatcher):
             for name in ids:
                 by_id.setdefault(name, []).append(subscription)
         self._by_type, self._by_id = by_type, by_id
-        self.passes_headers_on = any(one.endpoint.taken for one in subscriptions)
+        self.passes_headers_on = any(candidate.endpoint.taken for candidate in subscriptions)
         self._is_sorted = True
 
     def announce(self, event: Event) -> list[PendingNotification]:
@@ -117,8 +117,8 @@ class Notifier(SubscriptionDispatcher):
         if named is not None or len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
         change, now_s = entity_change(event), REQUEST_TIME.get() or time.time()
-        notices = [self._notice(one, change, now_s) for one in interested]
-        return [one for one in notices if one is not None]
+        notices = [self._notice(subscription, change, now_s) for subscription in interested]
+        return [notice for notice in notices if notice is not None]
 
     def disclosure(self, subscription: Subscription) -> Disclosure | None:
         """Return the selection for a notification that is composed now; None if its owner sees everything."""
@@ -141,7 +141,7 @@ class Notifier(SubscriptionDispatcher):
             elif (
                 note is not None
                 and receiver.may_see(notice.entity, is_private=False)
-                and all(receiver.may_see(one, is_private=True) for one in note)
+                and all(receiver.may_see(private_id, is_private=True) for private_id in note)
             ):
                 usable[entity_id] = notice
                 disclosure.private.update(note)
@@ -208,13 +208,13 @@ class Notifier(SubscriptionDispatcher):
     def _taken(self, names: Iterable[str]) -> bytes | None:
         """Return the named headers of the current request as JSON; None if it has none of them."""
         sent, passes_credentials_on = REQUEST_HEADERS.get({}), self._receivers.passes_credentials_on()
-        found = [
+        headers = [
             (name, value.decode("latin-1"))
             for name in names
             if (value := sent.get(name.lower().encode())) is not None
             and (passes_credentials_on or name.lower() not in CREDENTIALS)
         ]
-        return orjson.dumps(found) if found else None
+        return orjson.dumps(headers) if headers else None
 
     # Periodic notifications
 
@@ -236,9 +236,9 @@ class Notifier(SubscriptionDispatcher):
         candidates = iter(self._candidates(subscription))
         while some := list(islice(candidates, CHUNK)):
             data += [
-                entity_data(subscription, one, lookup)
-                for one in some
-                if (disclosure is None or disclosure.admits(one)) and subscription.selects(one, lookup)
+                entity_data(subscription, entity, lookup)
+                for entity in some
+                if (disclosure is None or disclosure.admits(entity)) and subscription.selects(entity, lookup)
             ]
             if len(data) >= MAX_ITEMS_PER_NOTIFICATION:
                 notices.append(notice())

@@ -36,9 +36,9 @@ class Outbound:
     )
 
     def __post_init__(self) -> None:
-        WAITING.labels("memory").set_function(lambda: sum(one.held for one in self._waiting()))
-        WAITING.labels("disk").set_function(lambda: sum(one.on_disk for one in self._waiting()))
-        WAITING.labels("throttled").set_function(lambda: sum(one.throttled for one in self._waiting()))
+        WAITING.labels("memory").set_function(lambda: sum(worker.held for worker in self._waiting()))
+        WAITING.labels("disk").set_function(lambda: sum(worker.on_disk for worker in self._waiting()))
+        WAITING.labels("throttled").set_function(lambda: sum(worker.throttled for worker in self._waiting()))
 
     def _waiting(self) -> Iterator[EndpointUser]:
         for endpoint_queue in list(self.endpoint_queues.values()):

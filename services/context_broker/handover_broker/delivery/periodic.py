@@ -23,14 +23,18 @@ class PeriodicNotifications:
 
     def schedule(self, subscriptions: list[Subscription]) -> None:
         """Run timers for exactly these subscriptions from now on."""
-        wanted = {one.id: one for one in subscriptions if one.interval_s is not None}
-        for one in [one for one, (known, _) in self._tasks.items() if wanted.get(one) is not known]:
-            _, task = self._tasks.pop(one)
+        wanted = {candidate.id: candidate for candidate in subscriptions if candidate.interval_s is not None}
+        for subscription_id in [
+            subscription_id
+            for subscription_id, (scheduled, _) in self._tasks.items()
+            if wanted.get(subscription_id) is not scheduled
+        ]:
+            _, task = self._tasks.pop(subscription_id)
             task.cancel()
         loop = asyncio.get_running_loop() if wanted else None
-        for one, subscription in wanted.items():
-            if one not in self._tasks and loop is not None:
-                self._tasks[one] = (subscription, loop.create_task(self._run(subscription)))
+        for subscription_id, subscription in wanted.items():
+            if subscription_id not in self._tasks and loop is not None:
+                self._tasks[subscription_id] = (subscription, loop.create_task(self._run(subscription)))
 
     def is_affected(self, changed: str | None, now: Subscription | None) -> bool:
         """Return whether the timers have to change with a subscription, which is `now` so; always without

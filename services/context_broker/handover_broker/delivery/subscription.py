@@ -15,12 +15,12 @@ from handover_broker.delivery.triggers import EntityChange, Triggers, read_kinds
 from handover_broker.model.context import Context
 from handover_broker.model.entity import Entity
 from handover_broker.model.entity_parser import expand
-from handover_broker.model.language import preferences
 from handover_broker.model.negotiation import Version, version_of
 from handover_broker.model.owner import Owner
 from handover_broker.model.problems import bad_request_data
-from handover_broker.model.projection import Projection, read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import Projection, read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import moment, require_time, require_uri, shown
 from handover_broker.query.earlier_names import renamed, with_earlier_names
 from handover_broker.query.entity_selector import EntitySelector, entity_selector
@@ -151,7 +151,9 @@ class Subscription:
         selectors = self.selectors
         if len(selectors) == 1:  # as in nearly all subscriptions
             return selectors[0].wants(entity) and self.admits(entity, lookup)
-        return (not selectors or any(one.wants(entity) for one in selectors)) and self.admits(entity, lookup)
+        return (not selectors or any(selector.wants(entity) for selector in selectors)) and self.admits(
+            entity, lookup
+        )
 
     def admits(self, entity: Entity, lookup: Lookup = no_lookup) -> bool:
         """Return whether an entity matches by its attributes, geometry and scopes."""
@@ -205,7 +207,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         document=document,
         context=context,
         names=names,
-        selectors=tuple(entity_selector(one) for one in entities or ()),
+        selectors=tuple(entity_selector(entity) for entity in entities or ()),
         triggers=Triggers(
             read_kinds(document.get("notificationTrigger")),
             None if watched is None else renamed(kind, watched),
@@ -243,17 +245,17 @@ def _compiled(q: Any, context: Context, expanded: frozenset[str]) -> Query:
 
 
 def _short_names(document: Mapping[str, Any], member: str) -> frozenset[str]:
-    given = document.get(member, [])
-    names = given.split(",") if isinstance(given, str) else given
-    if not isinstance(names, list) or not all(isinstance(one, str) and one for one in names):
-        raise bad_request_data(f'"{member}" is text with names of attributes and commas, not {shown(given)}')
+    listed = document.get(member, [])
+    names = listed.split(",") if isinstance(listed, str) else listed
+    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+        raise bad_request_data(f'"{member}" is text with names of attributes and commas, not {shown(listed)}')
     return frozenset(names)
 
 
-def _version(given: Any) -> Version | None:
-    version = version_of(given) if isinstance(given, str) else None
-    if given is not None and version is None:
-        raise bad_request_data(f'"ngsildConformance" is a version such as "1.6", not {shown(given)}')
+def _version(text: Any) -> Version | None:
+    version = version_of(text) if isinstance(text, str) else None
+    if text is not None and version is None:
+        raise bad_request_data(f'"ngsildConformance" is a version such as "1.6", not {shown(text)}')
     return version
 
 
@@ -265,7 +267,7 @@ def _only_type(entities: Any) -> str | None:
     """Return the type of all entity selectors, None if there are several types or none."""
     if not isinstance(entities, list) or not entities:
         return None
-    kinds = [one.get("type") if isinstance(one, dict) else None for one in entities]
+    kinds = [entity.get("type") if isinstance(entity, dict) else None for entity in entities]
     return kinds[0] if isinstance(kinds[0], str) and all(kind == kinds[0] for kind in kinds) else None
 
 
@@ -297,23 +299,27 @@ def _view(
 def _projection(notification: Mapping[str, Any], context: Context) -> Projection | None:
     texts: list[str | None] = []
     for name in ("pick", "omit"):
-        given = notification.get(name)
-        if given is not None and (
-            not isinstance(given, list) or not given or not all(isinstance(one, str) for one in given)
+        members = notification.get(name)
+        if members is not None and (
+            not isinstance(members, list)
+            or not members
+            or not all(isinstance(member, str) for member in members)
         ):
             raise bad_request_data(
                 f"notification.{name} is a list with at least one name of an attribute or member, "
-                f"not {shown(given)}"
+                f"not {shown(members)}"
             )
-        texts.append(None if given is None else ",".join(given))
+        texts.append(None if members is None else ",".join(members))
     return read_projection(texts[0], texts[1], context.terms)
 
 
-def _datasets(given: Any) -> frozenset[str | None] | None:
-    if given is None:
+def _datasets(listed: Any) -> frozenset[str | None] | None:
+    if listed is None:
         return None
-    datasets = given if isinstance(given, list) and given else [given]
-    return frozenset(None if one == "@none" else require_uri(one, "a datasetId") for one in datasets)
+    datasets = listed if isinstance(listed, list) and listed else [listed]
+    return frozenset(
+        None if dataset == "@none" else require_uri(dataset, "a datasetId") for dataset in datasets
+    )
 
 
 def _interval(document: Mapping[str, Any]) -> float | None:
@@ -331,13 +337,13 @@ def _interval(document: Mapping[str, Any]) -> float | None:
 
 
 def _flag(document: Mapping[str, Any], name: str, *, default: bool, what: str) -> bool:
-    given = document.get(name, default)
-    if not isinstance(given, bool):
-        raise bad_request_data(f"{what} is true or false, not {shown(given)}")
-    return given
+    flag = document.get(name, default)
+    if not isinstance(flag, bool):
+        raise bad_request_data(f"{what} is true or false, not {shown(flag)}")
+    return flag
 
 
-def _seconds(given: Any, what: str) -> float:
-    if not isinstance(given, int | float) or isinstance(given, bool) or not 0 <= given < 1e12:
-        raise bad_request_data(f"{what} is a number of seconds from 0 on, not {shown(given)}")
-    return float(given)
+def _seconds(number: Any, what: str) -> float:
+    if not isinstance(number, int | float) or isinstance(number, bool) or not 0 <= number < 1e12:
+        raise bad_request_data(f"{what} is a number of seconds from 0 on, not {shown(number)}")
+    return float(number)

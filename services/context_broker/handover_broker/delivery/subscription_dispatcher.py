@@ -131,11 +131,15 @@ class SubscriptionDispatcher:
         `compose` makes the part of those that were throttled, or that the owner may see in part only.
         """
         bodies = [
-            one.body for one in notices.values() if one.body is not None and not one.waits_for_throttling
+            notice.body
+            for notice in notices.values()
+            if notice.body is not None and not notice.waits_for_throttling
         ]
         if len(bodies) < len(notices):
             waiting = {
-                name: one for name, one in notices.items() if one.body is None or one.waits_for_throttling
+                name: notice
+                for name, notice in notices.items()
+                if notice.body is None or notice.waits_for_throttling
             }
             composed = compose(subscription, waiting)
             bodies += [] if composed is None else [composed]

@@ -41,33 +41,37 @@ _ENDPOINT: Final = ("uri", "receiverInfo", "notifierInfo")
 
 
 def kept_document(
-    given: Any, context: Context, extra: frozenset[str] = frozenset(), *, is_change: bool = False
+    subscription: Any, context: Context, extra: frozenset[str] = frozenset(), *, is_change: bool = False
 ) -> dict[str, Any]:
     """Return the document to store for a subscription, or a part of one: its names are expanded.
 
     `extra` are additional members that are allowed. A change may have null, which deletes a member.
     """
-    if not isinstance(given, dict):
-        raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
-    if given.get("type", "Subscription") != "Subscription":
-        raise bad_request_data(f'the type of a subscription is "Subscription", not {shown(given["type"])}')
-    refuse_null(given, "a subscription", deleting=2 if is_change else 0)
-    known = _KNOWN | extra
-    if "temporalQ" in given and "temporalQ" not in extra:
+    if not isinstance(subscription, dict):
+        raise bad_request_data(f"a subscription is a JSON object, not {shown(subscription)}")
+    if subscription.get("type", "Subscription") != "Subscription":
+        raise bad_request_data(
+            f'the type of a subscription is "Subscription", not {shown(subscription["type"])}'
+        )
+    refuse_null(subscription, "a subscription", deleting=2 if is_change else 0)
+    members = _KNOWN | extra
+    if "temporalQ" in subscription and "temporalQ" not in extra:
         raise bad_request_data(
             '"temporalQ" chooses context sources and has its place in their subscriptions only; leave it out'
         )
-    for name in given:
-        if name not in known and name not in _FROM_THE_BROKER:
+    for name in subscription:
+        if name not in members and name not in _FROM_THE_BROKER:
             raise bad_request_data(f"a subscription has no member {shown(name)}; leave it out")
     document = {
-        name: value for name, value in given.items() if name in known and name not in {"@context", "type"}
+        name: value
+        for name, value in subscription.items()
+        if name in members and name not in {"@context", "type"}
     }
     ends_s = moment(document["expiresAt"]) if isinstance(document.get("expiresAt"), str) else None
     if ends_s is not None and ends_s <= time.time():
         raise bad_request_data(f'"expiresAt" {document["expiresAt"]} is over; give a time to come')
     if isinstance(document.get("entities"), list):
-        document["entities"] = [_kept_selector(one, context) for one in document["entities"]]
+        document["entities"] = [_kept_selector(selector, context) for selector in document["entities"]]
     if document.get("watchedAttributes") is not None:
         document["watchedAttributes"] = _names(document["watchedAttributes"], "watchedAttributes", context)
     for name in ("q", "csf"):
@@ -99,9 +103,9 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
             raise bad_request_data(
                 'a change of "notification" replaces all of it and has an "endpoint"; send it complete'
             )
-        known = before["notification"].get("endpoint")
+        stored = before["notification"].get("endpoint")
         endpoint = kept_members(
-            notification["endpoint"], known if isinstance(known, dict) else {}, *_ENDPOINT
+            notification["endpoint"], stored if isinstance(stored, dict) else {}, *_ENDPOINT
         )
         after["notification"] = {**notification, "endpoint": endpoint}
     return without_null(after)
@@ -154,24 +158,24 @@ def shown_document(
     return document
 
 
-def _kept_notification(given: Mapping[str, Any], context: Context) -> dict[str, Any]:
-    for name in given:
+def _kept_notification(notified: Mapping[str, Any], context: Context) -> dict[str, Any]:
+    for name in notified:
         if name not in _KNOWN_IN_NOTIFICATION and name not in _COUNTED:
             raise bad_request_data(f"notification has no member {shown(name)}; leave it out")
-    notification = {name: value for name, value in given.items() if name not in _COUNTED}
+    notification = {name: value for name, value in notified.items() if name not in _COUNTED}
     if notification.get("attributes") is not None:
         notification["attributes"] = _names(notification["attributes"], "notification.attributes", context)
     return notification
 
 
-def _kept_selector(given: Any, context: Context) -> dict[str, Any]:
-    if not isinstance(given, dict) or not given:
+def _kept_selector(selector: Any, context: Context) -> dict[str, Any]:
+    if not isinstance(selector, dict) or not selector:
         raise bad_request_data(
-            f'an entity selector is an object such as {{"type": "Task"}}, not {shown(given)}'
+            f'an entity selector is an object such as {{"type": "Task"}}, not {shown(selector)}'
         )
-    if unknown := sorted(set(given) - {"id", "idPattern", "type"}):
+    if unknown := sorted(set(selector) - {"id", "idPattern", "type"}):
         raise bad_request_data(f"an entity selector has id, idPattern and type, not {shown(unknown[0])}")
-    stored = dict(given)
+    stored = dict(selector)
     if "type" in stored:
         stored["type"] = type_selection(
             stored["type"], context.terms.expand, "the type of an entity selector"
@@ -179,7 +183,7 @@ def _kept_selector(given: Any, context: Context) -> dict[str, Any]:
     return stored
 
 
-def _names(given: Any, what: str, context: Context) -> list[str]:
-    if not isinstance(given, list) or not given:
-        raise bad_request_data(f"{what} is a list with at least one attribute name, not {shown(given)}")
-    return [expand(require_name(name, f"a name in {what}"), context.terms) for name in given]
+def _names(names: Any, what: str, context: Context) -> list[str]:
+    if not isinstance(names, list) or not names:
+        raise bad_request_data(f"{what} is a list with at least one attribute name, not {shown(names)}")
+    return [expand(require_name(name, f"a name in {what}"), context.terms) for name in names]

@@ -83,7 +83,7 @@ def entity_change(event: Event) -> EntityChange:
             has_lost = bool(lost_instances(old, new))
             if has_lost:
                 lost.add(name)
-            if not has_lost or not {id(one) for one in new} <= {id(one) for one in old}:
+            if not has_lost or not {id(instance) for instance in new} <= {id(instance) for instance in old}:
                 updated.add(name)
     if before.scopes != after.scopes:
         (created if not before.scopes else updated if after.scopes else lost).add(SCOPE)
@@ -96,8 +96,8 @@ def _all_of(entity: Entity) -> Names:
 
 def lost_instances(old: Iterable[Instance], new: Iterable[Instance]) -> list[Instance]:
     """Return the instances that an attribute does not have any more."""
-    remaining = {dataset_of(one) for one in new}
-    return [one for one in old if dataset_of(one) not in remaining]
+    remaining = {dataset_of(instance) for instance in new}
+    return [instance for instance in old if dataset_of(instance) not in remaining]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,21 +143,21 @@ class Triggers:
         return ENTITY_DELETED in self.kinds or ATTRIBUTE_DELETED in self.kinds
 
 
-def read_kinds(given: Any) -> frozenset[str]:
+def read_kinds(triggers: Any) -> frozenset[str]:
     """Return the kinds of changes in `notificationTrigger`; `entityUpdated` becomes its parts.
 
     Raises a problem (400) for an unknown one.
     """
-    if given is None:
+    if triggers is None:
         return DEFAULT
-    if not isinstance(given, list) or not given:
+    if not isinstance(triggers, list) or not triggers:
         raise bad_request_data(
-            f"notificationTrigger is a list with at least one of {', '.join(ALL)}, not {shown(given)}"
+            f"notificationTrigger is a list with at least one of {', '.join(ALL)}, not {shown(triggers)}"
         )
-    for kind in given:
+    for kind in triggers:
         if kind not in ALL:
             raise bad_request_data(f"notificationTrigger has {', '.join(ALL)}, not {shown(kind)}")
-    kinds = frozenset(given)
+    kinds = frozenset(triggers)
     if ENTITY_UPDATED in kinds:
         kinds = kinds - {ENTITY_UPDATED} | _OF_UPDATED
     return DEFAULT if kinds == DEFAULT else kinds

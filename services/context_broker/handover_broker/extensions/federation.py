@@ -2,29 +2,33 @@
 
 The application passes each request to a `Federation`. `LocalOnly` has no context sources: it carries out
 operations on the broker's own entities and refuses requests that need a registration or an entity map.
-`federation.broker_federation.BrokerFederation` is the full implementation. Only the application imports it,
-and a broker with HANDOVER_BROKER_FEDERATION=false never does.
+The plugin `federation` is the full implementation (`handover_federation.broker_federation`). The application
+loads it, and a broker with HANDOVER_BROKER_FEDERATION=false does not.
 """
 
+from collections.abc import Callable
 from typing import Final, Protocol
 
-from handover_broker.extensions.unsupported import unsupported, warn_of_stored
+from handover_broker.contexts.context_resolver import ContextResolver
+from handover_broker.extensions.plugins import PerformByName, Plugin, unsupported, warn_of_stored
 from handover_broker.model.problems import not_supported
 from handover_broker.request.request_context import RequestContext, Response
 from handover_broker.request.routing import Operation
+from handover_broker.settings import BrokerSettings
 from handover_broker.storage.entries import DocumentKind
 from handover_broker.storage.journal import Journal
 from handover_broker.tenant_extensions import LocalTenant, TenantFederation
-from handover_broker.tenants import Tenant
+from handover_broker.tenants import Tenant, Tenants
 
 MAP_HEADER: Final = b"ngsild-entitymap"
 MAP_OPTION: Final = "entityMap"
 SINGLE_ENTITY_READS: Final = frozenset({"retrieveEntity", "retrieveTemporal"})
 """Operations on one entity: a map lists the sources to query for it (clauses 5.7.1.4 and 5.7.3.4)."""
 _MAPPED_OPERATIONS: Final = SINGLE_ENTITY_READS | {"queryEntity", "queryBatch", "queryTemporal"}
-_OFF: Final = (
-    "this broker runs without context source registrations, distributed operations and entity maps; start it "
-    "with HANDOVER_BROKER_FEDERATION=true to use them"
+FEDERATION: Final = Plugin(
+    "federation",
+    "context source registrations, distributed operations and entity maps",
+    "HANDOVER_BROKER_FEDERATION",
 )
 _OPERATIONS: Final = (
     ("POST", "csourceRegistrations", "createCSR", "6.8.3.1"),
@@ -79,17 +83,24 @@ class Federation(Protocol):
         """Carry out an operation with the context sources, without entity maps."""
 
 
+FederationFactory = Callable[[Tenants, ContextResolver, BrokerSettings, PerformByName], Federation]
+"""What the entry point of the plugin is."""
+
+
 class LocalOnly:
     """A broker without context sources."""
 
+    def __init__(self) -> None:
+        self._reason = FEDERATION.missing()
+
     def operations(self) -> tuple[Operation, ...]:
-        return unsupported(_OPERATIONS, _OFF)
+        return unsupported(_OPERATIONS, self._reason)
 
     def tenant_state(self, tenant: Tenant) -> TenantFederation:
         return LocalTenant()
 
     async def restore(self, journal: Journal) -> None:
-        warn_of_stored(journal, DocumentKind.REGISTRATION, "HANDOVER_BROKER_FEDERATION")
+        warn_of_stored(journal, DocumentKind.REGISTRATION, FEDERATION)
 
     async def start(self, journal: Journal) -> None:
         return
@@ -102,7 +113,7 @@ class LocalOnly:
 
     async def answer(self, operation: Operation, request: RequestContext) -> Response:
         if wants_map(operation, request):
-            raise not_supported(_OFF)
+            raise not_supported(self._reason)
         return await operation.answer(request)
 
     answer_locally = answer

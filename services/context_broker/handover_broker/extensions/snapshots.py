@@ -1,22 +1,23 @@
 """The interface to snapshots: copies of query results that are kept apart and queried with NGSILD-Snapshot.
 
 The application passes requests that name a snapshot to a `Snapshots`. `NoSnapshots` refuses them.
-`snapshots.operations.BrokerSnapshots` is the full implementation. Only the application imports it, and a
-broker with HANDOVER_BROKER_SNAPSHOTS=false never does.
+The plugin `snapshots` is the full implementation (`handover_federation.snapshots`). The application loads it,
+and a broker with HANDOVER_BROKER_SNAPSHOTS=false does not.
 """
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Final, Protocol
 
-from handover_broker.extensions.unsupported import unsupported, warn_of_stored
+from handover_broker.extensions.plugins import CarryOut, PerformByName, Plugin, unsupported, warn_of_stored
 from handover_broker.model.problems import not_supported
 from handover_broker.request.request_context import RequestContext, Response
 from handover_broker.request.routing import Operation
 from handover_broker.storage.entries import DocumentKind
 from handover_broker.storage.journal import Journal
+from handover_broker.tenants import Tenants
 
 SNAPSHOT_HEADER: Final = b"ngsild-snapshot"
-_OFF: Final = "this broker runs without snapshots; start it with HANDOVER_BROKER_SNAPSHOTS=true to use them"
+SNAPSHOTS: Final = Plugin("snapshots", "snapshots", "HANDOVER_BROKER_SNAPSHOTS")
 _OPERATIONS: Final = (
     ("POST", "snapshots", "createSnapshot", "6.36.3.1"),
     ("DELETE", "snapshots", "purgeSnapshots", "6.36.3.2"),
@@ -27,8 +28,6 @@ _OPERATIONS: Final = (
 )
 SNAPSHOT_OPERATIONS: Final = frozenset(name for _, _, name, _ in _OPERATIONS)
 """Operations on snapshots themselves; NGSILD-Snapshot does not change what they are about."""
-
-CarryOut = Callable[[Operation, RequestContext], Awaitable[Response]]
 
 
 class Snapshots(Protocol):
@@ -50,14 +49,21 @@ class Snapshots(Protocol):
         """Carry out an operation inside the snapshot that the request names."""
 
 
+SnapshotsFactory = Callable[[Tenants, CarryOut, PerformByName], Snapshots]
+"""What the entry point of the plugin is."""
+
+
 class NoSnapshots:
     """A broker without snapshots."""
 
+    def __init__(self) -> None:
+        self._reason = SNAPSHOTS.missing()
+
     def operations(self) -> tuple[Operation, ...]:
-        return unsupported(_OPERATIONS, _OFF)
+        return unsupported(_OPERATIONS, self._reason)
 
     def restore(self, journal: Journal) -> None:
-        warn_of_stored(journal, DocumentKind.SNAPSHOT, "HANDOVER_BROKER_SNAPSHOTS")
+        warn_of_stored(journal, DocumentKind.SNAPSHOT, SNAPSHOTS)
 
     async def start(self, journal: Journal) -> None:
         return
@@ -66,7 +72,7 @@ class NoSnapshots:
         return
 
     async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
-        raise not_supported(_OFF)
+        raise not_supported(self._reason)
 
 
 def is_inside_snapshot(operation: Operation, request: RequestContext) -> bool:

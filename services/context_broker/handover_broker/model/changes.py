@@ -40,8 +40,8 @@ def created(change: Change, at: str, seq: int) -> Entity:
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
     attributes = change.attributes
     for instances in attributes.values():
-        for one in instances:
-            one["createdAt"] = one["modifiedAt"] = at
+        for instance in instances:
+            instance["createdAt"] = instance["modifiedAt"] = at
     end = _end(None, change)
     first = _first_end(end, attributes)
     return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), end, first)
@@ -81,7 +81,11 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
     written: Attributes = {}
     for name, instances in change.attributes.items():
         remaining = _by_dataset(before, name)
-        new = instances if overwrite else [one for one in instances if dataset_of(one) not in remaining]
+        new = (
+            instances
+            if overwrite
+            else [instance for instance in instances if dataset_of(instance) not in remaining]
+        )
         if len(new) < len(instances):
             refused[name] = PRESENT
         if new:
@@ -145,7 +149,7 @@ def without(before: Entity, name: str, dataset: str | None, at: str, *, every: b
     Raises `KeyError` if there is none.
     """
     instances = before.attributes[name]
-    remaining = [] if every else [one for one in instances if dataset_of(one) != dataset]
+    remaining = [] if every else [instance for instance in instances if dataset_of(instance) != dataset]
     if len(remaining) == len(instances):
         raise KeyError(name)
     attributes = dict(before.attributes)
@@ -170,7 +174,11 @@ def outlived(before: Entity, now_s: float, at: str) -> Outcome:
     attributes: Attributes = {}
     touched: set[str] = set()
     for name, instances in before.attributes.items():
-        remaining = [one for one in instances if "expiresAt" not in one or _seconds(one["expiresAt"]) > now_s]
+        remaining = [
+            instance
+            for instance in instances
+            if "expiresAt" not in instance or _seconds(instance["expiresAt"]) > now_s
+        ]
         if remaining:
             attributes[name] = remaining
             if len(remaining) < len(instances):
@@ -292,7 +300,7 @@ def _without_nulls(instance: Instance) -> Instance:
             continue
         if ":" not in member:
             result[member] = value
-        elif remaining := [one for one in value if not is_deletion(one)]:
+        elif remaining := [part for part in value if not is_deletion(part)]:
             result[member] = remaining
     return result
 

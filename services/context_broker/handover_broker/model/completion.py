@@ -16,7 +16,7 @@ from handover_broker.model.entity_parser import (
     given_kind,
 )
 from handover_broker.model.geometry import looks_like_geometry
-from handover_broker.model.projection import ENTITY_MEMBERS
+from handover_broker.model.representation.projection import ENTITY_MEMBERS
 from handover_datamodels.forms import bare_instances
 
 _WRAPPED: Final = {"languageMap": "LanguageProperty", "json": "JsonProperty", "vocab": "VocabProperty"}
@@ -31,34 +31,34 @@ def completed(
     A string for a LanguageProperty is its text in `language`.
     """
     result: dict[str, Any] = {}
-    for name, given in document.items():
+    for name, attribute in document.items():
         instances = None if _is_member(name) else entity.attributes.get(terms.expand(name))
         if instances is None:
-            result[name] = given
-        elif language is not None and instances[0]["type"] == "LanguageProperty" and _is_wording(given):
-            result[name] = {"type": "LanguageProperty", "languageMap": {language: given}}
+            result[name] = attribute
+        elif language is not None and instances[0]["type"] == "LanguageProperty" and _is_wording(attribute):
+            result[name] = {"type": "LanguageProperty", "languageMap": {language: attribute}}
         else:
-            result[name] = _completed_attribute(given, instances, terms)
+            result[name] = _completed_attribute(attribute, instances, terms)
     return result
 
 
-def completed_part(given: Mapping[str, Any], instance: Instance) -> dict[str, Any]:
+def completed_part(part: Mapping[str, Any], instance: Instance) -> dict[str, Any]:
     """Return a part of an attribute with the kind and the value of the present instance."""
-    kind = given_kind(given)
+    kind = given_kind(part)
     value_member = VALUE_MEMBER[instance["type"]]
-    if kind is None and any(member in VALUE_MEMBERS and member != value_member for member in given):
-        return dict(given)
+    if kind is None and any(member in VALUE_MEMBERS and member != value_member for member in part):
+        return dict(part)
     if kind not in (None, instance["type"]):
-        return dict(given)
-    values = {} if value_member in given else {value_member: instance[value_member]}
-    return {"type": instance["type"], **values, **given}
+        return dict(part)
+    values = {} if value_member in part else {value_member: instance[value_member]}
+    return {"type": instance["type"], **values, **part}
 
 
-def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instance | None:
+def instance_for(part: Mapping[str, Any], instances: list[Instance]) -> Instance | None:
     """Return the instance of a part of an attribute, by its datasetId; None if there is none."""
-    dataset = given.get("datasetId")
+    dataset = part.get("datasetId")
     wanted = None if dataset == DEFAULT_INSTANCE else dataset
-    return next((one for one in instances if one.get("datasetId") == wanted), None)
+    return next((instance for instance in instances if instance.get("datasetId") == wanted), None)
 
 
 def normalized(
@@ -68,12 +68,12 @@ def normalized(
 
     Texts without a language tag are in `language`, or in none.
     """
-    known = {} if entity is None else entity.attributes
+    attributes = {} if entity is None else entity.attributes
     return {
-        name: given
+        name: attribute
         if _is_member(name)
-        else _normalized_attribute(given, known.get(terms.expand(name), []), language)
-        for name, given in document.items()
+        else _normalized_attribute(attribute, attributes.get(terms.expand(name), []), language)
+        for name, attribute in document.items()
     }
 
 
@@ -81,49 +81,49 @@ def _is_member(name: str) -> bool:
     return name in ENTITY_MEMBERS or name.startswith("@")
 
 
-def _is_wording(given: Any) -> bool:
-    return given != NULL and (
-        isinstance(given, str) or (isinstance(given, list) and all(isinstance(one, str) for one in given))
+def _is_wording(text: Any) -> bool:
+    return text != NULL and (
+        isinstance(text, str) or (isinstance(text, list) and all(isinstance(text, str) for text in text))
     )
 
 
-def _completed_attribute(given: Any, instances: list[Instance], terms: Terms) -> Any:
-    if isinstance(given, list) and all(isinstance(one, dict) for one in given):
-        return [_completed_instance(one, instances, terms) for one in given]
-    return _completed_instance(given, instances, terms) if isinstance(given, dict) else given
+def _completed_attribute(attribute: Any, instances: list[Instance], terms: Terms) -> Any:
+    if isinstance(attribute, list) and all(isinstance(instance, dict) for instance in attribute):
+        return [_completed_instance(instance, instances, terms) for instance in attribute]
+    return _completed_instance(attribute, instances, terms) if isinstance(attribute, dict) else attribute
 
 
-def _completed_instance(given: dict[str, Any], instances: list[Instance], terms: Terms) -> dict[str, Any]:
-    was = instance_for(given, instances)
+def _completed_instance(part: dict[str, Any], instances: list[Instance], terms: Terms) -> dict[str, Any]:
+    was = instance_for(part, instances)
     if was is None:
-        return given
-    kind = given_kind(given)
-    if VALUE_MEMBERS.isdisjoint(given):
-        if kind not in KINDS and (kind is not None or METADATA.isdisjoint(given)):
-            return given  # a bare value that is an object
-        given = completed_part(given, was)
+        return part
+    kind = given_kind(part)
+    if VALUE_MEMBERS.isdisjoint(part):
+        if kind not in KINDS and (kind is not None or METADATA.isdisjoint(part)):
+            return part  # a bare value that is an object
+        part = completed_part(part, was)
     if kind not in (None, was["type"]):
-        return given
+        return part
     return {
         member: value
         if member in METADATA or member in VALUE_MEMBERS or member.startswith("@")
         else _completed_attribute(value, was.get(terms.expand(member), []), terms)
-        for member, value in given.items()
+        for member, value in part.items()
     }
 
 
-def _normalized_attribute(given: Any, instances: list[Instance], language: str | None) -> Any:
-    by_dataset = bare_instances(given)
+def _normalized_attribute(attribute: Any, instances: list[Instance], language: str | None) -> Any:
+    by_dataset = bare_instances(attribute)
     if by_dataset is not None:
         return [
             {**_normalized_instance(value, _kind_in(instances, dataset), language), "datasetId": dataset}
             for dataset, value in by_dataset.items()
         ]
-    return _normalized_instance(given, _kind_in(instances, DEFAULT_INSTANCE), language)
+    return _normalized_instance(attribute, _kind_in(instances, DEFAULT_INSTANCE), language)
 
 
 def _kind_in(instances: list[Instance], dataset: str) -> str | None:
-    kinds = {one.get("datasetId", DEFAULT_INSTANCE): str(one["type"]) for one in instances}
+    kinds = {instance.get("datasetId", DEFAULT_INSTANCE): str(instance["type"]) for instance in instances}
     return kinds.get(dataset, next(iter(kinds.values()), None))
 
 

@@ -109,8 +109,8 @@ class Event(NamedTuple):
         before, after = self.before, self.after
         if before is None or after is None or (before.types == after.types and not before.former_types):
             return self
-        known = dict.fromkeys((*before.former_types, *before.types))
-        former = tuple(one for one in known if one not in after.types)
+        types = dict.fromkeys((*before.former_types, *before.types))
+        former = tuple(kind for kind in types if kind not in after.types)
         if former == after.former_types:
             return self
         return self._replace(after=replace(after, former_types=former, rendered={}))

@@ -127,17 +127,17 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
     attributes: Attributes = {}
     scopes: tuple[str, ...] | None = None
     expires_at: str | None = None
-    for name, given in document.items():
+    for name, value in document.items():
         if name not in NO_ATTRIBUTES_OF_ENTITIES:
-            _take_attribute(attributes, name, given, terms, 0)
+            _take_attribute(attributes, name, value, terms, 0)
         elif name in {"id", "@id"}:
-            entity_id = _entity_id(given)
+            entity_id = _entity_id(value)
         elif name in {"type", "@type"}:
-            types = read_types(given, terms)
+            types = read_types(value, terms)
         elif name == "scope":
-            scopes = _scopes(given, nulls)
+            scopes = _scopes(value, nulls)
         elif name == "expiresAt":
-            expires_at = _end(given, "expiresAt of the entity", nulls)
+            expires_at = _end(value, "expiresAt of the entity", nulls)
         elif name in _NO_NAMES and name not in _TIMES:
             raise bad_request_data(
                 f"{shown(name)} is a term of NGSI-LD and cannot name an attribute; choose another name"
@@ -167,7 +167,7 @@ def _reports_null(instance: Instance, nulls: Nulls) -> bool:
     for member, value in instance.items():
         if value.__class__ is dict or value.__class__ is list:
             if ":" in member:
-                if any(_reports_null(one, nulls) for one in value):
+                if any(_reports_null(part, nulls) for part in value):
                     return True
             elif member != "json" and _holds_null(value):
                 return True
@@ -190,11 +190,11 @@ def _holds_null(value: Any, depth: int = 0) -> bool:
     return any(_holds_null(part, depth + 1) for part in value)
 
 
-def read_types(given: Any, terms: Terms) -> tuple[str, ...]:
+def read_types(types: Any, terms: Terms) -> tuple[str, ...]:
     """Return the IRIs of one type or a list of types."""
-    if given.__class__ is str and given != NULL:
-        return (_iri_of(given, "the entity type", terms),)
-    names = given if isinstance(given, list) else [given]
+    if types.__class__ is str and types != NULL:
+        return (_iri_of(types, "the entity type", terms),)
+    names = types if isinstance(types, list) else [types]
     if not names or NULL in names:
         raise bad_request_data("an entity has at least one type; none is given, and none can be deleted")
     return tuple(dict.fromkeys(expand(require_name(name, "the entity type"), terms) for name in names))
@@ -214,12 +214,12 @@ def _iri_of(name: str, what: str, terms: Terms) -> str:
     return expand(require_name(name, what), terms)
 
 
-def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[Instance]:
+def read_attribute(name: str, attribute: Any, terms: Terms, depth: int = 0) -> list[Instance]:
     """Return the instances of the attribute `name`."""
     if depth > DEEPEST:
         raise bad_request_data(f"attribute {shown(name)} is nested deeper than {DEEPEST} attributes")
-    if isinstance(given, list) and _are_instances(given):
-        instances = [_read_instance(name, one, terms, depth) for one in given]
+    if isinstance(attribute, list) and _are_instances(attribute):
+        instances = [_read_instance(name, part, terms, depth) for part in attribute]
         datasets = {instance.get("datasetId") for instance in instances}
         if len(datasets) < len(instances):
             raise bad_request_data(
@@ -227,11 +227,11 @@ def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[
                 'give each its own "datasetId", or put the list into the "value" of one Property'
             )
     else:
-        instances = [_read_instance(name, given, terms, depth)]
+        instances = [_read_instance(name, attribute, terms, depth)]
     if name in _PLACES:
-        for one in instances:
-            if one["type"] != "GeoProperty" and not is_deletion(one):
-                raise _no_place(name, one)
+        for candidate in instances:
+            if candidate["type"] != "GeoProperty" and not is_deletion(candidate):
+                raise _no_place(name, candidate)
     return instances
 
 
@@ -246,53 +246,55 @@ def _no_place(name: str, instance: Instance) -> Problem:
     )
 
 
-def _entity_id(given: Any) -> str:
-    if given == NULL:
+def _entity_id(text: Any) -> str:
+    if text == NULL:
         raise bad_request_data(f"{NULL} is no id of an entity; choose another")
-    return require_uri(given, "the entity id")
+    return require_uri(text, "the entity id")
 
 
-def _scopes(given: Any, nulls: Nulls) -> tuple[str, ...]:
-    if given == NULL and nulls is not Nulls.NOWHERE:
+def _scopes(scopes: Any, nulls: Nulls) -> tuple[str, ...]:
+    if scopes == NULL and nulls is not Nulls.NOWHERE:
         return ()
-    return tuple(dict.fromkeys(require_scope(one) for one in (given if isinstance(given, list) else [given])))
-
-
-def _end(given: Any, what: str, nulls: Nulls = Nulls.VALUES) -> str:
-    if given == NULL and nulls is not Nulls.NOWHERE:
-        return NULL
-    return require_future(given, what)
-
-
-def _take_attribute(into: Attributes, name: str, given: Any, terms: Terms, depth: int) -> None:
-    iri = _iri_of(name, "the attribute name", terms)
-    if iri in into:
-        raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
-    into[iri] = read_attribute(name, given, terms, depth)
-
-
-def _are_instances(given: list[Any]) -> bool:
-    return bool(given) and all(
-        isinstance(one, dict) and (given_kind(one) in KINDS or "datasetId" in one) for one in given
+    return tuple(
+        dict.fromkeys(require_scope(scope) for scope in (scopes if isinstance(scopes, list) else [scopes]))
     )
 
 
-def given_kind(given: Mapping[str, Any]) -> str | None:
+def _end(text: Any, what: str, nulls: Nulls = Nulls.VALUES) -> str:
+    if text == NULL and nulls is not Nulls.NOWHERE:
+        return NULL
+    return require_future(text, what)
+
+
+def _take_attribute(into: Attributes, name: str, attribute: Any, terms: Terms, depth: int) -> None:
+    iri = _iri_of(name, "the attribute name", terms)
+    if iri in into:
+        raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
+    into[iri] = read_attribute(name, attribute, terms, depth)
+
+
+def _are_instances(parts: list[Any]) -> bool:
+    return bool(parts) and all(
+        isinstance(part, dict) and (given_kind(part) in KINDS or "datasetId" in part) for part in parts
+    )
+
+
+def given_kind(part: Mapping[str, Any]) -> str | None:
     """Return the value member of an attribute by its kind, None if there is none, "" if it is ambiguous."""
-    kind = given["type"] if "type" in given else given.get("@type")
+    kind = part["type"] if "type" in part else part.get("@type")
     return kind if kind is None or isinstance(kind, str) else ""
 
 
-def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
-    if not isinstance(given, dict):
-        return _plain(name, given, terms)
-    kind = _kind(name, given)
+def _read_instance(name: str, part: Any, terms: Terms, depth: int) -> Instance:
+    if not isinstance(part, dict):
+        return _plain(name, part, terms)
+    kind = _kind(name, part)
     if kind is None:
-        return _plain(name, given, terms, "GeoProperty" if looks_like_geometry(given) else "Property")
+        return _plain(name, part, terms, "GeoProperty" if looks_like_geometry(part) else "Property")
     value_member = VALUE_MEMBER[kind]
     instance: Instance = {"type": kind}
     below: Attributes = {}
-    for member, value in given.items():
+    for member, value in part.items():
         if member == value_member:
             instance[member] = SAID[kind](name, value, terms)
         elif member in _NO_ATTRIBUTES:
@@ -325,29 +327,29 @@ def _plain(name: str, value: Any, terms: Terms, kind: str = "Property") -> Insta
     return {"type": kind, "value": SAID[kind](name, value, terms)}
 
 
-def _kind(name: str, given: Mapping[str, Any]) -> str | None:
+def _kind(name: str, part: Mapping[str, Any]) -> str | None:
     """Return the kind of an attribute; None for a bare value in concise form."""
-    kind: str | None = given.get("type")
+    kind: str | None = part.get("type")
     if kind.__class__ is str and kind in KINDS:
         return kind
-    kind = given_kind(given)
+    kind = given_kind(part)
     if kind in KINDS:
         return kind
-    if "@value" in given:
+    if "@value" in part:
         return None
     if kind is not None:
-        if looks_like_geometry(given):
+        if looks_like_geometry(part):
             return None
         raise bad_request_data(
-            f"attribute {shown(name)} has the type {shown(given.get('type', kind))}, which is no kind of "
+            f"attribute {shown(name)} has the type {shown(part.get('type', kind))}, which is no kind of "
             f"attribute; the kinds are {', '.join(VALUE_MEMBER)} (an object that is a value belongs "
             'into "value")'
         )
-    value_member = next((member for member in given if member in _KIND_OF), None)
+    value_member = next((member for member in part if member in _KIND_OF), None)
     if value_member is not None:
-        is_place = value_member == "value" and looks_like_geometry(given["value"])
+        is_place = value_member == "value" and looks_like_geometry(part["value"])
         return "GeoProperty" if is_place else _KIND_OF[value_member]
-    if not given or not METADATA.isdisjoint(given):
+    if not part or not METADATA.isdisjoint(part):
         raise bad_request_data(
             f'attribute {shown(name)} says nothing; give it a "value", an "object" or another of '
             f"{', '.join(sorted(VALUE_MEMBERS))}"

@@ -62,10 +62,10 @@ def _lines(coordinates: Any, depth: int) -> list[list[Any]] | None:
     """Return the lists of positions in coordinates of a depth; None if they are nested differently."""
     lists = [coordinates]
     for _ in range(depth - 1):
-        if not all(isinstance(one, list) and one for one in lists):
+        if not all(isinstance(part, list) and part for part in lists):
             return None
-        lists = [part for one in lists for part in one]
-    return lists if all(isinstance(one, list) and one for one in lists) else None
+        lists = [part for outer in lists for part in outer]
+    return lists if all(isinstance(part, list) and part for part in lists) else None
 
 
 def _position_fault(position: Any, kind: str) -> str | None:

@@ -31,47 +31,49 @@ _WEIGHT: Final = re.compile(r"(?:0(?:\.[0-9]{0,3})?|1(?:\.0{0,3})?)")
 
 
 @lru_cache(maxsize=1024)
-def accepted(given: bytes, offered: Sequence[str] = PLAIN) -> str | None:
+def accepted(header: bytes, offered: Sequence[str] = PLAIN) -> str | None:
     """Return the preferred media type of `offered` by an Accept header; None if it accepts none.
 
     The most specific range that matches a type gives its weight (RFC 9110, clause 12.5.1), so a weight of 0
     excludes a type even if `*/*` is accepted. An invalid weight counts as 0.
     """
     weights: dict[str, float] = {}
-    for part in given.decode("latin-1").split(","):
+    for part in header.decode("latin-1").split(","):
         media_range, *options = (piece.strip().lower() for piece in part.split(";"))
-        weights[media_range] = next((_weight(one[2:]) for one in options if one.startswith("q=")), 1.0)
+        weights[media_range] = next(
+            (_weight(option[2:]) for option in options if option.startswith("q=")), 1.0
+        )
     best, chosen = 0.0, None
     for media_type in offered:
         ranges = (media_type, f"{media_type.partition('/')[0]}/*", "*/*")
-        weight = next((weights[each] for each in ranges if each in weights), 0.0)
+        weight = next((weights[candidate] for candidate in ranges if candidate in weights), 0.0)
         if weight > best:
             best, chosen = weight, media_type
     return chosen
 
 
 @lru_cache(maxsize=1024)
-def context_link(given: bytes) -> str | None:
+def context_link(header: bytes) -> str | None:
     """Return the URL of the @context in a Link header; raise a problem if there are several."""
-    found: list[str] = _CONTEXT_LINK.findall(given.decode("latin-1"))
-    if len(found) > 1:
+    urls: list[str] = _CONTEXT_LINK.findall(header.decode("latin-1"))
+    if len(urls) > 1:
         raise bad_request_data("the Link header names more than one @context; put them into one document")
-    return found[0] if found else None
+    return urls[0] if urls else None
 
 
 @lru_cache(maxsize=1024)
-def preferences(given: bytes) -> dict[str, str]:
+def preferences(header: bytes) -> dict[str, str]:
     """Return the preferences of a Prefer header by name, in lower case (RFC 7240)."""
-    found: dict[str, str] = {}
-    for part in given.decode("latin-1").split(","):
+    preferred: dict[str, str] = {}
+    for part in header.decode("latin-1").split(","):
         name, _, value = part.partition(";")[0].partition("=")
-        found.setdefault(name.strip().lower(), value.strip().strip('"'))
-    return found
+        preferred.setdefault(name.strip().lower(), value.strip().strip('"'))
+    return preferred
 
 
-def preferred_version(given: bytes) -> Version | None:
+def preferred_version(header: bytes) -> Version | None:
     """Return the version of `Prefer: ngsi-ld=<version>`, None if there is none."""
-    wanted = preferences(given).get("ngsi-ld")
+    wanted = preferences(header).get("ngsi-ld")
     if wanted is None:
         return None
     version = version_of(wanted)
@@ -82,8 +84,8 @@ def preferred_version(given: bytes) -> Version | None:
 
 def version_of(text: str) -> Version | None:
     """Return the version of a text such as `1.6` or `1.6.1`, None if it is not one."""
-    found = _VERSION.fullmatch(text)
-    return None if found is None else (int(found[1]), int(found[2]))
+    match = _VERSION.fullmatch(text)
+    return None if match is None else (int(match[1]), int(match[2]))
 
 
 def _weight(text: str) -> float:

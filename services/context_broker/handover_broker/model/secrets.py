@@ -33,7 +33,7 @@ def without_secrets(uri: str) -> str:
     """Return an address without user information, values of its query, keys in its path, and fragment."""
     parts = _PARTS.fullmatch(uri)
     assert parts is not None  # noqa: S101 - each part may be empty
-    authority, path, query, fragment = (one or "" for one in parts.groups())
+    authority, path, query, fragment = (text or "" for text in parts.groups())
     authority = _USER_INFORMATION.sub(f"//{HIDDEN}@", authority)
     query = _QUERY_VALUE.sub(lambda value: f"{value[1]}{value[2] or ''}{HIDDEN}", query)
     return authority + _KEY_IN_PATH.sub(HIDDEN, path) + query + (f"#{HIDDEN}" if fragment else "")
@@ -41,21 +41,21 @@ def without_secrets(uri: str) -> str:
 
 def hidden_members(document: Mapping[str, Any], address: str, *pairs: str) -> dict[str, Any]:
     """Return an object with its secrets hidden: in the member `address`, and in lists of keys and values."""
-    found = {name: _hidden_pairs(value) if name in pairs else value for name, value in document.items()}
-    if isinstance(found.get(address), str):
-        found[address] = without_secrets(found[address])
-    return found
+    hidden = {name: _hidden_pairs(value) if name in pairs else value for name, value in document.items()}
+    if isinstance(hidden.get(address), str):
+        hidden[address] = without_secrets(hidden[address])
+    return hidden
 
 
 def kept_members(
-    given: Mapping[str, Any], before: Mapping[str, Any], address: str, *pairs: str
+    replacement: Mapping[str, Any], before: Mapping[str, Any], address: str, *pairs: str
 ) -> dict[str, Any]:
     """Return an object that replaces `before`, with the stored values where it has `HIDDEN`.
 
     Raises a problem (400) if there is no such value, or the address is another one.
     """
-    after, stored = dict(given), before.get(address)
-    uri = given.get(address)
+    after, stored = dict(replacement), before.get(address)
+    uri = replacement.get(address)
     if isinstance(uri, str) and HIDDEN in uri:
         if not isinstance(stored, str) or without_secrets(stored) != uri:
             raise bad_request_data(
@@ -63,9 +63,9 @@ def kept_members(
             )
         after[address] = stored
     for name in pairs:
-        if isinstance(given.get(name), list):
-            known = before.get(name) if after.get(address) == stored else None
-            after[name] = [_kept_pair(pair, known, name) for pair in given[name]]
+        if isinstance(replacement.get(name), list):
+            pairs_before = before.get(name) if after.get(address) == stored else None
+            after[name] = [_kept_pair(pair, pairs_before, name) for pair in replacement[name]]
     return after
 
 
@@ -81,10 +81,10 @@ def require_secrets_again(
         )
 
 
-def _kept_pair(pair: Any, known: Any, name: str) -> Any:
+def _kept_pair(pair: Any, stored: Any, name: str) -> Any:
     if not isinstance(pair, Mapping) or pair.get("value") != HIDDEN:
         return pair
-    for other in known if isinstance(known, list) else ():
+    for other in stored if isinstance(stored, list) else ():
         if isinstance(other, Mapping) and other.get("key") == pair.get("key"):
             return {**pair, "value": other.get("value")}
     raise bad_request_data(
@@ -97,7 +97,8 @@ def _hidden_pairs(pairs: Any) -> Any:
     if not isinstance(pairs, list):
         return pairs
     return [
-        {**one, "value": HIDDEN} if isinstance(one, Mapping) and _is_secret(one) else one for one in pairs
+        {**pair, "value": HIDDEN} if isinstance(pair, Mapping) and _is_secret(pair) else pair
+        for pair in pairs
     ]
 
 

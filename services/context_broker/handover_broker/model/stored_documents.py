@@ -26,15 +26,15 @@ def refuse_null(document: Any, what: str, *, deleting: int = 0) -> None:
 
     A null in the first `deleting` levels of objects deletes a member, and is allowed.
     """
-    found = next(_nulls(document, "", deleting), None)
-    if found is not None:
-        raise bad_request_data(f'"{found}" of {what} is null, and needs a value; leave it out')
+    path = next(_nulls(document, "", deleting), None)
+    if path is not None:
+        raise bad_request_data(f'"{path}" of {what} is null, and needs a value; leave it out')
 
 
 def without_null(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return an object without null in it and in the objects directly in it, which means the same."""
     return {
-        name: {inner: one for inner, one in value.items() if one is not None}
+        name: {inner: member for inner, member in value.items() if member is not None}
         if isinstance(value, Mapping) and name not in _CONTEXTS
         else value
         for name, value in document.items()
@@ -59,10 +59,10 @@ def isolated(kind: str, tenant: str, document_id: str, unusable: dict[str, str])
         )
 
 
-def require_id(given: Any, stored_as: str) -> None:
+def require_id(document_id: Any, stored_as: str) -> None:
     """Raise `ValueError` unless a stored document has the id under which it is stored."""
-    if given != stored_as:
-        raise ValueError(f"its id is {given!r}")
+    if document_id != stored_as:
+        raise ValueError(f"its id is {document_id!r}")
 
 
 def unusable_document(document_type: str, document_id: str, reason: str) -> dict[str, Any]:
@@ -77,19 +77,19 @@ def is_unusable(what: str, document_id: str, reason: str) -> Problem:
 
 def _nulls(value: Any, path: str, deleting: int) -> Iterator[str]:
     if isinstance(value, Mapping):
-        for name, one in value.items():
+        for name, part in value.items():
             if name == "@context":
                 continue
             inner = f"{path}.{name}" if path else str(name)
-            if one is None:
+            if part is None:
                 if not deleting:
                     yield inner
             else:
-                yield from _nulls(one, inner, max(0, deleting - 1))
+                yield from _nulls(part, inner, max(0, deleting - 1))
     elif isinstance(value, list):
-        for number, one in enumerate(value):
+        for number, part in enumerate(value):
             inner = f"{path}[{number}]"
-            if one is None:
+            if part is None:
                 yield inner
             else:
-                yield from _nulls(one, inner, 0)
+                yield from _nulls(part, inner, 0)

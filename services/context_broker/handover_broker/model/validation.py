@@ -140,10 +140,10 @@ def require_time(value: Any, what: str) -> str:
     if is_time(value):
         return str(value)
     if isinstance(value, str) and "T" in value and moment(value) is not None:
-        given = datetime.fromisoformat(value)
-        if given.tzinfo is not None:
+        instant = datetime.fromisoformat(value)
+        if instant.tzinfo is not None:
             with suppress(OverflowError):  # the offset leads out of the calendar
-                return written_time((given - _EPOCH) // timedelta(microseconds=1))
+                return written_time((instant - _EPOCH) // timedelta(microseconds=1))
     raise bad_request_data(
         f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
     )

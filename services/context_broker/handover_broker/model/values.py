@@ -32,7 +32,7 @@ def _object(name: str, value: Any, _: Terms) -> Any:
         return value
     what = f"the object of relationship {shown(name)}"
     if isinstance(value, list) and value:
-        return [_linked(one, what) for one in value]
+        return [_linked(target, what) for target in value]
     return require_uri(value, what)
 
 
@@ -114,7 +114,10 @@ def _object_list(name: str, value: Any, _: Terms) -> Any:
     if not isinstance(value, list):
         raise bad_request_data(f"the objectList of {shown(name)} must be a list, not {shown(value)}")
     what = f"the objectList of {shown(name)}"
-    return [{"object": _linked(one.get("object") if isinstance(one, dict) else one, what)} for one in value]
+    return [
+        {"object": _linked(target.get("object") if isinstance(target, dict) else target, what)}
+        for target in value
+    ]
 
 
 SAID: Final[Mapping[str, Said]] = {

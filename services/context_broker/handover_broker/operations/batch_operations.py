@@ -126,7 +126,7 @@ class BatchOperations:
         keeps = options == {"update"}
         result = await self._each(
             request,
-            lambda store, given, context: self._upsert(store, given, context, keeps=keeps),
+            lambda store, document, context: self._upsert(store, document, context, keeps=keeps),
             _UPSERTING,
         )
         return result.answer(_created(result.created) if result.created else DONE)
@@ -139,7 +139,7 @@ class BatchOperations:
         overwrite = "noOverwrite" not in options
         result = await self._each(
             request,
-            lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
+            lambda store, document, context: self._append(store, document, context, overwrite=overwrite),
             _UPDATING,
         )
         return result.answer(DONE)
@@ -152,12 +152,12 @@ class BatchOperations:
         """POST entityOperations/delete with a list of ids."""
         request.content_type()
         result, store = _BatchResult(), request.tenant.store
-        for given in _as_list(request.document(), "entity ids"):
+        for listed_id in _as_list(request.document(), "entity ids"):
             try:
-                entity_id = require_uri(given, "an entity id")
+                entity_id = require_uri(listed_id, "an entity id")
                 result.on_their_way.append(self._delete(store, entity_id))
             except Problem as problem:
-                result.refuse(given, problem)
+                result.refuse(listed_id, problem)
         await result.settle()
         return result.answer(DONE)
 
@@ -165,9 +165,9 @@ class BatchOperations:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
         request.accept(WITH_GEO_JSON)
         document, context = await request.body()
-        given = {**request.parameters, **query_parameters(document)}
-        original, request.parameters = request.parameters, given
-        asking = entity_query_of(request, given, context, selectors_of(document, context))
+        parameters = {**request.parameters, **query_parameters(document)}
+        original, request.parameters = request.parameters, parameters
+        asking = entity_query_of(request, parameters, context, selectors_of(document, context))
         request.parameters = (
             original  # the links to other pages have the query of the URL; the body is sent again
         )
@@ -186,12 +186,12 @@ class BatchOperations:
         request.require_no_link(media_type)
         documents = _as_list(request.document(), "entities")
         result = _BatchResult()
-        for given in documents:
+        for document in documents:
             try:
-                context = await request.context_of(given, media_type)
-                result.on_their_way.append(act(request.tenant.store, given, context))
+                context = await request.context_of(document, media_type)
+                result.on_their_way.append(act(request.tenant.store, document, context))
             except Problem as problem:
-                result.refuse(given.get("id") if isinstance(given, dict) else None, problem)
+                result.refuse(document.get("id") if isinstance(document, dict) else None, problem)
         await result.settle()
         return result
 
@@ -203,23 +203,25 @@ class BatchOperations:
         return _Change(entity_id, store.stage(Event.end_of(before)))
 
     @staticmethod
-    def _create(store: Store, given: Any, context: Context) -> _Change:
-        change = read_entity(given, context.terms)
+    def _create(store: Store, document: Any, context: Context) -> _Change:
+        change = read_entity(document, context.terms)
         return _Change(change.id or "", store.stage(creation(store, change)), is_new=True)
 
-    def _upsert(self, store: Store, given: Any, context: Context, *, keeps: bool) -> _Change:
-        before = self._known(store, given)
+    def _upsert(self, store: Store, document: Any, context: Context, *, keeps: bool) -> _Change:
+        before = self._known(store, document)
         if before is None:
-            return self._create(store, given, context)
+            return self._create(store, document, context)
         if keeps:
-            change = read_change(given, context.terms, Nulls.ATTRIBUTES)
+            change = read_change(document, context.terms, Nulls.ATTRIBUTES)
             return self._carry_out(store, before, changes.appended(before, change, timestamp_now()))
-        change = read_entity(given, context.terms)
+        change = read_entity(document, context.terms)
         return self._carry_out(store, before, changes.replaced(before, change, timestamp_now()))
 
-    def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
-        change = read_change(given, context.terms, Nulls.ATTRIBUTES)  # checked before its existence (5.6.9.4)
-        before = self._existing(store, given)
+    def _append(self, store: Store, document: Any, context: Context, *, overwrite: bool) -> _Change:
+        change = read_change(
+            document, context.terms, Nulls.ATTRIBUTES
+        )  # checked before its existence (5.6.9.4)
+        before = self._existing(store, document)
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
             names = ", ".join(outcome.refused)
@@ -227,24 +229,24 @@ class BatchOperations:
             return replace(self._carry_out(store, before, outcome), refusal=refusal)
         return self._carry_out(store, before, outcome)
 
-    def _merge(self, store: Store, given: Any, context: Context) -> _Change:
-        before = self._known(store, given)
+    def _merge(self, store: Store, document: Any, context: Context) -> _Change:
+        before = self._known(store, document)
         if before is None:
-            read_change(given, context.terms, Nulls.VALUES)  # checked before its existence (5.6.20.4)
-            raise absent(id_of(given))
-        change = read_merge(given, before, context)
+            read_change(document, context.terms, Nulls.VALUES)  # checked before its existence (5.6.20.4)
+            raise absent(id_of(document))
+        change = read_merge(document, before, context)
         return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
 
-    def _existing(self, store: Store, given: Any) -> Entity:
-        before = self._known(store, given)
+    def _existing(self, store: Store, document: Any) -> Entity:
+        before = self._known(store, document)
         if before is None:
-            raise absent(id_of(given))
+            raise absent(id_of(document))
         return before
 
     @staticmethod
-    def _known(store: Store, given: Any) -> Entity | None:
+    def _known(store: Store, document: Any) -> Entity | None:
         """Return the entity of a document, as the last write left it; None if there is none."""
-        return store.latest(id_of(given))
+        return store.latest(id_of(document))
 
     @staticmethod
     def _carry_out(store: Store, before: Entity, outcome: Outcome) -> _Change:
@@ -258,19 +260,19 @@ def _created(ids: list[str]) -> Response:
 
 
 def _from_simplified(
-    act: Callable[[Store, Any, Context], _Change], store: Store, given: Any, context: Context
+    act: Callable[[Store, Any, Context], _Change], store: Store, document: Any, context: Context
 ) -> _Change:
-    return act(store, bare(given, context, store.latest(id_of(given))), context)
+    return act(store, bare(document, context, store.latest(id_of(document))), context)
 
 
 def id_of(document: Any) -> str:
     """Return the id of an entity in a batch; raise a problem if there is none."""
     if not isinstance(document, dict):
         raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
-    given = document["id"] if "id" in document else document.get("@id")
-    if given is None:
+    entity_id = document["id"] if "id" in document else document.get("@id")
+    if entity_id is None:
         raise bad_request_data('an entity in a batch has an "id"; add it')
-    return require_uri(given, "the entity id")
+    return require_uri(entity_id, "the entity id")
 
 
 def _as_list(document: Any, what: str) -> list[Any]:

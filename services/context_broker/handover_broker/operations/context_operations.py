@@ -23,13 +23,13 @@ class ContextOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        all_of_them, one = "jsonldContexts", "jsonldContexts/{contextId}"
+        all_of_them, by_id = "jsonldContexts", "jsonldContexts/{contextId}"
         kinds, details = frozenset({"details", "kind"}), frozenset({"details"})
         return (
             Operation("POST", all_of_them, "createContext", "6.29.3.1", self.add, makes_tenant=True),
             Operation("GET", all_of_them, "listContexts", "6.29.3.2", self.list, kinds),
-            Operation("GET", one, "retrieveContext", "6.30.3.1", self.serve, details),
-            Operation("DELETE", one, "deleteContext", "6.30.3.2", self.delete, frozenset({"reload"})),
+            Operation("GET", by_id, "retrieveContext", "6.30.3.1", self.serve, details),
+            Operation("DELETE", by_id, "deleteContext", "6.30.3.2", self.delete, frozenset({"reload"})),
         )
 
     async def add(self, request: RequestContext) -> Response:
@@ -48,10 +48,12 @@ class ContextOperations:
         kind = request.parameter("kind")
         if kind is not None and kind not in set(ContextKind):
             raise bad_request_data(f"kind is one of {', '.join(ContextKind)}, not {shown(kind)}")
-        found = [one for one in self._contexts.all(request.tenant.name) if kind in {None, one.kind}]
+        stored_contexts = [
+            context for context in self._contexts.all(request.tenant.name) if kind in {None, context.kind}
+        ]
         if request.flag("details"):
-            return _answer([one.details(base) for one in found], media_type)
-        return _answer([one.address(base) for one in found], media_type)
+            return _answer([stored.details(base) for stored in stored_contexts], media_type)
+        return _answer([stored.address(base) for stored in stored_contexts], media_type)
 
     async def serve(self, request: RequestContext) -> Response:
         """GET jsonldContexts/{contextId}: its content, with details=true its use.
@@ -62,10 +64,10 @@ class ContextOperations:
         """
         media_type = request.accept()
         if request.flag("details"):
-            found = self._existing(request)
-            description = found.details(self._contexts.base(request.headers))
-            if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
-                self._contexts.usage.seen(found)
+            hosted = self._existing(request)
+            description = hosted.details(self._contexts.base(request.headers))
+            if hosted.kind is ContextKind.CACHED and not self._contexts.is_shipped(hosted):
+                self._contexts.usage.seen(hosted)
             return _answer(description, media_type)
         stored = self._contexts.named(request.names[0], request.tenant.name)
         if stored is None and not request.tenant.name:

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 from handover.security.permissions import Permission
-from handover_broker.model.conformance import OURS
 from handover_broker.model.context import Context
 from handover_broker.model.problems import not_found
+from handover_broker.model.representation.conformance import OURS
 from handover_broker.model.validation import require_name, shown, timestamp_now
 from handover_broker.request.discovery_documents import (
     ATTRIBUTES,
@@ -79,7 +79,7 @@ class DiscoveryOperations:
         context = await request.reader_context()
         kind = context.terms.expand(require_name(request.names[0], "the type in the path"))
         type_statistics = request.tenant.store.statistics()
-        registered = [one for one in _registered(request) if kind in one[1]]
+        registered = [names for names in _registered(request) if kind in names[1]]
         count = type_statistics.entities_of(kind)
         if not count and not registered:
             raise not_found(f"there is no entity of the type {shown(request.names[0])} ({kind})")
@@ -95,7 +95,7 @@ class DiscoveryOperations:
         context = await request.reader_context()
         name = context.terms.expand(require_name(request.names[0], "the attribute in the path"))
         kinds = request.tenant.store.statistics().kinds_of(name)
-        registered = [one for one in _registered(request) if name in one[0]]
+        registered = [names for names in _registered(request) if name in names[0]]
         if not kinds and not registered:
             raise not_found(f"no entity has the attribute {shown(request.names[0])} ({name})")
         types = _types_with(request, name, registered)

@@ -29,7 +29,7 @@ from handover_broker.model.problems import (
     invalid_request,
     not_found,
 )
-from handover_broker.model.rendering import render
+from handover_broker.model.representation.rendering import render
 from handover_broker.model.validation import (
     require_name,
     require_time,
@@ -74,17 +74,17 @@ class EntityOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
+        by_id, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
         return brief(
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _CREATE, True),
             Operation(
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
             ),
             Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
-            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, _RETRIEVE | MAP_PARAMETERS),
-            Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
-            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _WRITE),
-            Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _MERGE),
+            Operation("GET", by_id, "retrieveEntity", "6.5.3.1", self.retrieve, _RETRIEVE | MAP_PARAMETERS),
+            Operation("DELETE", by_id, "deleteEntity", "6.5.3.2", self.delete, _ONE),
+            Operation("PUT", by_id, "replaceEntity", "6.5.3.3", self.replace, _WRITE),
+            Operation("PATCH", by_id, "mergeEntity", "6.5.3.4", self.merge, _MERGE),
             Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _WRITE),
             Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _WRITE),
             Operation("PATCH", attribute, "updateAttrs", "6.7.3.1", self.update_attribute, _ONE),
@@ -196,9 +196,9 @@ class EntityOperations:
             raise bad_request_data("a scope has no parts to update; PATCH …/attrs with the whole scope")
         name = self._attribute_name(request, context)
         before = self.existing(request, context)
-        given = _without_context(document)
-        instance = instance_for(given, self._instances(request, before, name))
-        whole = given if instance is None else completed_part(given, instance)
+        content = _without_context(document)
+        instance = instance_for(content, self._instances(request, before, name))
+        whole = content if instance is None else completed_part(content, instance)
         part = read_attribute(request.names[1], whole, context.terms)[0]
         if instance is not None and part["type"] != instance["type"]:
             raise bad_request_data(

@@ -76,9 +76,9 @@ def selection_to_purge(request: RequestContext, context: Context) -> Selection:
 
     Ids and system attributes alone select nothing, unless only attributes are deleted (clause 5.6.21.4).
     """
-    given = request.parameters
-    attributes = given.get("attrs", "").split(",")
-    selection = selection_of({**given, "local": "true"}, context)
+    parameters = request.parameters
+    attributes = parameters.get("attrs", "").split(",")
+    selection = selection_of({**parameters, "local": "true"}, context)
     if selection.query is not None and selection.query.hops:
         raise bad_request_data("a purge does not follow links; leave linked entities out of q")
     narrows = (
@@ -86,8 +86,8 @@ def selection_to_purge(request: RequestContext, context: Context) -> Selection:
         or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
         or (selection.query is not None and selection.query.names_attributes)
         or selection.places is not None
-        or "keep" in given
-        or "drop" in given
+        or "keep" in parameters
+        or "drop" in parameters
     )
     if not narrows and not request.flag("local"):
         raise bad_request_data(

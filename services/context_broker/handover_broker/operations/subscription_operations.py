@@ -81,14 +81,14 @@ class SubscriptionOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        all_of_them, one = "subscriptions", "subscriptions/{id}"
+        all_of_them, by_id = "subscriptions", "subscriptions/{id}"
         name = "createSubscription"
         return (
             Operation("POST", all_of_them, name, "6.10.3.1", self.create, _LOCAL, True),
             Operation("GET", all_of_them, "querySubscription", "6.10.3.2", self.list, PAGE_PARAMETERS),
-            Operation("GET", one, "retrieveSubscription", "6.11.3.1", self.retrieve, _VIEW),
-            Operation("PATCH", one, "updateSubscription", "6.11.3.2", self.update, _LOCAL),
-            Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
+            Operation("GET", by_id, "retrieveSubscription", "6.11.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", by_id, "updateSubscription", "6.11.3.2", self.update, _LOCAL),
+            Operation("DELETE", by_id, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
         )
 
     def dispatcher(self, tenant: Tenant) -> SubscriptionDispatcher:
@@ -97,7 +97,7 @@ class SubscriptionOperations:
 
     async def restore(self, tenant: Tenant, stored: Iterable[tuple[str, bytes, bytes | None]]) -> None:
         """Load the stored subscriptions, each with its counts; their contexts are kept."""
-        found: list[Subscription] = []
+        subscriptions: list[Subscription] = []
         for subscription_id, body, counts in stored:
             with isolated(self.KIND.value, tenant.name, subscription_id, self.dispatcher(tenant).unusable):
                 restored = await self._restored(body)
@@ -105,8 +105,8 @@ class SubscriptionOperations:
                 require_id(restored.id, subscription_id)
                 if counts is not None:
                     restored.counts = Counts.restored(counts)
-                found.append(restored)
-        self.dispatcher(tenant).start(found)
+                subscriptions.append(restored)
+        self.dispatcher(tenant).start(subscriptions)
 
     async def _restored(self, body: bytes) -> Subscription:
         document = without_null(orjson.loads(body))  # an earlier version stored null
@@ -133,8 +133,8 @@ class SubscriptionOperations:
 
     async def create(self, request: RequestContext) -> Response:
         """POST subscriptions."""
-        given, context = await request.body()
-        document = kept_document(given, context, self.EXTRA_MEMBERS)
+        body, context = await request.body()
+        document = kept_document(body, context, self.EXTRA_MEMBERS)
         document["id"] = require_uri(
             document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
         )
@@ -165,8 +165,8 @@ class SubscriptionOperations:
 
     async def update(self, request: RequestContext) -> Response:
         """PATCH subscriptions/{id}."""
-        given, context = await request.body()
-        change = kept_document(given, context, self.EXTRA_MEMBERS, is_change=True)
+        body, context = await request.body()
+        change = kept_document(body, context, self.EXTRA_MEMBERS, is_change=True)
         async with self._one_at_a_time:
             before = self._existing(request)
             names = context if names_things(change) else before.names
@@ -219,22 +219,22 @@ class SubscriptionOperations:
         media_type, context = request.accept(), await request.reader_context()
         window = window_of(request)
         dispatcher = self.dispatcher(request.tenant)
-        found: list[Subscription | str] = [
-            *(one for one in dispatcher.all() if may_see_document(request, one.owner)),
-            *(one for one in dispatcher.unusable if may_see_document(request, None)),
+        subscriptions: list[Subscription | str] = [
+            *(candidate for candidate in dispatcher.all() if may_see_document(request, candidate.owner)),
+            *(subscription_id for subscription_id in dispatcher.unusable if may_see_document(request, None)),
         ]
-        page = found[window.offset : window.offset + window.limit]
+        page = subscriptions[window.offset : window.offset + window.limit]
         shown = [
-            unusable_document("Subscription", one, dispatcher.unusable[one])
-            if isinstance(one, str)
-            else await self._shown(one, request, context)
-            for one in page
+            unusable_document("Subscription", listed, dispatcher.unusable[listed])
+            if isinstance(listed, str)
+            else await self._shown(listed, request, context)
+            for listed in page
         ]
-        documents = [_with_context(one, media_type, context) for one in shown]
+        documents = [_with_context(document, media_type, context) for document in shown]
         answer = _answer(documents, media_type, context)
         if window.count:
-            answer.headers.append((b"ngsild-results-count", str(len(found)).encode()))
-        more = window.offset + window.limit < len(found)
+            answer.headers.append((b"ngsild-results-count", str(len(subscriptions)).encode()))
+        more = window.offset + window.limit < len(subscriptions)
         answer.headers += page_links(request, window, media_type, more=more)
         return answer
 
@@ -243,10 +243,10 @@ class SubscriptionOperations:
         reason = self.dispatcher(request.tenant).unusable.get(subscription_id)
         if reason is not None and may_see_document(request, None):
             raise is_unusable("subscription", subscription_id, reason)
-        found = self.dispatcher(request.tenant).get(subscription_id)
-        if found is None or not may_see_document(request, found.owner):
+        existing = self.dispatcher(request.tenant).get(subscription_id)
+        if existing is None or not may_see_document(request, existing.owner):
             raise _absent(subscription_id)
-        return found
+        return existing
 
     async def _made(self, document: dict[str, Any], names: Context) -> Subscription:
         """Return the subscription of a document whose names are in `names`.

@@ -31,10 +31,10 @@ def alternatives(text: str, what: str, leaf: Callable[[str], Leaf]) -> Alternati
     if len(text) > LONGEST:
         raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
     reader = _Reader(text, what, leaf)
-    found = reader.either(0)
+    result = reader.either(0)
     if reader.at < len(text):
         reader.fail("expected , or ; or the end")
-    return tuple(tuple(dict.fromkeys(one)) for one in dict.fromkeys(found))
+    return tuple(tuple(dict.fromkeys(names)) for names in dict.fromkeys(result))
 
 
 class _Reader(Generic[Leaf]):
@@ -45,29 +45,29 @@ class _Reader(Generic[Leaf]):
         self.at = 0
 
     def either(self, depth: int) -> list[tuple[Leaf, ...]]:
-        found = self.all_of(depth)
+        result = self.all_of(depth)
         while self.take(",") or self.take("|"):
-            found += self.all_of(depth)
-            self.check(len(found))
-        return found
+            result += self.all_of(depth)
+            self.check(len(result))
+        return result
 
     def all_of(self, depth: int) -> list[tuple[Leaf, ...]]:
-        found = self.one(depth)
+        result = self.one(depth)
         while self.take(";"):
             more = self.one(depth)
-            self.check(len(found) * len(more))
-            found = [left + right for left in found for right in more]
-        return found
+            self.check(len(result) * len(more))
+            result = [left + right for left in result for right in more]
+        return result
 
     def one(self, depth: int) -> list[tuple[Leaf, ...]]:
         if not self.take("("):
             return [(self.name(),)]
         if depth >= DEEPEST:
             self.fail(f"brackets are nested deeper than {DEEPEST}")
-        found = self.either(depth + 1)
+        result = self.either(depth + 1)
         if not self.take(")"):
             self.fail("expected )")
-        return found
+        return result
 
     def name(self) -> Leaf:
         start = self.at

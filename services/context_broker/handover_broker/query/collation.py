@@ -74,7 +74,7 @@ def _collation(tag: str) -> Key:
         composed = unicodedata.normalize("NFC", text)
         base = _without_accents(composed.casefold(), own, replacements)
         if is_numeric:
-            base = _DIGITS.sub(lambda found: f"{len(found[0].lstrip('0')):05}{found[0].lstrip('0')}", base)
+            base = _DIGITS.sub(lambda match: f"{len(match[0].lstrip('0')):05}{match[0].lstrip('0')}", base)
         primary = base.translate(_LOW)
         if strength == 1:
             return (primary,)
@@ -89,36 +89,36 @@ def _collation(tag: str) -> Key:
 
 def _options(extension: str) -> dict[str, str] | None:
     """Return the options of a tag by their keys; None when one is unknown."""
-    known = {"co": {"phonebk", "standard"}, "ks": set(_STRENGTHS), "kn": {"true", "false", ""},
+    names = {"co": {"phonebk", "standard"}, "ks": set(_STRENGTHS), "kn": {"true", "false", ""},
              "kf": {"upper", "lower", "false"}}  # fmt: skip
     options: dict[str, str] = {}
     name = ""
     for part in extension.split("-") if extension else ():
-        if part in known:
+        if part in names:
             name = part
             options[name] = ""
-        elif name and not options[name] and part in known[name]:
+        elif name and not options[name] and part in names[name]:
             options[name] = part
         else:
             return None
-    return options if all(value in known[name] for name, value in options.items()) else None
+    return options if all(value in names[name] for name, value in options.items()) else None
 
 
 def _without_accents(text: str, own: dict[str, str], replacements: dict[str, str]) -> str:
     """Return the text without accents; characters of the language's own are put after z."""
     if text.isascii():
         return text
-    found: list[str] = []
+    parts: list[str] = []
     for sign in text:
         if sign in own:
-            found.append(_AFTER_Z + own[sign])
+            parts.append(_AFTER_Z + own[sign])
         elif sign in replacements:
-            found.append(replacements[sign])
+            parts.append(replacements[sign])
         else:
-            found.append(
+            parts.append(
                 "".join(c for c in unicodedata.normalize("NFD", sign) if not unicodedata.combining(c))
             )
-    return "".join(found)
+    return "".join(parts)
 
 
 def _unknown(tag: str) -> Exception:

@@ -38,7 +38,7 @@ class EntitySelector:
         """Return types (IRIs) of which each match has at least one; None if it can have any."""
         if self.types is None or self.types.is_every:
             return None
-        return [min(one) for one in self.types.alternatives]
+        return [min(alternative) for alternative in self.types.alternatives]
 
 
 def entity_selector(stored: Mapping[str, Any]) -> EntitySelector:
@@ -46,13 +46,13 @@ def entity_selector(stored: Mapping[str, Any]) -> EntitySelector:
     ids, wanted, kinds = stored.get("id"), stored.get("idPattern"), stored.get("type")
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
-    given = ids if isinstance(ids, list) and ids else [ids]
+    listed = ids if isinstance(ids, list) and ids else [ids]
     types = None if kinds is None else type_selection(kinds, str)
     named = () if types is None else tuple(types.names())
     return EntitySelector(
         ids=None
         if ids is None
-        else frozenset(require_uri(one, "the id of an entity selector") for one in given),
+        else frozenset(require_uri(entity_id, "the id of an entity selector") for entity_id in listed),
         id_pattern=None if wanted is None or ids is not None else pattern(wanted),  # an id takes precedence
         types=types,
         plain=named[0] if len(named) == 1 else None,

@@ -110,7 +110,7 @@ def distance_to_m(reference: Geometry, place: Geometry) -> float:
     if here is not None and there is not None:
         return distance_m(here, there)
     shape = shape_of(reference)
-    if any(bool(one.intersects(shape)) for one in _shapes(place, shape)):
+    if any(bool(part.intersects(shape)) for part in _shapes(place, shape)):
         return 0.0
     return border_distance_m(reference, place)
 
@@ -123,8 +123,8 @@ def geo_query(parameters: Mapping[str, str], expand: Callable[[str], str]) -> Ge
     relation, kind, coordinates = (parameters.get(name) for name in ("georel", "geometry", "coordinates"))
     if relation is None and kind is None and coordinates is None:
         return None  # geoproperty alone is to be ignored (clause 6.4.3.2)
-    for name, given in (("georel", relation), ("geometry", kind), ("coordinates", coordinates)):
-        if given is None:
+    for name, text in (("georel", relation), ("geometry", kind), ("coordinates", coordinates)):
+        if text is None:
             raise bad_request_data(
                 f"a geo-query has georel, geometry and coordinates; add {name}, for example "
                 "georel=near;maxDistance==2000&geometry=Point&coordinates=[8,40]"
@@ -132,17 +132,19 @@ def geo_query(parameters: Mapping[str, str], expand: Callable[[str], str]) -> Ge
     return _parsed(relation, kind, coordinates, parameters.get("geoproperty"), expand)
 
 
-def geo_query_document(given: Any, expand: Callable[[str], str], what: str = "geoQ") -> GeoQuery:
+def geo_query_document(document: Any, expand: Callable[[str], str], what: str = "geoQ") -> GeoQuery:
     """Return the geo-query of the data type GeoQuery (clause 5.2.13); raise a problem (400) if it is
     invalid."""
-    if not isinstance(given, dict):
+    if not isinstance(document, dict):
         raise bad_request_data(f'{what} is an object with "georel", "geometry" and "coordinates"')
-    if unknown := sorted(set(given) - PARAMETERS):
+    if unknown := sorted(set(document) - PARAMETERS):
         raise bad_request_data(f"{what} has no member {shown(unknown[0])}; leave it out")
     for name in ("georel", "geometry", "coordinates"):
-        if name not in given:
+        if name not in document:
             raise bad_request_data(f'{what} has "georel", "geometry" and "coordinates"; add "{name}"')
-    return _parsed(given["georel"], given["geometry"], given["coordinates"], given.get("geoproperty"), expand)
+    return _parsed(
+        document["georel"], document["geometry"], document["coordinates"], document.get("geoproperty"), expand
+    )
 
 
 def reference_geometry(kind: Any, coordinates: Any, names: tuple[str, str]) -> Geometry:
@@ -202,14 +204,14 @@ def _parsed(
 
 
 def _near(relation: str) -> tuple[str, float]:
-    found = _NEAR.fullmatch(relation)
-    within_m = float(found[2]) if found else 0.0
-    if found is None or not within_m or not isfinite(within_m):
+    match = _NEAR.fullmatch(relation)
+    within_m = float(match[2]) if match else 0.0
+    if match is None or not within_m or not isfinite(within_m):
         raise bad_request_data(
             f"georel is {', '.join(sorted(_RELATIONS))}, near;maxDistance==2000 or near;minDistance==2000 "
             f"(in metres, more than 0), not {shown(relation)}"
         )
-    return f"{found[1]}Distance", within_m
+    return f"{match[1]}Distance", within_m
 
 
 def _shapes(place: Geometry, reference: Any) -> list[Any]:
@@ -217,10 +219,10 @@ def _shapes(place: Geometry, reference: Any) -> list[Any]:
     date line."""
     from shapely.affinity import translate  # noqa: PLC0415 - see above
 
-    found = shape_of(place)
-    west, _, east, _ = found.bounds
+    shape = shape_of(place)
+    west, _, east, _ = shape.bounds
     reference_west, _, reference_east, _ = reference.bounds
-    shapes = [found]
+    shapes = [shape]
     if min(west, reference_west) <= -180 or max(east, reference_east) >= 180:
-        shapes += [translate(found, turn) for turn in (360.0, -360.0)]
+        shapes += [translate(shape, turn) for turn in (360.0, -360.0)]
     return shapes

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from handover_broker.model.entity import Entity, Instance, Terms
 from handover_broker.model.problems import bad_request_data, too_many_results
-from handover_broker.model.projection import Projection
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.projection import Projection
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_broker.model.validation import require_uri, shown
 from handover_broker.query.parameters import Use, names_for
 from handover_broker.query.q_match import Lookup
@@ -37,13 +37,17 @@ class Join:
     contained: frozenset[str] = frozenset()
 
 
-def join_of(given: Mapping[str, Any]) -> Join | None:
+def join_of(parameters: Mapping[str, Any]) -> Join | None:
     """Return the request for linked entities in `join`, `joinLevel` and `containedBy`; None without them.
 
-    `given` are query parameters, or a Query or the notification of a subscription, in which the last two are
-    a number and a list. Raises a problem (400) that names the parameter and the rule.
+    `parameters` are query parameters, or a Query or the notification of a subscription, in which the last two
+    are a number and a list. Raises a problem (400) that names the parameter and the rule.
     """
-    wanted, level, contained = given.get("join"), given.get("joinLevel"), given.get("containedBy")
+    wanted, level, contained = (
+        parameters.get("join"),
+        parameters.get("joinLevel"),
+        parameters.get("containedBy"),
+    )
     if wanted is not None and wanted not in ("flat", "inline", "@none"):
         raise bad_request_data(f"join is flat, inline or @none, not {shown(wanted)}")
     if wanted in (None, "@none"):
@@ -57,7 +61,7 @@ def join_of(given: Mapping[str, Any]) -> Join | None:
         contained = contained.split(",")
     if contained is not None and not (isinstance(contained, list) and contained):
         raise bad_request_data(f"containedBy is a list of entity ids, not {shown(contained)}")
-    ids = frozenset(require_uri(one, "an id in containedBy") for one in contained or ())
+    ids = frozenset(require_uri(entity_id, "an id in containedBy") for entity_id in contained or ())
     return Join(wanted == "flat", _level(level), ids)
 
 
@@ -81,7 +85,9 @@ def joined(entities: Iterable[Entity], terms: Terms, view: View, join: Join, loo
     walk = _Walk(terms, lookup, join.contained)
     if join.is_flat:
         return walk.flat(list(entities), view, join.level)
-    return [(one, walk.inline(one, view, join.level, join.contained | {one.id})) for one in entities]
+    return [
+        (entity, walk.inline(entity, view, join.level, join.contained | {entity.id})) for entity in entities
+    ]
 
 
 class _Walk:
@@ -102,9 +108,9 @@ class _Walk:
             below = _below(view, name)
             linked = [
                 {
-                    target: self.inline(found, below, level - 1, way | {target})
+                    target: self.inline(linked_entity, below, level - 1, way | {target})
                     for target in _targets(instance)
-                    if target not in way and (found := self._found(target)) is not None
+                    if target not in way and (linked_entity := self._found(target)) is not None
                 }
                 for instance in instances
             ]
@@ -115,31 +121,31 @@ class _Walk:
 
     def flat(self, entities: list[Entity], view: View, level: int) -> list[Shown]:
         """Return entities, then their linked entities, level by level, each once."""
-        result = [(one, render(one, self._terms, view)) for one in entities]
-        seen = {one.id for one in entities} | self._contained
-        now = [(one, view) for one in entities]
+        result = [(hit, render(hit, self._terms, view)) for hit in entities]
+        seen = {hit.id for hit in entities} | self._contained
+        now = [(hit, view) for hit in entities]
         for _ in range(level):
             following: list[tuple[Entity, View]] = []
             for entity, seen_by in now:
                 for name, instances in _relationships(entity, seen_by):
-                    for target in (one for instance in instances for one in _targets(instance)):
-                        if target not in seen and (found := self._found(target)) is not None:
+                    for target in (target_id for instance in instances for target_id in _targets(instance)):
+                        if target not in seen and (linked_entity := self._found(target)) is not None:
                             seen.add(target)
-                            following.append((found, _below(seen_by, name)))
-            result += [(one, render(one, self._terms, below)) for one, below in following]
+                            following.append((linked_entity, _below(seen_by, name)))
+            result += [(linked, render(linked, self._terms, below)) for linked, below in following]
             now = following
         return result
 
     def _found(self, target: str) -> Entity | None:
-        found = self._lookup(target)
-        if found is not None:
+        linked_entity = self._lookup(target)
+        if linked_entity is not None:
             self._met += 1
             if self._met > MAX_LINKED:
                 raise too_many_results(
                     f"the entities asked for link to more than {MAX_LINKED} others; ask for fewer with "
                     "limit, or follow fewer links with joinLevel"
                 )
-        return found
+        return linked_entity
 
 
 def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Instance]]]:
@@ -151,8 +157,8 @@ def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Insta
             continue
         filtered = instances
         if view.datasets is not None:
-            filtered = [one for one in instances if one.get("datasetId") in view.datasets]
-        if any(one["type"] in _KINDS for one in filtered):
+            filtered = [instance for instance in instances if instance.get("datasetId") in view.datasets]
+        if any(instance["type"] in _KINDS for instance in filtered):
             yield name, filtered
 
 
@@ -178,33 +184,33 @@ def _with_linked(written: Any, instances: list[Instance], linked: list[dict[str,
     if form is Form.KEY_VALUES:
         if len(instances) == 1:
             return _replaced(written, linked[0])
-        for instance, found in zip(instances, linked, strict=True):
+        for instance, linked_entity in zip(instances, linked, strict=True):
             key = instance.get("datasetId", "@none")
-            written["dataset"][key] = _replaced(written["dataset"][key], found)
+            written["dataset"][key] = _replaced(written["dataset"][key], linked_entity)
         return written
     parts = written if len(instances) > 1 else [written]
-    for part, instance, found in zip(parts, instances, linked, strict=True):
-        if found:
+    for part, instance, linked_entity in zip(parts, instances, linked, strict=True):
+        if linked_entity:
             is_one = instance["type"] == "Relationship" and isinstance(instance["object"], str)
-            entities = list(found.values())
+            entities = list(linked_entity.values())
             part[_KINDS[instance["type"]]] = entities[0] if is_one else entities
     return written
 
 
 def _replaced(value: Any, linked: dict[str, Any]) -> Any:
     if isinstance(value, list):
-        return [_replaced(one, linked) for one in value]
+        return [_replaced(part, linked) for part in value]
     return linked.get(value, value) if isinstance(value, str) else value
 
 
-def _level(given: Any) -> int:
-    if given is None:
+def _level(level: Any) -> int:
+    if level is None:
         return 1
-    if isinstance(given, str) and given.isascii() and given.isdigit() and len(given) <= 3:
-        given = int(given)
-    if not isinstance(given, int) or isinstance(given, bool) or not 1 <= given <= DEEPEST:
-        raise bad_request_data(f"joinLevel is a whole number from 1 to {DEEPEST}, not {shown(given)}")
-    return given
+    if isinstance(level, str) and level.isascii() and level.isdigit() and len(level) <= 3:
+        level = int(level)
+    if not isinstance(level, int) or isinstance(level, bool) or not 1 <= level <= DEEPEST:
+        raise bad_request_data(f"joinLevel is a whole number from 1 to {DEEPEST}, not {shown(level)}")
+    return level
 
 
 def _depth(projection: Projection | None) -> int:

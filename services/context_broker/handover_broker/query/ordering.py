@@ -134,28 +134,28 @@ def ordering(parameters: Mapping[str, str], expand: Expand) -> Ordering | None:
     return made(wanted.split(","), origin, parameters.get("collation"), expand, text)
 
 
-def ordering_document(given: Any, expand: Expand) -> Ordering:
+def ordering_document(document: Any, expand: Expand) -> Ordering:
     """Return the order of the data type OrderingParams (clause 5.2.43); raise a problem (400) if it is
     invalid."""
-    if not isinstance(given, dict):
+    if not isinstance(document, dict):
         raise bad_request_data('"ordering" is an object such as {"orderBy": ["name", "age;desc"]}')
-    known = {"orderBy", "coordinates", "geometry", "collation"}
-    if unknown := sorted(set(given) - known):
-        raise bad_request_data(f"ordering has {', '.join(sorted(known))}, not {shown(unknown[0])}")
-    terms, tag = given.get("orderBy"), given.get("collation")
-    if not isinstance(terms, list) or not terms or not all(isinstance(one, str) for one in terms):
+    members = {"orderBy", "coordinates", "geometry", "collation"}
+    if unknown := sorted(set(document) - members):
+        raise bad_request_data(f"ordering has {', '.join(sorted(members))}, not {shown(unknown[0])}")
+    terms, tag = document.get("orderBy"), document.get("collation")
+    if not isinstance(terms, list) or not terms or not all(isinstance(term, str) for term in terms):
         raise bad_request_data(f'ordering.orderBy is a list such as ["name", "age;desc"], not {shown(terms)}')
     if tag is not None and not isinstance(tag, str):
         raise bad_request_data(f"ordering.collation is text such as de-u-co-phonebk, not {shown(tag)}")
-    kind, origin = given.get("geometry", "Point"), None
+    kind, origin = document.get("geometry", "Point"), None
     if not isinstance(kind, str):
         raise bad_request_data(f"ordering.geometry is text such as Point, not {shown(kind)}")
-    if "coordinates" in given:
-        if not isinstance(given["coordinates"], list):
-            raise bad_request_data(f"ordering.coordinates is a list, not {shown(given['coordinates'])}")
+    if "coordinates" in document:
+        if not isinstance(document["coordinates"], list):
+            raise bad_request_data(f"ordering.coordinates is a list, not {shown(document['coordinates'])}")
         names = ("ordering.geometry", "ordering.coordinates")
-        origin = reference_geometry(kind, given["coordinates"], names)
-    return made(terms, origin, tag, expand, orjson.dumps(given, option=orjson.OPT_SORT_KEYS).decode())
+        origin = reference_geometry(kind, document["coordinates"], names)
+    return made(terms, origin, tag, expand, orjson.dumps(document, option=orjson.OPT_SORT_KEYS).decode())
 
 
 def made(

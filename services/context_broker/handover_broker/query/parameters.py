@@ -167,30 +167,40 @@ PARAMETERS: Final = (
 
 def names_for(uses: Use) -> frozenset[str]:
     """Return the names of the parameters with any of the uses."""
-    return frozenset(one.name for one in PARAMETERS if one.uses & uses)
+    return frozenset(parameter.name for parameter in PARAMETERS if parameter.uses & uses)
 
 
 def members_for(uses: Use) -> frozenset[str]:
     """Return the members of documents that correspond to parameters with any of the uses."""
-    return frozenset(one.member for one in PARAMETERS if one.member is not None and one.uses & uses)
+    return frozenset(
+        parameter.member for parameter in PARAMETERS if parameter.member is not None and parameter.uses & uses
+    )
 
 
-BOOLEANS: Final = frozenset(one.name for one in PARAMETERS if one.kind is ValueKind.FLAG)
-FILTERS: Final = tuple(one.name for one in PARAMETERS if one.is_filter)
+BOOLEANS: Final = frozenset(parameter.name for parameter in PARAMETERS if parameter.kind is ValueKind.FLAG)
+FILTERS: Final = tuple(parameter.name for parameter in PARAMETERS if parameter.is_filter)
 """Parameters that filter whole entities."""
-FORWARDED: Final = tuple(one.name for one in PARAMETERS if one.is_forwarded)
+FORWARDED: Final = tuple(parameter.name for parameter in PARAMETERS if parameter.is_forwarded)
 """Parameters that are passed on to context sources unchanged."""
-KIND_BY_MEMBER: Final = {one.member: one.kind for one in PARAMETERS if one.member is not None}
+KIND_BY_MEMBER: Final = {
+    parameter.member: parameter.kind for parameter in PARAMETERS if parameter.member is not None
+}
 """The members of a Query document, and how they are read."""
 FILTER_MEMBERS: Final = tuple(
-    dict.fromkeys(one.member for one in PARAMETERS if one.is_filter and one.member is not None)
+    dict.fromkeys(
+        parameter.member for parameter in PARAMETERS if parameter.is_filter and parameter.member is not None
+    )
 )
 """The members of a Query or a subscription that filter whole entities."""
 FORWARDED_TEXTS: Final = tuple(
-    one.member
-    for one in PARAMETERS
-    if one.is_forwarded and one.kind is ValueKind.TEXT and one.member is not None
+    parameter.member
+    for parameter in PARAMETERS
+    if parameter.is_forwarded and parameter.kind is ValueKind.TEXT and parameter.member is not None
 )
 """The members of a Query with text that is passed on unchanged."""
-SINCE: Final = {one.member: one.since for one in PARAMETERS if one.member is not None and one.since > (1, 3)}
+SINCE: Final = {
+    parameter.member: parameter.since
+    for parameter in PARAMETERS
+    if parameter.member is not None and parameter.since > (1, 3)
+}
 """Members that an earlier version of NGSI-LD refuses, with the version that introduced them."""

@@ -378,11 +378,11 @@ class _Parser:
         return False
 
     def match(self, expected: re.Pattern[str]) -> str | None:
-        found = expected.match(self.text, self.at)
-        if found is None:
+        token = expected.match(self.text, self.at)
+        if token is None:
             return None
-        self.at = found.end()
-        return found.group()
+        self.at = token.end()
+        return token.group()
 
     def fail(self, why: str) -> NoReturn:
         raise bad_request_data(

@@ -172,7 +172,7 @@ def _said(instance: Instance) -> Any:
     if kind == "Relationship":
         return _Objects(value if isinstance(value, list) else (value,))
     if kind == "ListRelationship":
-        return _Objects(one["object"] for one in value)
+        return _Objects(part["object"] for part in value)
     return LanguageMap(value) if kind == "LanguageProperty" and isinstance(value, dict) else value
 
 
@@ -219,15 +219,15 @@ def _comparing(term: Compare, expand: Expand) -> Predicate:
     of_objects = term.operator in {"==", "!="}
 
     def compares(entity: Entity, lookup: Lookup = no_lookup) -> bool:
-        found = False
+        has_match = False
         for value in find(entity, lookup):
-            found = True
+            has_match = True
             if isinstance(value, _PLAIN):
                 if test(value):
                     return not negated
             elif (of_objects or not isinstance(value, _Objects)) and any(map(test, comparable(value))):
                 return not negated
-        return found and negated
+        return has_match and negated
 
     return compares
 

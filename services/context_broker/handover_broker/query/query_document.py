@@ -53,42 +53,44 @@ def selectors_of(document: Any, context: Context) -> tuple[Selection, ...]:
     selectors = _selectors(document)
     if len(selectors) < 2:
         return ()
-    return tuple(_selection(_selector_parameters(one), context) for one in selectors)
+    return tuple(_selection(_selector_parameters(selector), context) for selector in selectors)
 
 
 def _selectors(document: Any) -> list[Any]:
-    given = document.get("entities", [])
-    if not isinstance(given, list) or ("entities" in document and not given):
+    selectors = document.get("entities", [])
+    if not isinstance(selectors, list) or ("entities" in document and not selectors):
         raise bad_request_data('"entities" is a list with at least one selector such as {"type": "Task"}')
-    if len(given) > MAX_SELECTORS:
-        raise bad_request_data(f'"entities" has {len(given)} selectors; {MAX_SELECTORS} are taken at once')
-    return given
-
-
-def _selector_parameters(given: Any) -> dict[str, str]:
-    if not isinstance(given, dict) or not isinstance(given.get("type"), str):
+    if len(selectors) > MAX_SELECTORS:
         raise bad_request_data(
-            f'an entity selector is an object with a "type" (* for every one), not {shown(given)}'
+            f'"entities" has {len(selectors)} selectors; {MAX_SELECTORS} are taken at once'
         )
-    if unknown := sorted(set(given) - {"id", "idPattern", "type"}):
+    return selectors
+
+
+def _selector_parameters(selector: Any) -> dict[str, str]:
+    if not isinstance(selector, dict) or not isinstance(selector.get("type"), str):
+        raise bad_request_data(
+            f'an entity selector is an object with a "type" (* for every one), not {shown(selector)}'
+        )
+    if unknown := sorted(set(selector) - {"id", "idPattern", "type"}):
         raise bad_request_data(f"an entity selector has id, idPattern and type, not {shown(unknown[0])}")
-    ids, wanted = given.get("id"), given.get("idPattern")
+    ids, wanted = selector.get("id"), selector.get("idPattern")
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
     if ids is None:
-        return given
+        return selector
     listed = ids if isinstance(ids, list) and ids else [ids]
-    ids = ",".join(require_uri(one, "the id of an entity selector") for one in listed)
+    ids = ",".join(require_uri(entity_id, "the id of an entity selector") for entity_id in listed)
     # An id takes precedence over a pattern (clause 5.2.33).
-    return {"id": ids, "type": given["type"]}
+    return {"id": ids, "type": selector["type"]}
 
 
-def _selection(given: dict[str, str], context: Context) -> Selection:
-    ids, wanted = given.get("id"), given.get("idPattern")
+def _selection(parameters: dict[str, str], context: Context) -> Selection:
+    ids, wanted = parameters.get("id"), parameters.get("idPattern")
     return Selection(
         ids=None if ids is None else tuple(ids.split(",")),
         id_pattern=None if wanted is None else pattern(wanted),
-        types=type_selection(given["type"], context.terms.expand, "the type of an entity selector"),
+        types=type_selection(parameters["type"], context.terms.expand, "the type of an entity selector"),
     )
 
 
@@ -99,7 +101,7 @@ def _text(name: str, value: Any) -> dict[str, str]:
 
 
 def _texts(name: str, value: Any) -> dict[str, str]:
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) and one for one in value):
+    if not isinstance(value, list) or not value or not all(isinstance(text, str) and text for text in value):
         raise bad_request_data(f'"{name}" is a list with at least one text, not {shown(value)}')
     return {name: ",".join(value)}
 
@@ -131,17 +133,17 @@ def _order(name: str, value: Any) -> dict[str, str]:
         raise bad_request_data(f'"{name}" is an object such as {{"orderBy": ["name", "age;desc"]}}')
     if not isinstance(value.get("coordinates", []), list):
         raise bad_request_data(f"{name}.coordinates is a list, not {shown(value['coordinates'])}")
-    rest = {member: given for member, given in value.items() if member != "orderBy"}
+    rest = {member: content for member, content in value.items() if member != "orderBy"}
     names = {"coordinates": "orderFrom", "geometry": "orderGeometry", "collation": "collation"}
     return _texts("orderBy", value["orderBy"]) | _members(name, rest, names)
 
 
-def _members(what: str, given: Any, names: dict[str, str]) -> dict[str, str]:
+def _members(what: str, content: Any, names: dict[str, str]) -> dict[str, str]:
     """Return the members of an object as the parameters of these names."""
-    if not isinstance(given, dict):
-        raise bad_request_data(f'"{what}" is an object with {", ".join(names)}, not {shown(given)}')
+    if not isinstance(content, dict):
+        raise bad_request_data(f'"{what}" is an object with {", ".join(names)}, not {shown(content)}')
     parameters: dict[str, str] = {}
-    for member, value in given.items():
+    for member, value in content.items():
         if member not in names:
             raise bad_request_data(f"{what} has no member {shown(member)}; leave it out")
         if member == "coordinates" and isinstance(value, list):

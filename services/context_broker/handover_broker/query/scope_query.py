@@ -46,11 +46,11 @@ class ScopeQuery:
         )
 
 
-def scope_query(given: Any, what: str = "scopeQ") -> ScopeQuery:
-    """Return the query in the text `given`; raise a problem (400) when it is invalid."""
-    if not isinstance(given, str) or not given:
-        raise bad_request_data(f"{what} is text such as /Madrid/Gardens/#, not {shown(given)}")
-    return _scope_query(given, what)
+def scope_query(text: Any, what: str = "scopeQ") -> ScopeQuery:
+    """Return the query in `text`; raise a problem (400) when it is invalid."""
+    if not isinstance(text, str) or not text:
+        raise bad_request_data(f"{what} is text such as /Madrid/Gardens/#, not {shown(text)}")
+    return _scope_query(text, what)
 
 
 @lru_cache(maxsize=1024)

@@ -16,11 +16,11 @@ from handover_broker.model.context import Context
 from handover_broker.model.entity import Entity
 from handover_broker.model.problems import bad_request_data
 from handover_broker.query.geo_query import GeoQuery
+from handover_broker.query.indexes.q_index import Condition, conditions
 from handover_broker.query.ordering import Ordering
 from handover_broker.query.pages import PagePosition, Window
 from handover_broker.query.patterns import Pattern, fits
 from handover_broker.query.q_grammar import parse, paths
-from handover_broker.query.q_index import Condition, conditions
 from handover_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, no_lookup, predicate
 from handover_broker.query.scope_query import ScopeQuery
 from handover_broker.query.type_selection import TypeSelection
@@ -88,8 +88,8 @@ class Selection:
         ids, types, names, wanted = self.ids, self.types, self.attributes, self.id_pattern
         scopes, places, any_of = self.scopes, self.places, self.any_of
         if ids is not None:
-            known = frozenset(ids)
-            predicates.append(lambda entity, _=no_lookup: entity.id in known)
+            id_set = frozenset(ids)
+            predicates.append(lambda entity, _=no_lookup: entity.id in id_set)
         if types is not None and not types.is_every:
             predicates.append(lambda entity, _=no_lookup: types.wants(entity.types))
         if names is not None:
@@ -103,9 +103,11 @@ class Selection:
         if places is not None:
             predicates.append(lambda entity, _=no_lookup: places.wants(entity))
         if any_of:
-            ways = [one.questions() for one in any_of]
+            ways = [selection.questions() for selection in any_of]
             predicates.append(
-                lambda entity, lookup=no_lookup: any(all(one(entity, lookup) for one in way) for way in ways)
+                lambda entity, lookup=no_lookup: any(
+                    all(question(entity, lookup) for question in way) for way in ways
+                )
             )
         return predicates
 
@@ -276,9 +278,9 @@ def _narrowed(
     """Return what the indexes narrow the candidates by."""
     ids, types = selection.ids, selection.types
     if selection.any_of:
-        if all(one.ids is not None for one in selection.any_of):
-            ids = tuple(one for part in selection.any_of for one in part.ids or ())
-        if all(one.types is not None for one in selection.any_of):
+        if all(part.ids is not None for part in selection.any_of):
+            ids = tuple(entity_id for part in selection.any_of for entity_id in part.ids or ())
+        if all(part.types is not None for part in selection.any_of):
             types = TypeSelection(
                 tuple(kinds for part in selection.any_of if part.types for kinds in part.types.alternatives)
             )

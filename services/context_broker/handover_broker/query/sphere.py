@@ -81,8 +81,8 @@ def border_distance_m(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
 def box_of(geometry: Mapping[str, Any]) -> Box:
     """Return the bounding box of a geometry."""
     positions = list(_positions(geometry["coordinates"], DEPTHS[geometry["type"]]))
-    longitudes = [one[0] for one in positions]
-    latitudes = [one[1] for one in positions]
+    longitudes = [position[0] for position in positions]
+    latitudes = [position[1] for position in positions]
     return min(longitudes), min(latitudes), max(longitudes), max(latitudes)
 
 
@@ -113,8 +113,8 @@ def _lines(geometry: Mapping[str, Any]) -> Iterator[list[Position]]:
     if kind == "Point":
         yield [(coordinates[0], coordinates[1])]
     elif kind == "MultiPoint":
-        for one in coordinates:
-            yield [(one[0], one[1])]
+        for coordinate in coordinates:
+            yield [(coordinate[0], coordinate[1])]
     elif kind == "LineString":
         yield list(_positions(coordinates, 1))
     elif kind in {"MultiLineString", "Polygon"}:
@@ -182,11 +182,11 @@ def _to_pieces_m(points: Any, pieces: Any) -> Any:
     start, way = pieces[:, 0], pieces[:, 1] - pieces[:, 0]
 
     def measured(share: Any) -> Any:
-        found = np.radians(start + way * share[:, None])
+        places = np.radians(start + way * share[:, None])
         wanted = np.radians(points)
         half = (
-            np.sin((found[:, 1] - wanted[:, 1]) / 2) ** 2
-            + np.cos(found[:, 1]) * np.cos(wanted[:, 1]) * np.sin((found[:, 0] - wanted[:, 0]) / 2) ** 2
+            np.sin((places[:, 1] - wanted[:, 1]) / 2) ** 2
+            + np.cos(places[:, 1]) * np.cos(wanted[:, 1]) * np.sin((places[:, 0] - wanted[:, 0]) / 2) ** 2
         )
         return 2 * EARTH_RADIUS_M * np.arcsin(np.minimum(1.0, np.sqrt(half)))
 
@@ -200,9 +200,9 @@ def _to_pieces_m(points: Any, pieces: Any) -> Any:
             best = np.minimum(best, distance)
         step /= 2
     for _ in range(_TOUCH_UPS):
-        found = start + way * share[:, None]
-        narrow = np.cos(np.radians(found[:, 1]))[:, None] * [[1.0, 0.0]] + [[0.0, 1.0]]
-        across = points - found
+        nearest = start + way * share[:, None]
+        narrow = np.cos(np.radians(nearest[:, 1]))[:, None] * [[1.0, 0.0]] + [[0.0, 1.0]]
+        across = points - nearest
         across[:, 0] = (across[:, 0] + 180.0) % 360.0 - 180.0
         flat_way, flat_across = way * narrow, across * narrow
         flat_length = (flat_way**2).sum(axis=1)

@@ -27,12 +27,12 @@ class TypeSelection:
         """Return whether an entity of `types` matches."""
         if len(self.alternatives) == 1:
             return self.alternatives[0].issubset(types)
-        return any(one.issubset(types) for one in self.alternatives)
+        return any(alternative.issubset(types) for alternative in self.alternatives)
 
     @property
     def is_every(self) -> bool:
         """Return whether it matches every type."""
-        return any(not one for one in self.alternatives)
+        return any(not alternative for alternative in self.alternatives)
 
     def names(self) -> Iterator[str]:
         """Yield the IRIs of all types in it."""
@@ -41,17 +41,17 @@ class TypeSelection:
 
     def written(self, compact: Callable[[str], str] = str) -> str:
         """Return the selection as an expression, its names written with `compact`."""
-        return ",".join(_written(sorted(map(compact, one))) for one in self.alternatives)
+        return ",".join(_written(sorted(map(compact, alternative))) for alternative in self.alternatives)
 
 
-def type_selection(given: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
-    """Return the selection in the text `given`, its names expanded.
+def type_selection(text: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
+    """Return the selection in `text`, its names expanded.
 
     Raises a problem (400) that names `what` when it is invalid.
     """
-    if not isinstance(given, str) or not given:
-        raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(given)}")
-    if given == EVERY:
+    if not isinstance(text, str) or not text:
+        raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(text)}")
+    if text == EVERY:
         return TypeSelection((frozenset(),))
 
     def leaf(name: str) -> str:
@@ -62,15 +62,15 @@ def type_selection(given: Any, expand: Callable[[str], str], what: str = "the ty
             raise without_iri(name, iri)
         return iri
 
-    if given.isalnum():  # it is nearly always one plain name
-        return TypeSelection((frozenset((leaf(given),)),))
-    found = alternatives(given, what, leaf)
-    return TypeSelection(tuple(dict.fromkeys(frozenset(one) for one in found)))
+    if text.isalnum():  # it is nearly always one plain name
+        return TypeSelection((frozenset((leaf(text),)),))
+    names = alternatives(text, what, leaf)
+    return TypeSelection(tuple(dict.fromkeys(frozenset(kinds) for kinds in names)))
 
 
 def of_types(types: Collection[str]) -> TypeSelection:
     """Return the selection of entities that have any of the types (IRIs)."""
-    return TypeSelection(tuple(frozenset((one,)) for one in types))
+    return TypeSelection(tuple(frozenset((kind,)) for kind in types))
 
 
 def _written(names: list[str]) -> str:

@@ -50,7 +50,7 @@ def entry_document(listing: Listing, iri: str, related: Iterable[str], context: 
         "id": iri,
         "type": listing.entry_type,
         listing.name: context.terms.compact(iri),
-        listing.related: [context.terms.compact(one) for one in related],
+        listing.related: [context.terms.compact(name) for name in related],
     }
 
 
@@ -86,7 +86,7 @@ def attribute_info(
     return {
         **attribute_detail(iri, context, attribute_types),
         "attributeCount": count,
-        "typeNames": [context.terms.compact(one) for one in types],
+        "typeNames": [context.terms.compact(kind) for kind in types],
     }
 
 

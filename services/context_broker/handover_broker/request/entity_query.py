@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handover_broker.model.context import Context
-from handover_broker.model.rendering import View
+from handover_broker.model.representation.rendering import View
 from handover_broker.query import linked, ordering
 from handover_broker.query.earlier_names import with_earlier_names
 from handover_broker.query.linked import Join
@@ -35,26 +35,26 @@ class EntityQuery:
 
 def entity_query_of(
     request: RequestContext,
-    given: Mapping[str, str],
+    parameters: Mapping[str, str],
     context: Context,
     any_of: tuple[Selection, ...] = (),
 ) -> EntityQuery:
-    """Return the query in the parameters `given`, for entities that match one of `any_of` if there are any.
+    """Return the query in `parameters`, for entities that match one of `any_of` if there are any.
 
     Raises a problem (400) that names what is invalid or not allowed.
     """
-    context = with_earlier_names(context, given.get("type"))
+    context = with_earlier_names(context, parameters.get("type"))
     view = view_of(request, context)
-    selection = selection_of(given, context, any_of)
-    order = ordering.ordering(given, context.terms.expand)
-    join = join_of(given, view, selection)
+    selection = selection_of(parameters, context, any_of)
+    order = ordering.ordering(parameters, context.terms.expand)
+    join = join_of(parameters, view, selection)
     mark = mark_of(context.text, "" if order is None else order.text)
     return EntityQuery(context, view, selection, window_of(request, mark=mark), order, join, mark)
 
 
-def join_of(given: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
+def join_of(parameters: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
     """Return the request for linked entities; raise a problem (400) if more links are used than followed."""
-    join = linked.join_of(given)
+    join = linked.join_of(parameters)
     hops = 0 if selection is None or selection.query is None else selection.query.hops
     if hops or view.projection is not None:
         linked.check_depth(join, view.projection, hops)

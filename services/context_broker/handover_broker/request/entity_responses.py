@@ -10,9 +10,9 @@ import orjson
 
 from handover_broker.model.context import Context, link_header
 from handover_broker.model.entity import Entity
-from handover_broker.model.geojson import collection_body, feature_body, feature_of, geometry
 from handover_broker.model.negotiation import GEO_JSON, JSON_LD, WITH_GEO_JSON
-from handover_broker.model.rendering import View, render, rendered, with_context
+from handover_broker.model.representation.geojson import collection_body, feature_body, feature_of, geometry
+from handover_broker.model.representation.rendering import View, render, rendered, with_context
 from handover_broker.query.linked import Join, joined
 from handover_broker.query.pages import Window
 from handover_broker.query.q_match import Lookup, no_lookup
@@ -97,10 +97,10 @@ def _noted(request: RequestContext, entities: list[Entity], showing: Showing) ->
         return showing
 
     def lookup(entity_id: str) -> Entity | None:
-        found = showing.lookup(entity_id)
-        if found is not None:
-            store.note_read((found,))
-        return found
+        entity = showing.lookup(entity_id)
+        if entity is not None:
+            store.note_read((entity,))
+        return entity
 
     return showing._replace(lookup=lookup)
 
@@ -109,13 +109,15 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
     context, view, join = showing.context, showing.view, showing.join
     if join is None:
         return (rendered(entity, context, view) for entity in entities)
-    return (orjson.dumps(one) for _, one in joined(entities, context.terms, view, join, showing.lookup))
+    return (
+        orjson.dumps(document) for _, document in joined(entities, context.terms, view, join, showing.lookup)
+    )
 
 
 def _features(request: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
     place, terms, view = place_of(request, showing.context), showing.context.terms, showing.view
     if showing.join is None:
-        documents = [(one, render(one, terms, view)) for one in entities]
+        documents = [(entity, render(entity, terms, view)) for entity in entities]
     else:
         documents = joined(entities, terms, view, showing.join, showing.lookup)
     return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in documents]

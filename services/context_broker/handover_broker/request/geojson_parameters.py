@@ -5,9 +5,9 @@ from typing import Final
 
 from handover_broker.model.context import Context
 from handover_broker.model.entity_parser import expand
-from handover_broker.model.geojson import LOCATION
 from handover_broker.model.negotiation import GEO_JSON, WITH_GEO_JSON
 from handover_broker.model.problems import bad_request_data
+from handover_broker.model.representation.geojson import LOCATION
 from handover_broker.model.validation import require_name
 from handover_broker.request.request_context import RequestContext
 
@@ -19,12 +19,12 @@ def place_of(request: RequestContext, context: Context) -> str:
 
     Raises a problem (400) if one is requested and the response is not GeoJSON.
     """
-    given = request.parameter("geometryProperty")
-    if given is None:
+    name = request.parameter("geometryProperty")
+    if name is None:
         return context.terms.expand(LOCATION)
     if request.accept(WITH_GEO_JSON) != GEO_JSON:
         raise bad_request_data(f"geometryProperty needs Accept: {GEO_JSON}; leave it out, or accept that")
-    return expand(require_name(given, "geometryProperty"), context.terms)
+    return expand(require_name(name, "geometryProperty"), context.terms)
 
 
 def has_context_in_body(request: RequestContext) -> bool:

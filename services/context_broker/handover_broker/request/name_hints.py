@@ -27,10 +27,10 @@ async def with_name_hints(operation: Operation, request: RequestContext, answer:
     if not answer.body.startswith(_EMPTY) or answer.status != 200 or operation.name not in _HINTED:
         return answer
     try:
-        hints = [one async for one in _hints(operation, request)]
+        hints = [hint async for hint in _hints(operation, request)]
     except Problem:  # the query was answered; a hint is no reason to fail
         return answer
-    warnings = [(b"ngsild-warning", f'{_MISCELLANEOUS} - "{one}"'.encode()) for one in hints[:_MAX_HINTS]]
+    warnings = [(b"ngsild-warning", f'{_MISCELLANEOUS} - "{hint}"'.encode()) for hint in hints[:_MAX_HINTS]]
     return Response(answer.status, answer.body, [*answer.headers, *warnings])
 
 
@@ -67,16 +67,18 @@ async def _hint(request: RequestContext, what: str, name: str, iri: str, other: 
 
 def _names_in(parameters: Mapping[str, str], document: Any) -> tuple[list[str], list[str]]:
     """Return the names of types and of attributes in a query."""
-    given: dict[str, Any] = {**parameters, **(document or {})}
+    members: dict[str, Any] = {**parameters, **(document or {})}
     types, attributes = list[str](), list[str]()
-    selectors = given.get("entities")
-    texts = [given.get("type") if document is None else None]
-    texts += [one.get("type") for one in selectors if isinstance(one, dict)] if selectors else []
+    selectors = members.get("entities")
+    texts = [members.get("type") if document is None else None]
+    texts += (
+        [selector.get("type") for selector in selectors if isinstance(selector, dict)] if selectors else []
+    )
     for text in texts:
         if isinstance(text, str):
-            types += [name for one in alternatives(text, "the type", str) for name in one]
-    attrs = given.get("attrs")
+            types += [name for alternative in alternatives(text, "the type", str) for name in alternative]
+    attrs = members.get("attrs")
     attributes += attrs.split(",") if isinstance(attrs, str) else attrs or []
-    if isinstance(q := given.get("q"), str):
+    if isinstance(q := members.get("q"), str):
         attributes += [path.names[0] for path in paths(parse(q))]
     return types, attributes

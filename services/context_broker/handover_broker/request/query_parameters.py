@@ -9,10 +9,10 @@ from urllib.parse import quote
 
 from handover_broker.model.context import Context, link_header
 from handover_broker.model.entity_parser import DEFAULT_INSTANCE, expand
-from handover_broker.model.language import preferences
 from handover_broker.model.problems import bad_request_data, invalid_request, too_many_results
-from handover_broker.model.projection import read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import require_name, require_uri, shown
 from handover_broker.query import geo_query, pages
 from handover_broker.query.pages import PLACE, Window
@@ -52,22 +52,22 @@ WHOLE: Final = View()
 """The default view, which most requests use."""
 
 
-def options_of(request: RequestContext, known: frozenset[str] = _OPTIONS) -> set[str]:
+def options_of(request: RequestContext, allowed: frozenset[str] = _OPTIONS) -> set[str]:
     """Return the parameter `options` as a set; raise a problem for an unknown one."""
-    given = request.parameter("options")
-    if not given:
+    text = request.parameter("options")
+    if not text:
         return set()
-    options = set(given.split(","))
-    if unknown := sorted(options - known):
-        raise invalid_request(f"options has no {shown(unknown[0])} here; use {', '.join(sorted(known))}")
+    options = set(text.split(","))
+    if unknown := sorted(options - allowed):
+        raise invalid_request(f"options has no {shown(unknown[0])} here; use {', '.join(sorted(allowed))}")
     return options
 
 
-def names_of(given: str | None, context: Context) -> frozenset[str] | None:
+def names_of(text: str | None, context: Context) -> frozenset[str] | None:
     """Return a comma-separated list of attribute names as IRIs."""
-    if given is None:
+    if text is None:
         return None
-    names = [expand(require_name(name, "a name in attrs"), context.terms) for name in given.split(",")]
+    names = [expand(require_name(name, "a name in attrs"), context.terms) for name in text.split(",")]
     return frozenset(names)
 
 
@@ -76,7 +76,7 @@ def view_of(request: RequestContext, context: Context) -> View:
     if not request.parameters:
         return WHOLE
     options = options_of(request)
-    forms = {_FORMS[one] for one in options if one in _FORMS}
+    forms = {_FORMS[option] for option in options if option in _FORMS}
     wanted = request.parameter("format")
     if wanted is not None:
         if wanted not in _FORMS:
@@ -103,13 +103,13 @@ def view_of(request: RequestContext, context: Context) -> View:
     )
 
 
-def datasets_of(given: str | None) -> frozenset[str | None] | None:
+def datasets_of(text: str | None) -> frozenset[str | None] | None:
     """Return a comma-separated list of datasetIds, with None for `@none`, the default instance."""
-    if given is None:
+    if text is None:
         return None
     return frozenset(
-        None if one == DEFAULT_INSTANCE else require_uri(one, "a datasetId in the query")
-        for one in given.split(",")
+        None if dataset == DEFAULT_INSTANCE else require_uri(dataset, "a datasetId in the query")
+        for dataset in text.split(",")
     )
 
 
@@ -139,7 +139,9 @@ def selection_of(
     expand_name = context.terms.expand
     scopes, expanded = parameters.get("scopeQ"), _short_names(parameters, "expandValues")
     selection = Selection(
-        ids=None if ids is None else tuple(require_uri(one, "an id in the query") for one in ids.split(",")),
+        ids=None
+        if ids is None
+        else tuple(require_uri(entity_id, "an id in the query") for entity_id in ids.split(",")),
         id_pattern=None if wanted is None else pattern(wanted),
         types=None if types is None else type_selection(types, expand_name),
         attributes=names_of(parameters.get("attrs"), context),
@@ -161,7 +163,7 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
     if selection.types is not None and selection.types.is_every and local == "false":
         raise bad_request_data("type=* selects everything here: local=false contradicts it, leave it out")
     attributes = parameters.get("attrs", "").split(",")
-    given = [name for name in ("q", "attrs", "id", "idPattern", "scopeQ") if parameters.get(name)]
+    names = [name for name in ("q", "attrs", "id", "idPattern", "scopeQ") if parameters.get(name)]
     narrows = (
         selection.types is not None
         or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
@@ -170,12 +172,12 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
         or bool(selection.any_of)
     )
     if not narrows and local != "true":
-        others = [name for name in ("type", "attrs", "q", "georel") if name not in given]
-        has_times = not {"q", "attrs"}.isdisjoint(given)
+        others = [name for name in ("type", "attrs", "q", "georel") if name not in names]
+        has_times = not {"q", "attrs"}.isdisjoint(names)
         reason = ""
-        if given:
+        if names:
             what = "name only what every entity has" if has_times else "do not narrow it down"
-            reason = f", because {' and '.join(given)} {what} (clause 5.7.2.4)"
+            reason = f", because {' and '.join(names)} {what} (clause 5.7.2.4)"
         name_one = " name an attribute of the entities in it, or" if has_times else ""
         raise bad_request_data(
             f"the query is too broad{reason}:{name_one} add {', '.join(others[:-1])} or {others[-1]}, "
@@ -184,10 +186,10 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
 
 
 def _short_names(parameters: Mapping[str, str], name: str) -> frozenset[str]:
-    given = parameters.get(name)
-    if given is None:
+    text = parameters.get(name)
+    if text is None:
         return frozenset()
-    return frozenset(require_name(one, f"a name in {name}") for one in given.split(","))
+    return frozenset(require_name(short_name, f"a name in {name}") for short_name in text.split(","))
 
 
 def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
@@ -228,9 +230,9 @@ def page_link(
 
 def _whole_number(request: RequestContext, name: str, default: int) -> int:
     """Return a query parameter that is a whole number from 0 on."""
-    given = request.parameter(name)
-    if given is None:
+    text = request.parameter(name)
+    if text is None:
         return default
-    if not (given.isascii() and given.isdigit() and len(given) <= 12):
-        raise bad_request_data(f"{name} is a whole number from 0 on, not {shown(given)}")
-    return int(given)
+    if not (text.isascii() and text.isdigit() and len(text) <= 12):
+        raise bad_request_data(f"{name} is a whole number from 0 on, not {shown(text)}")
+    return int(text)

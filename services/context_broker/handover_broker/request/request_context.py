@@ -57,7 +57,7 @@ MAX_REMEMBERED_CHARACTERS: Final = 1024
 """Maximum length of a query string that is cached."""
 
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
-_PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
+_PLAINLY_SAID: Final = {character.encode(): character for character in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
 _WITH_ENTITIES = tuple(
     PREFIX + path
@@ -136,12 +136,12 @@ class Request:
 
 def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
     """Return headers by name."""
-    found = dict(headers)
-    if len(found) < len(headers):
-        found.clear()
+    merged = dict(headers)
+    if len(merged) < len(headers):
+        merged.clear()
         for name, value in headers:
-            found[name] = found[name] + b", " + value if name in found else value
-    return found
+            merged[name] = merged[name] + b", " + value if name in merged else value
+    return merged
 
 
 class RequestContext:
@@ -175,17 +175,17 @@ class RequestContext:
         """Return a boolean query parameter; `require_known` has refused any other value."""
         return self.parameters.get(name) == "true"
 
-    def require_known(self, known: frozenset[str]) -> None:
+    def require_known(self, allowed: frozenset[str]) -> None:
         """Refuse parameters that the operation does not have, and invalid booleans.
 
         All booleans are checked here, since an operation reads only those that it needs.
         """
-        for name, given in self.parameters.items():
-            if name in BOOLEANS and name in known and given not in {"true", "false"}:
-                raise bad_request_data(f"the parameter {name} is true or false, not {shown(given)}")
-            if name not in known:
+        for name, text in self.parameters.items():
+            if name in BOOLEANS and name in allowed and text not in {"true", "false"}:
+                raise bad_request_data(f"the parameter {name} is true or false, not {shown(text)}")
+            if name not in allowed:
                 raise invalid_request(
-                    f"there is no parameter {shown(name)} here, only {', '.join(sorted(known)) or 'none'}"
+                    f"there is no parameter {shown(name)} here, only {', '.join(sorted(allowed)) or 'none'}"
                 )
 
     def document(self) -> Any:
@@ -216,11 +216,11 @@ class RequestContext:
 
     def content_type(self) -> str:
         """Return the media type of the body; raise a problem (415) if it is not supported."""
-        given = self.headers.get(b"content-type", b"")
-        media_type = _PLAINLY_SAID.get(given) or given.decode("latin-1").partition(";")[0].strip().lower()
+        value = self.headers.get(b"content-type", b"")
+        media_type = _PLAINLY_SAID.get(value) or value.decode("latin-1").partition(";")[0].strip().lower()
         if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
             raise unsupported_media_type(
-                f"Content-Type {shown(given.decode('latin-1'))} is not supported; send {JSON} (@context in a "
+                f"Content-Type {shown(value.decode('latin-1'))} is not supported; send {JSON} (@context in a "
                 f"Link header) or {JSON_LD} (@context in the body)"
             )
         return media_type
@@ -251,28 +251,28 @@ class RequestContext:
 
     def link(self) -> str | None:
         """Return the URL of the context in the Link header, None if there is none."""
-        given = self.headers.get(b"link")
-        return None if given is None else context_link(_of_bearable_length(given, "Link"))
+        header = self.headers.get(b"link")
+        return None if header is None else context_link(_of_bearable_length(header, "Link"))
 
     def accept(self, offered: tuple[str, ...] = PLAIN) -> str:
         """Return the accepted media type of `offered`; raise a problem (406) if none is."""
-        given = self.headers.get(b"accept")
-        chosen = offered[0] if given is None else accepted(_of_bearable_length(given, "Accept"), offered)
+        header = self.headers.get(b"accept")
+        chosen = offered[0] if header is None else accepted(_of_bearable_length(header, "Accept"), offered)
         if chosen is None:
             raise not_acceptable(
-                f"Accept {shown((given or b'').decode('latin-1'))} excludes all of them; accept "
+                f"Accept {shown((header or b'').decode('latin-1'))} excludes all of them; accept "
                 f"{', '.join(offered[:-1])} or {offered[-1]}",
                 offered,
             )
         return chosen
 
 
-def _of_bearable_length(given: bytes, name: str) -> bytes:
-    if len(given) > MAX_HEADER_LENGTH:
+def _of_bearable_length(header: bytes, name: str) -> bytes:
+    if len(header) > MAX_HEADER_LENGTH:
         raise invalid_request(
-            f"the {name} header has {len(given)} characters; the maximum is {MAX_HEADER_LENGTH}"
+            f"the {name} header has {len(header)} characters; the maximum is {MAX_HEADER_LENGTH}"
         )
-    return given
+    return header
 
 
 def _parameters(query: bytes) -> Mapping[str, str]:
@@ -368,7 +368,7 @@ def of_tenant(request: Request, answer: Response) -> Response:
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response:
-    from handover_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+    from handover_broker.model.representation import conformance  # noqa: PLC0415 - few ask for another version
 
     try:
         version = preferred_version(_of_bearable_length(prefer, "Prefer"))

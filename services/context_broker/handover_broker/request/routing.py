@@ -45,7 +45,7 @@ class Operation:
 
 def brief(*operations: Operation) -> tuple[Operation, ...]:
     """Return operations as brief ones."""
-    return tuple(replace(one, is_brief=True) for one in operations)
+    return tuple(replace(operation, is_brief=True) for operation in operations)
 
 
 @dataclass(slots=True)
@@ -98,7 +98,7 @@ class Router:
         for operation in self.operations:
             template = tuple(_NAME if part.startswith(_NAME) else part for part in operation.path.split("/"))
             places = self._places.setdefault((template[0], len(template)), [])
-            place = next((known for known in places if known.template == template), None)
+            place = next((candidate for candidate in places if candidate.template == template), None)
             if place is None:
                 place = _Route(template)
                 places.append(place)
@@ -106,8 +106,8 @@ class Router:
         self._fixed: dict[bytes, _Route] = {}
         """The routes of paths without variable parts, by the path as most clients send it."""
         for operation in self.operations:
-            if _NAME not in operation.path and (found := self._place_of(operation.path.split("/"))):
-                self._fixed[f"{PREFIX}{operation.path}".encode()] = found[0]
+            if _NAME not in operation.path and (match := self._place_of(operation.path.split("/"))):
+                self._fixed[f"{PREFIX}{operation.path}".encode()] = match[0]
 
     def find(self, request: Request) -> tuple[Operation, tuple[str, ...]]:
         """Return the operation and the variable parts of its path; raise a problem (404 or 405) if there is
@@ -135,9 +135,9 @@ class Router:
         if fixed is not None:
             return fixed, ()
         parts = request.path_parts()
-        found = self._place_of(parts) or self._place_of(_with_whole_url(parts))
-        if found is not None:
-            return found
+        match = self._place_of(parts) or self._place_of(_with_whole_url(parts))
+        if match is not None:
+            return match
         hint = f"see {PREFIX}entities and {PREFIX}subscriptions"
         if "" in parts[1:]:
             hint = "percent-encode an id or a name that is a URL, such as http:%2F%2Fa.example%2F1"
@@ -152,7 +152,7 @@ class Router:
 
     def by_path(self) -> Mapping[str, list[Operation]]:
         """Return the operations by their path."""
-        found: dict[str, list[Operation]] = {}
+        operations: dict[str, list[Operation]] = {}
         for operation in self.operations:
-            found.setdefault(operation.path, []).append(operation)
-        return found
+            operations.setdefault(operation.path, []).append(operation)
+        return operations

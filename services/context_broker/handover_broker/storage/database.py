@@ -211,13 +211,13 @@ class SqliteDatabase:
         """Raise `UsageError` unless the file is of this version, with the tables that `script` creates."""
         with closing(self._reader()) as reader:
             ((application_id,),) = reader.execute("PRAGMA application_id")
-            ((found,),) = reader.execute("PRAGMA user_version")
-            if application_id != APPLICATION_ID and found:
+            ((stored,),) = reader.execute("PRAGMA user_version")
+            if application_id != APPLICATION_ID and stored:
                 raise UsageError(
-                    f"{self.path} has the format {found} of a version before the first release, which this "
+                    f"{self.path} has the format {stored} of a version before the first release, which this "
                     "one cannot read; move the data directory away to start with an empty one"
                 )
-            if found > version:
+            if stored > version:
                 raise UsageError(f"{self.path} was written by a newer version of Handover; use that version")
             tables = set(reader.execute(_TABLES))
         with closing(sqlite3.connect(":memory:")) as connection:
@@ -295,8 +295,8 @@ def _for_rows(statement: str, count: int) -> str | None:
     """Return the statement for so many rows at once; None if that is not possible."""
     if count == 1:
         return statement
-    if found := _ROW.search(statement):
-        return statement.replace(found[0], f"VALUES {', '.join([found[1]] * count)}")
-    if found := _KEY.search(statement):
-        return statement.replace(found[0], f"WHERE {found[1]} IN ({', '.join('?' * count)})")
+    if match := _ROW.search(statement):
+        return statement.replace(match[0], f"VALUES {', '.join([match[1]] * count)}")
+    if match := _KEY.search(statement):
+        return statement.replace(match[0], f"WHERE {match[1]} IN ({', '.join('?' * count)})")
     return None

@@ -8,8 +8,8 @@ def documents_with_counts(
     journal: Journal, kind: DocumentKind, counts: DocumentKind
 ) -> dict[str, list[tuple[str, bytes, bytes | None]]]:
     """Return the documents of a kind by tenant, each with its id and its document of the kind `counts`."""
-    counted = {(tenant, one): body for tenant, one, body in journal.documents(counts)}
-    found: dict[str, list[tuple[str, bytes, bytes | None]]] = {}
+    counted = {(tenant, counted_id): body for tenant, counted_id, body in journal.documents(counts)}
+    documents: dict[str, list[tuple[str, bytes, bytes | None]]] = {}
     for name, document_id, body in journal.documents(kind):
-        found.setdefault(name, []).append((document_id, body, counted.get((name, document_id))))
-    return found
+        documents.setdefault(name, []).append((document_id, body, counted.get((name, document_id))))
+    return documents

@@ -64,7 +64,7 @@ class ExpiryQueue:
         """Remove an entity that was deleted before; its entry leaves the queue when there are many."""
         self._due_s.pop((store, entity_id), None)
         if len(self._queue) > 2 * len(self._due_s) + LEFT_BEHIND:
-            self._queue = [one for one in self._queue if self._due_s.get((one[2], one[3])) == one[0]]
+            self._queue = [end for end in self._queue if self._due_s.get((end[2], end[3])) == end[0]]
             heapq.heapify(self._queue)
 
     def start(self) -> None:

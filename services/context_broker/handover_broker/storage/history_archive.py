@@ -106,27 +106,27 @@ class Archive:
         """Return the seq after the first `most` changes of an entity (below `before`), None if there is
         none."""
         narrowed, values = ("", ()) if before is None else ("AND seq < ? ", (before,))
-        found = self._database.read(
+        rows = self._database.read(
             f"SELECT seq FROM history WHERE entity = ? {narrowed}ORDER BY seq LIMIT 1 OFFSET ?",  # noqa: S608 - ours
             (entity_seq, *values, most),
         )
-        return int(found[0][0]) if found else None
+        return int(rows[0][0]) if rows else None
 
     def first_change(self, after: int) -> tuple[int, int] | None:
         """Return the first entity after `after` that has history, and the seq of its first change."""
-        found = self._database.read(
+        rows = self._database.read(
             "SELECT entity, seq FROM history WHERE entity > ? ORDER BY entity, seq LIMIT 1", (after,)
         )
-        return (int(found[0][0]), int(found[0][1])) if found else None
+        return (int(rows[0][0]), int(rows[0][1])) if rows else None
 
     def temporal_only_without_history(self, entity_seq: int) -> tuple[str, str] | None:
         """Return tenant and id of a temporal-only entity if it has no history."""
-        found = self._database.read(
+        rows = self._database.read(
             "SELECT tenant, id FROM temporal_only_entities WHERE seq = ? "
             "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = temporal_only_entities.seq)",
             (entity_seq,),
         )
-        return (found[0][0], found[0][1]) if found else None
+        return (rows[0][0], rows[0][1]) if rows else None
 
     def _damaged(self, row: Sequence[Any]) -> NotStored:
         return NotStored(

@@ -94,7 +94,9 @@ class Journal:
             self._checkpointer.open()
             last = self._checkpointer.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
             self._last_notice = max(
-                last, *(one.seq for entries in self._checkpointer.recovered for one in entries.pending), 0
+                last,
+                *(notice.seq for entries in self._checkpointer.recovered for notice in entries.pending),
+                0,
             )
 
     def try_lock(self) -> bool:
@@ -216,9 +218,9 @@ class Journal:
             (kind.value,),
         ):
             require_row(checksums.of_document, checksum, (kind.value, tenant, name, body), self._damaged)
-            found = recovered.pop((tenant, name), body)
-            if found is not None:
-                yield tenant, name, found
+            recovered_body = recovered.pop((tenant, name), body)
+            if recovered_body is not None:
+                yield tenant, name, recovered_body
         for (tenant, name), changed in sorted(recovered.items()):
             if changed is not None:
                 yield tenant, name, changed
@@ -290,7 +292,7 @@ class Journal:
     def pending_subscriptions(self, tenant: str) -> set[str]:
         """Return the subscriptions of a tenant with pending notifications, as `pending`."""
         rows = self._scan("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
-        recovered = {one.subscription for one in self._recovered().pending if one.tenant == tenant}
+        recovered = {notice.subscription for notice in self._recovered().pending if notice.tenant == tenant}
         return recovered | {subscription for (subscription,) in rows}
 
     def last_sequence(self) -> int:
@@ -341,8 +343,8 @@ def _total(writer: Writer, table: str, key: str, keys: Sequence[Any]) -> tuple[i
         some = keys[start : start + _AT_ONCE]
         is_wide = isinstance(some[0], tuple)
         statement = total_of(table, key, len(some))
-        ((found, sums),) = writer.run(statement, [part for one in some for part in one] if is_wide else some)
-        number, total = number + found, total + sums
+        ((count, sums),) = writer.run(statement, [part for row in some for part in row] if is_wide else some)
+        number, total = number + count, total + sums
     return number, total
 
 
@@ -418,8 +420,16 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
 def _write_outbox(writer: Writer, entries: Entries) -> None:
     if entries.pending:
         rows = [
-            (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body, one.headers)
-            for one in entries.pending
+            (
+                notice.seq,
+                notice.tenant,
+                notice.subscription,
+                notice.entity,
+                notice.at,
+                notice.body,
+                notice.headers,
+            )
+            for notice in entries.pending
         ]
         writer.run_many(
             "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers, checksum) "

@@ -38,7 +38,7 @@ class OrderedEntities:
     def all(self) -> list[Entity]:
         """Return all of them in the order of creation."""
         if not self._is_in_order:
-            self.by_id = {one.id: one for one in by_sequence(self.by_id.values())}
+            self.by_id = {entity.id: entity for entity in by_sequence(self.by_id.values())}
             self._is_in_order = True
         return list(self.by_id.values())
 

@@ -117,10 +117,10 @@ class PostgresDatabase:
             )
         if _one(connection, "SELECT to_regclass('format')") is None:
             return True
-        found = _one(connection, "SELECT max(version) FROM format")
-        if found != self._version:
+        version = _one(connection, "SELECT max(version) FROM format")
+        if version != self._version:
             raise UsageError(
-                f"{self.name} has tables of format {found}, and this version of Handover reads "
+                f"{self.name} has tables of format {version}, and this version of Handover reads "
                 f"{self._version}; use the version that wrote them"
             )
         return False
@@ -270,13 +270,13 @@ class PostgresDatabase:
         """Return a new connection; raise `psycopg.OperationalError` if there cannot be one."""
         import psycopg  # noqa: PLC0415 - as above
 
-        given = _options_in(self.url)
-        search_path = "" if "search_path" in given else f"-c search_path={SCHEMA}"
+        options = _options_in(self.url)
+        search_path = "" if "search_path" in options else f"-c search_path={SCHEMA}"
         return psycopg.connect(
             self.url,
             autocommit=True,
             connect_timeout=CONNECT_TIMEOUT_S,
-            options=f"{given} {search_path} {_SESSION_OPTIONS}".strip(),
+            options=f"{options} {search_path} {_SESSION_OPTIONS}".strip(),
             application_name="handover context broker",
             keepalives_idle=5,
             keepalives_interval=2,
@@ -326,10 +326,10 @@ class PostgresDatabase:
             raise DatabaseAway("the server still holds the lock of the connection that ended")
 
     def _require_version(self, connection: "psycopg.Connection") -> None:
-        found = _one(connection, "SELECT max(version) FROM format")
-        if found != self._version:
+        version = _one(connection, "SELECT max(version) FROM format")
+        if version != self._version:
             raise NotStored(
-                f"{self.name} has tables of format {found}, this broker writes {self._version}; "
+                f"{self.name} has tables of format {version}, this broker writes {self._version}; "
                 "start it again with the newer release"
             )
 

@@ -15,10 +15,10 @@ from handover.telemetry import get_logger
 from handover_broker.model.entity import Entity, Event
 from handover_broker.model.nesting import too_deep
 from handover_broker.model.problems import not_stored, went_wrong
-from handover_broker.query.attribute_index import AttributeIndex, ids_of
 from handover_broker.query.geo_query import GeoQuery
-from handover_broker.query.place_index import PlaceIndex
-from handover_broker.query.q_index import Condition
+from handover_broker.query.indexes.attribute_index import AttributeIndex, ids_of
+from handover_broker.query.indexes.place_index import PlaceIndex
+from handover_broker.query.indexes.q_index import Condition
 from handover_broker.query.type_selection import TypeSelection, of_types
 from handover_broker.storage.commits import Commits
 from handover_broker.storage.entries import EntityRow, Entries, PendingNotification
@@ -172,8 +172,10 @@ class Store:
         An argument that is None does not narrow them.
         """
         if ids is not None:
-            found = [entity for one in dict.fromkeys(ids) if (entity := self._every.by_id.get(one))]
-            return by_sequence(found)
+            entities = [
+                entity for entity_id in dict.fromkeys(ids) if (entity := self._every.by_id.get(entity_id))
+            ]
+            return by_sequence(entities)
         count = len(self._every.by_id)
         chosen: Iterable[str] | None = None
         for condition in conditions:
@@ -189,11 +191,11 @@ class Store:
         if types is not None and not types.is_every and self._count_of(types) <= count:
             return self._of_types(types)
         if chosen is not None:
-            return by_sequence(self._every.by_id[one] for one in chosen)
+            return by_sequence(self._every.by_id[entity_id] for entity_id in chosen)
         return self._every.all()
 
     def _count_of(self, types: TypeSelection) -> int:
-        return sum(len(self._rarest(one)) for one in types.alternatives)
+        return sum(len(self._rarest(alternative)) for alternative in types.alternatives)
 
     def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
         """Return the entities of the rarest of the types."""
@@ -222,7 +224,7 @@ class Store:
         for own in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if own.id not in others:
                 overlay.take(own)
-        for entity in by_sequence(one for one in others.values() if one is not None):
+        for entity in by_sequence(other for other in others.values() if other is not None):
             overlay.take(entity)
         return overlay
 
@@ -360,8 +362,8 @@ class OverlayStore(Store):
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the merged entity, or the committed one."""
-        found = super().get(entity_id)
-        return self._store.get(entity_id) if found is None and entity_id not in self._others else found
+        entity = super().get(entity_id)
+        return self._store.get(entity_id) if entity is None and entity_id not in self._others else entity
 
 
 def _has_room(indexes: dict[str, Any]) -> bool:

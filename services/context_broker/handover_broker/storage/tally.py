@@ -29,7 +29,7 @@ class Tally:
 
     def add(self, other: "Tally") -> None:
         """Add the counts of another tally with the same bounds."""
-        self.counts = [one + more for one, more in zip(self.counts, other.counts, strict=True)]
+        self.counts = [count + more for count, more in zip(self.counts, other.counts, strict=True)]
         self.total += other.total
 
     def buckets(self) -> list[tuple[str, float]]:

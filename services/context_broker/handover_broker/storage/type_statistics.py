@@ -69,11 +69,11 @@ class TypeStatistics:
 
     def attributes_of(self, kind: str) -> Mapping[str, set[str]]:
         """Return the attributes of the entities of a type, with their kinds."""
-        found: dict[str, set[str]] = {}
+        result: dict[str, set[str]] = {}
         for group in self._of(kind):
             for name, kinds in group.attributes.items():
-                found.setdefault(name, set()).update(kinds)
-        return found
+                result.setdefault(name, set()).update(kinds)
+        return result
 
     def attributes(self) -> list[str]:
         """Return the attributes that entities have."""
@@ -81,11 +81,11 @@ class TypeStatistics:
 
     def kinds_of(self, attribute: str) -> Kinds:
         """Return the number of instances of an attribute by kind; empty if no entity has it."""
-        found: Kinds = {}
+        kinds: Kinds = {}
         for group in self._groups.values():
             for kind, number in group.attributes.get(attribute, {}).items():
-                found[kind] = found.get(kind, 0) + number
-        return found
+                kinds[kind] = kinds.get(kind, 0) + number
+        return kinds
 
     def types_with(self, attribute: str) -> list[str]:
         """Return the types of the entities that have an attribute."""
@@ -115,7 +115,7 @@ def _alike(was: list[Instance], now: list[Instance]) -> bool:
     """Return whether instances count the same."""
     if len(was) == len(now) == 1:
         return bool(was[0]["type"] == now[0]["type"])
-    return [one["type"] for one in was] == [one["type"] for one in now]
+    return [instance["type"] for instance in was] == [instance["type"] for instance in now]
 
 
 def _add(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:

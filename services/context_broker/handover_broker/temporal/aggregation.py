@@ -57,30 +57,30 @@ def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, 
         return []
     if duration.is_everything:
         return [Period(origin, end, [value for _, value in points])]
-    found: list[Period] = []
+    result: list[Period] = []
     until = -1
     for at, value in points:
-        if at >= until and not (found and until >= MAX_TIME):
+        if at >= until and not (result and until >= MAX_TIME):
             number = duration.number(origin, at)
             until = duration.boundary(origin, number + 1)
-            found.append(Period(duration.boundary(origin, number), until, []))
-        found[-1].values.append(value)
-    return found
+            result.append(Period(duration.boundary(origin, number), until, []))
+        result[-1].values.append(value)
+    return result
 
 
-def totals(found: Iterable[Period], kind: str, methods: Iterable[str]) -> list[Total]:
+def totals(spans: Iterable[Period], kind: str, methods: Iterable[str]) -> list[Total]:
     """Return the aggregated values of each period."""
     wanted = tuple(methods)
     return [
         Total(period.start, period.end, {method: measure(method, kind, period.values) for method in wanted})
-        for period in found
+        for period in spans
     ]
 
 
-def written_totals(found: Iterable[Total], methods: Iterable[str]) -> dict[str, list[list[Any]]]:
+def written_totals(all_totals: Iterable[Total], methods: Iterable[str]) -> dict[str, list[list[Any]]]:
     """Return the aggregated values by method, each with the start and end of its period."""
     result: dict[str, list[list[Any]]] = {method: [] for method in methods}
-    for total in found:
+    for total in all_totals:
         start, end = written_time(total.start), written_time(total.end)
         for method, value in total.values.items():
             if value is not None:
@@ -93,13 +93,13 @@ def measure(method: str, kind: str, values: Sequence[Any]) -> Any:
     if method == "totalCount":
         return len(values)
     if method == "distinctCount":
-        return len({orjson.dumps(one, option=orjson.OPT_SORT_KEYS) for one in values})
+        return len({orjson.dumps(value, option=orjson.OPT_SORT_KEYS) for value in values})
     if kind in COUNTED_ONLY:
         return None
-    numbers = [number for one in values if (number := _number(one)) is not None]
+    numbers = [number for value in values if (number := _number(value)) is not None]
     if numbers:
         return _fitting(METHODS[method](numbers))
-    texts = [text for one in values if (text := _text(one)) is not None]
+    texts = [text for value in values if (text := _text(value)) is not None]
     if texts and method in _ORDERED:
         return _ORDERED[method](texts)
     return None
@@ -128,12 +128,12 @@ def _fitting(number: float) -> float | None:
 
 
 def _sum(numbers: Sequence[float]) -> float:
-    if all(isinstance(one, int) for one in numbers):
+    if all(isinstance(number, int) for number in numbers):
         return sum(numbers)
     try:
         return math.fsum(numbers)
     except OverflowError:
-        return sum(float(one) for one in numbers)
+        return sum(float(number) for number in numbers)
 
 
 def _average(numbers: Sequence[float]) -> float:
@@ -143,11 +143,13 @@ def _average(numbers: Sequence[float]) -> float:
 def _deviation(numbers: Sequence[float]) -> float:
     """Return the population standard deviation; that of a sample needs two values."""
     mean = _average(numbers)
-    return math.sqrt(_sum([(float(one) - mean) * (float(one) - mean) for one in numbers]) / len(numbers))
+    return math.sqrt(
+        _sum([(float(number) - mean) * (float(number) - mean) for number in numbers]) / len(numbers)
+    )
 
 
 def _sum_of_squares(numbers: Sequence[float]) -> float:
-    return _sum([one * one for one in numbers])
+    return _sum([number * number for number in numbers])
 
 
 METHODS: Final[dict[str, Callable[[Sequence[float]], float]]] = {

@@ -51,14 +51,14 @@ class Duration:
         return number
 
 
-def read_duration(given: str, what: str) -> Duration:
+def read_duration(text: str, what: str) -> Duration:
     """Return an ISO 8601 duration; raise a problem (400) that names `what` for invalid text."""
     try:
-        duration = parse_duration(given)
+        duration = parse_duration(text)
     except ValueError:
         raise bad_request_data(
             f"{what} is a duration of ISO 8601 such as PT1H, P1D or P1M (PT0S for all the time), "
-            f"of at most {MAX_YEARS} years, not {shown(given)}"
+            f"of at most {MAX_YEARS} years, not {shown(text)}"
         ) from None
     return Duration(duration.months, duration.microseconds)
 

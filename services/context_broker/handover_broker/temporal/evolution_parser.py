@@ -40,7 +40,7 @@ class ProvidedEvolution:
     @property
     def scopes(self) -> tuple[str, ...]:
         """Return the latest scopes, none if there are none."""
-        values = [one["value"] for one in self.attributes.get(SCOPE, ())]
+        values = [attribute["value"] for attribute in self.attributes.get(SCOPE, ())]
         if not values:
             return ()
         return (values[-1],) if isinstance(values[-1], str) else tuple(values[-1])
@@ -48,7 +48,8 @@ class ProvidedEvolution:
     def stamped(self, at: str) -> "ProvidedEvolution":
         """Return a copy with the broker's timestamps for instances that are stored at `at`."""
         attributes = {
-            name: [_stamped(one, at) for one in instances] for name, instances in self.attributes.items()
+            name: [_stamped(instance, at) for instance in instances]
+            for name, instances in self.attributes.items()
         }
         return replace(self, attributes=attributes)
 
@@ -61,22 +62,22 @@ def parse_evolution(document: Any, terms: Terms) -> ProvidedEvolution:
     if not isinstance(document, Mapping):
         raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
     head = read_change(
-        {name: given for name, given in document.items() if name in _MEMBERS}, terms, Nulls.NOWHERE
+        {name: content for name, content in document.items() if name in _MEMBERS}, terms, Nulls.NOWHERE
     )
     attributes: Attributes = {}
     total = 0
-    for name, given in document.items():
+    for name, content in document.items():
         if name in _MEMBERS or name == "@context":
             continue
         if name == SCOPE:
-            attributes[SCOPE] = _scopes(given, terms)
+            attributes[SCOPE] = _scopes(content, terms)
             continue
         iri = expand(require_name(name, "the attribute name"), terms)
         if iri in attributes:
             raise bad_request_data(
                 f"attribute {shown(name)} is given twice, once under another name of {iri}"
             )
-        attributes[iri] = _instances(name, given, terms)
+        attributes[iri] = _instances(name, content, terms)
         total += len(attributes[iri])
     if total > MAX_INSTANCES:
         raise bad_request_data(
@@ -85,26 +86,32 @@ def parse_evolution(document: Any, terms: Terms) -> ProvidedEvolution:
     return ProvidedEvolution(head.id, head.types, attributes, head.expires_at)
 
 
-def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:
-    if not isinstance(given, list) or not given or not all(_is_instance(one) for one in given):
-        given = [given]
+def _instances(name: str, provided: Any, terms: Terms) -> list[Instance]:
+    if (
+        not isinstance(provided, list)
+        or not provided
+        or not all(_is_instance(instance) for instance in provided)
+    ):
+        provided = [provided]
     # One by one: an attribute may change its type over time, with one datasetId or none.
-    found = [read_change({name: one}, terms, Nulls.ATTRIBUTES).attributes for one in given]
-    return [instance for attributes in found for instances in attributes.values() for instance in instances]
+    parsed = [read_change({name: instance}, terms, Nulls.ATTRIBUTES).attributes for instance in provided]
+    return [instance for attributes in parsed for instances in attributes.values() for instance in instances]
 
 
-def _is_instance(given: Any) -> bool:
-    return isinstance(given, dict) and (
-        given_kind(given) in VALUE_MEMBER or not VALUE_MEMBERS.isdisjoint(given)
+def _is_instance(instance: Any) -> bool:
+    return isinstance(instance, dict) and (
+        given_kind(instance) in VALUE_MEMBER or not VALUE_MEMBERS.isdisjoint(instance)
     )
 
 
-def _scopes(given: Any, terms: Terms) -> list[Instance]:
+def _scopes(provided: Any, terms: Terms) -> list[Instance]:
     """Return scopes as instances of a Property (clause 4.5.6), from instances or plain values."""
     listed = (
-        given if isinstance(given, list) and given and all(_is_instance(one) for one in given) else [given]
+        provided
+        if isinstance(provided, list) and provided and all(_is_instance(part) for part in provided)
+        else [provided]
     )
-    found: list[Instance] = []
+    instances: list[Instance] = []
     for scope in listed:
         instance: Instance = {"type": "Property", "value": scope}
         if isinstance(scope, dict):
@@ -113,11 +120,11 @@ def _scopes(given: Any, terms: Terms) -> list[Instance]:
                 raise bad_request_data("a scope is a Property with a value and optionally an observedAt")
         value = instance["value"]
         if value == NULL:
-            found.append({**instance, "value": []})
+            instances.append({**instance, "value": []})
             continue
         scopes = read_change({SCOPE: value}, terms, Nulls.NOWHERE).scopes or ()
-        found.append({**instance, "value": scopes[0] if len(scopes) == 1 else list(scopes)})
-    return found
+        instances.append({**instance, "value": scopes[0] if len(scopes) == 1 else list(scopes)})
+    return instances
 
 
 def _stamped(instance: Instance, at: str) -> Instance:

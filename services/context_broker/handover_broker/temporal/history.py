@@ -46,7 +46,7 @@ Deletions = dict[str, list[tuple[str, str | None] | None]]
 
 
 @dataclass(slots=True)
-class Change:
+class RowContent:
     """The content of a row. Instances that were removed later are None, so that positions stay the same."""
 
     attributes: dict[str, list[Instance | None]] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Change:
         return orjson.dumps(fields)
 
     @classmethod
-    def restored(cls, stored: bytes) -> "Change":
+    def restored(cls, stored: bytes) -> "RowContent":
         """Return the change in the body of a row."""
         return cls(**orjson.loads(stored))
 
@@ -76,15 +76,17 @@ class Change:
     def is_empty(self) -> bool:
         """Return whether all instances have been removed."""
         lists: Iterable[list[Any]] = (*self.attributes.values(), *self.deleted.values())
-        return self.scopes is None and all(one is None for instances in lists for one in instances)
+        return self.scopes is None and all(instance is None for instances in lists for instance in instances)
 
     def observed(self, at_s: float) -> tuple[float | None, float | None]:
         """Return the first and the last observedAt in it; scopes count as observed at `at_s`."""
         times = [
             seen
             for instances in self.attributes.values()
-            for one in instances
-            if one is not None and "observedAt" in one and (seen := moment(one["observedAt"])) is not None
+            for instance in instances
+            if instance is not None
+            and "observedAt" in instance
+            and (seen := moment(instance["observedAt"])) is not None
         ]
         if self.scopes is not None:
             times.append(at_s)
@@ -118,10 +120,10 @@ class Change:
         lists: list[tuple[str, list[Any]]] = [*self.attributes.items(), *self.deleted.items()]
         for name, instances in lists:
             if position < len(instances):
-                found = name == attribute and instances[position] is not None
-                if found:
+                is_wanted = name == attribute and instances[position] is not None
+                if is_wanted:
                     instances[position] = None
-                return found
+                return is_wanted
             position -= len(instances)
         if attribute == SCOPE and position == 0 and self.scopes is not None:
             self.scopes = None
@@ -130,21 +132,21 @@ class Change:
 
     def cut(self, attribute: str, concerns: Callable[[str | None], bool]) -> bool:
         """Remove all instances of an attribute with certain datasetIds; return whether there were any."""
-        found = False
+        has_cut = False
         instances = self.attributes.get(attribute, [])
         for position, instance in enumerate(instances):
             if instance is not None and concerns(dataset_of(instance)):
                 instances[position] = None
-                found = True
+                has_cut = True
         deletions = self.deleted.get(attribute, [])
         for position, gone in enumerate(deletions):
             if gone is not None and concerns(gone[1]):
                 deletions[position] = None
-                found = True
+                has_cut = True
         if attribute == SCOPE and self.scopes is not None and concerns(None):
             self.scopes = None
-            found = True
-        return found
+            has_cut = True
+        return has_cut
 
     def put(self, position: int, instance: Instance) -> None:
         """Replace the instance at `position`."""
@@ -213,7 +215,7 @@ class TemporalOnlyEntity:
         )
 
 
-class Recorder:
+class HistoryRecorder:
     """Adds the history rows to the commits of changes."""
 
     def __init__(self) -> None:
@@ -245,7 +247,7 @@ class Recorder:
         if change is not None:
             entries.history.append(self.row(entity.seq, change, at))
 
-    def row(self, entity_seq: int, change: Change, at: str) -> HistoryRow:
+    def row(self, entity_seq: int, change: RowContent, at: str) -> HistoryRow:
         """Return the row of a change of an entity."""
         seq = micros_of(at)
         if seq <= self._last < seq + 1_000_000:
@@ -254,16 +256,16 @@ class Recorder:
         return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 0, change.stored())
 
 
-def change_of(event: Event) -> Change | None:
+def change_of(event: Event) -> RowContent | None:
     """Return the difference of a change, None if there is none. Unchanged instances are the same objects."""
     before, after, written = event
     if after is None:
         assert before is not None  # noqa: S101 - a change has at least one end
         gone = {name: _kinds(instances) for name, instances in before.attributes.items()}
-        return Change({}, gone, [] if before.scopes else None)
+        return RowContent({}, gone, [] if before.scopes else None)
     if before is None:
         scopes = list(after.scopes) if after.scopes else None
-        return Change(after.attributes, {}, scopes)  # type: ignore[arg-type]  # read only
+        return RowContent(after.attributes, {}, scopes)  # type: ignore[arg-type]  # read only
     attributes: Attributes = {}
     deleted: Deletions = {}
     old = before.attributes
@@ -286,17 +288,17 @@ def change_of(event: Event) -> Change | None:
     scopes = None if before.scopes == after.scopes else list(after.scopes)
     if not attributes and not deleted and scopes is None:
         return None
-    return Change(attributes, deleted, scopes)  # type: ignore[arg-type]  # lists without gaps
+    return RowContent(attributes, deleted, scopes)  # type: ignore[arg-type]  # lists without gaps
 
 
 def _compare(
     name: str, was: list[Instance], instances: list[Instance], attributes: Attributes, deleted: Deletions
 ) -> None:
-    known = {id(one) for one in was}
-    if new := [one for one in instances if id(one) not in known]:
+    identities = {id(instance) for instance in was}
+    if new := [instance for instance in instances if id(instance) not in identities]:
         attributes[name] = new
-    datasets = {dataset_of(one) for one in instances}
-    if gone := [one for one in was if dataset_of(one) not in datasets]:
+    datasets = {dataset_of(instance) for instance in instances}
+    if gone := [instance for instance in was if dataset_of(instance) not in datasets]:
         deleted[name] = _kinds(gone)
 
 
@@ -307,10 +309,10 @@ def instance_id(entity_seq: int, seq: int, position: int) -> str:
 
 def parse_instance_id(instance: str) -> tuple[int, int, int] | None:
     """Return sequence number, seq and position in an instanceId; None for one of another broker."""
-    found = _ID.fullmatch(instance)
-    if found is None:
+    match = _ID.fullmatch(instance)
+    if match is None:
         return None
-    entity_seq, seq, position = (int(part, 16) for part in found.groups())
+    entity_seq, seq, position = (int(part, 16) for part in match.groups())
     return entity_seq, seq, position
 
 
@@ -345,7 +347,7 @@ def seq_before(days: float) -> int:
 
 
 def _kinds(instances: Iterable[Instance]) -> list[tuple[str, str | None] | None]:
-    return [(one["type"], dataset_of(one)) for one in instances]
+    return [(instance["type"], dataset_of(instance)) for instance in instances]
 
 
 def _deletion(kind: str, dataset: str | None, at: str) -> Instance:

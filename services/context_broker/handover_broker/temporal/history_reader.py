@@ -26,7 +26,7 @@ from handover_broker.model.validation import has_expired
 from handover_broker.query.scope_query import ScopeQuery
 from handover_broker.storage.history_archive import Archive
 from handover_broker.temporal.aggregation import Aggregation, Total, periods, totals
-from handover_broker.temporal.history import SCOPE, Change, instance_id, micros_of
+from handover_broker.temporal.history import SCOPE, RowContent, instance_id, micros_of
 from handover_broker.temporal.query import TemporalQuery
 from handover_broker.temporal.subjects import Subject
 
@@ -108,7 +108,12 @@ class Evolution:
     def as_entity(self) -> Entity:
         """Return an entity with all instances at once, to which filters can be applied."""
         attributes: dict[str, list[Instance]] = {
-            name: [one for series in named.values() for _, _, one in series.points if "deletedAt" not in one]
+            name: [
+                instance
+                for series in named.values()
+                for _, _, instance in series.points
+                if "deletedAt" not in instance
+            ]
             for name, named in self.series.items()
             if name != SCOPE
         }
@@ -146,9 +151,9 @@ class EvolutionPage:
 def read_evolution(archive: Archive, subject: Subject, history_request: HistoryRequest) -> EvolutionPage:
     """Return the evolution of one subject. Raises `NotStored` when the disk cannot be read."""
     (evolution,) = _read(archive, [subject], history_request)
-    found = EvolutionPage([evolution], total=1)
-    _finish(found, history_request)
-    return found
+    page = EvolutionPage([evolution], total=1)
+    _finish(page, history_request)
+    return page
 
 
 def read_evolutions(
@@ -164,7 +169,7 @@ def read_evolutions(
 
     Raises `NotStored` when the disk cannot be read.
     """
-    found = EvolutionPage()
+    page = EvolutionPage()
     for subjects_of_run in _runs(subjects):
         run = _in_scope(archive, subjects_of_run, history_request)
         if not run:
@@ -174,15 +179,15 @@ def read_evolutions(
                 history_request.wants is None or history_request.wants(evolution.as_entity())
             ):
                 continue
-            found.total += 1
-            if offset < found.total <= offset + limit:
-                found.evolutions.append(evolution)
-                _finish(found, history_request)
-            elif found.total > offset + limit:
-                found.more = True
+            page.total += 1
+            if offset < page.total <= offset + limit:
+                page.evolutions.append(evolution)
+                _finish(page, history_request)
+            elif page.total > offset + limit:
+                page.more = True
                 if not count:
-                    return found
-    return found
+                    return page
+    return page
 
 
 def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequest) -> list[Subject]:
@@ -198,9 +203,9 @@ def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequ
     for entity_seq, seq, _, body in archive.history(
         [entity_seq for subject in run for entity_seq in subject.entity_seqs]
     ):
-        if not Change.may_set_scopes(body):
+        if not RowContent.may_set_scopes(body):
             continue
-        for name, _, instance in Change.restored(body).instances(seq):
+        for name, _, instance in RowContent.restored(body).instances(seq):
             if name == SCOPE:
                 observed, value = instance.get("observedAt"), instance["value"]
                 at = micros_of(observed) if observed is not None else 0 if entity_seq in timeless else seq
@@ -279,7 +284,7 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
             evolution, edge = Evolution(next(rest)), None
         if edge is not None and query.is_later(edge, seq, observed_from):
             continue  # a response ends at the same time for all attributes
-        for name, position, instance in Change.restored(body).instances(seq):
+        for name, position, instance in RowContent.restored(body).instances(seq):
             at = query.time_of(instance, is_scope=name == SCOPE)
             # An expired attribute of a current entity ends, but its history stays (clause 4.22).
             if evolution.subject.was_never_current and has_expired(instance.get("expiresAt"), now_s):
@@ -338,16 +343,16 @@ def _bound(history_request: HistoryRequest) -> tuple[int, bool]:
     return (min(most, query.last), True) if query.last is not None else (most, latest)
 
 
-def _finish(found: EvolutionPage, history_request: HistoryRequest) -> None:
+def _finish(page: EvolutionPage, history_request: HistoryRequest) -> None:
     """Limit the last evolution to the requested attributes, and all of them to the size of a response."""
-    evolution = found.evolutions[-1]
+    evolution = page.evolutions[-1]
     evolution.series = {
         name: named for name, named in evolution.series.items() if history_request.shows(name)
     }
     last = history_request.query.last
     latest = last is not None
     if history_request.query.aggregation is not None:
-        _aggregate(found, evolution, history_request, history_request.query.aggregation)
+        _aggregate(page, evolution, history_request, history_request.query.aggregation)
         return
     for series in evolution.all():
         series.most = min(MAX_INSTANCES_PER_ATTRIBUTE, last or MAX_INSTANCES_PER_ATTRIBUTE)
@@ -355,21 +360,21 @@ def _finish(found: EvolutionPage, history_request: HistoryRequest) -> None:
         if last is not None and last <= MAX_INSTANCES_PER_ATTRIBUTE:
             series.points = series.points[-last:]
         elif series.edge is not None:
-            _narrow(found, series.edge, latest=latest)
-    all_series = [series for one in found.evolutions for series in one.all()]
-    _keep(all_series, found.edge)
+            _narrow(page, series.edge, latest=latest)
+    all_series = [series for other in page.evolutions for series in other.all()]
+    _keep(all_series, page.edge)
     if sum(len(series.points) for series in all_series) > MAX_INSTANCES_PER_ANSWER:
         times = sorted(at for series in all_series for at, _, _ in series.points)
         _narrow(
-            found,
+            page,
             times[-MAX_INSTANCES_PER_ANSWER] if latest else times[MAX_INSTANCES_PER_ANSWER - 1],
             latest=latest,
         )
-        _keep(all_series, found.edge)
+        _keep(all_series, page.edge)
 
 
 def _aggregate(
-    found: EvolutionPage, evolution: Evolution, history_request: HistoryRequest, wanted: Aggregation
+    page: EvolutionPage, evolution: Evolution, history_request: HistoryRequest, wanted: Aggregation
 ) -> None:
     """Replace each series by its aggregation, in periods from the requested time, or the first point, on.
 
@@ -387,25 +392,25 @@ def _aggregate(
     for series in evolution.all():
         points = series.points if last is None else series.points[-last:]
         values = [
-            (at, one[VALUE_MEMBER[one["type"]]] if history_request.wants is not None else one)
-            for at, _, one in points
+            (at, instance[VALUE_MEMBER[instance["type"]]] if history_request.wants is not None else instance)
+            for at, _, instance in points
         ]
         series.points = []
         found_periods = periods(values, wanted.period, origin, until)
         if len(found_periods) > MAX_INSTANCES_PER_ATTRIBUTE:
-            _narrow(found, found_periods[MAX_INSTANCES_PER_ATTRIBUTE].start, latest=False)
+            _narrow(page, found_periods[MAX_INSTANCES_PER_ATTRIBUTE].start, latest=False)
         series.totals = totals(found_periods[:MAX_INSTANCES_PER_ATTRIBUTE], series.kind, wanted.methods)
-    for one in found.evolutions:
-        for series in one.all():
-            if found.edge is not None:
-                series.totals = [total for total in series.totals if total.start < found.edge]
+    for other in page.evolutions:
+        for series in other.all():
+            if page.edge is not None:
+                series.totals = [total for total in series.totals if total.start < page.edge]
 
 
-def _narrow(found: EvolutionPage, edge: int, *, latest: bool) -> None:
-    if found.edge is None:
-        found.edge = edge
+def _narrow(page: EvolutionPage, edge: int, *, latest: bool) -> None:
+    if page.edge is None:
+        page.edge = edge
     else:
-        found.edge = max(found.edge, edge) if latest else min(found.edge, edge)
+        page.edge = max(page.edge, edge) if latest else min(page.edge, edge)
 
 
 def _keep(all_series: Iterable[Series], edge: int | None) -> None:

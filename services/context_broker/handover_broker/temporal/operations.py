@@ -11,7 +11,7 @@ import orjson
 
 from handover_broker.model.context import Context
 from handover_broker.model.problems import bad_request_data, not_read
-from handover_broker.model.rendering import with_context
+from handover_broker.model.representation.rendering import with_context
 from handover_broker.model.validation import require_uri, shown
 from handover_broker.operations.entity_operations import absent, nothing_left
 from handover_broker.query.earlier_names import with_earlier_names
@@ -112,23 +112,23 @@ class TemporalOperations:
         def look() -> tuple[EvolutionPage, list[bytes]] | None:
             temporal_only = self._archive.temporal_only_entities(request.tenant.name, entity_id)
             subjects = [
-                one
-                for one in subjects_of(() if live is None else (live,), temporal_only)
-                if shows(one.with_all_types())
+                subject
+                for subject in subjects_of(() if live is None else (live,), temporal_only)
+                if shows(subject.with_all_types())
             ]
             if not subjects:
                 return None
-            found = read_evolution(self._archive, subjects[0], history_request)
-            return found, _texts(found, options)
+            page = read_evolution(self._archive, subjects[0], history_request)
+            return page, _texts(page, options)
 
         answered = await self._looked(look)
         if answered is None:
             raise absent(entity_id)
-        found, (text,) = answered
-        _note_read(request, found)
+        page, (text,) = answered
+        _note_read(request, page)
         if text in {b"{}", with_context(b"{}", options.context)}:
             raise nothing_left(entity_id)
-        return _answer(text, found, options)
+        return _answer(text, page, options)
 
     async def query(self, request: RequestContext) -> Response:
         """GET temporal/entities."""
@@ -181,26 +181,31 @@ class TemporalOperations:
             ids: tuple[str | None, ...] = (
                 (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
             )
-            known = subjects_of(
-                live, chain.from_iterable(self._archive.temporal_only_entities(name, one) for one in ids)
+            subjects = subjects_of(
+                live,
+                chain.from_iterable(
+                    self._archive.temporal_only_entities(name, entity_id) for entity_id in ids
+                ),
             )
             wanted = [
-                one for one in known if narrowing.wants(one.as_entity()) and shows(one.with_all_types())
+                subject
+                for subject in subjects
+                if narrowing.wants(subject.as_entity()) and shows(subject.with_all_types())
             ]
             if order is not None:
-                wanted.sort(key=lambda one: order.place_of(one.as_entity()))
-            found = read_evolutions(
+                wanted.sort(key=lambda subject: order.place_of(subject.as_entity()))
+            page = read_evolutions(
                 self._archive, wanted, history_request, window.offset, window.limit, count=window.count
             )
-            return found, _texts(found, options)
+            return page, _texts(page, options)
 
-        found, texts = await self._looked(look)
-        _note_read(request, found)
-        answer = _answer(b"[" + b",".join(texts) + b"]", found, options)
+        page, texts = await self._looked(look)
+        _note_read(request, page)
+        answer = _answer(b"[" + b",".join(texts) + b"]", page, options)
         if window.count:
-            answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
+            answer.headers.append((b"ngsild-results-count", str(page.total).encode()))
         if request.method == "GET":
-            answer.headers += page_links(request, window, options.accept, more=found.more)
+            answer.headers += page_links(request, window, options.accept, more=page.more)
         return answer
 
     async def _looked(self, look: Callable[[], Result]) -> Result:
@@ -211,25 +216,26 @@ class TemporalOperations:
             raise not_read(str(error)) from error
 
 
-def _note_read(request: RequestContext, found: EvolutionPage) -> None:
+def _note_read(request: RequestContext, page: EvolutionPage) -> None:
     store = request.tenant.store
-    subjects = (one.subject for one in found.evolutions)
-    store.note_read(store.get(one.id) or one.as_entity() for one in subjects)
+    subjects = (evolution.subject for evolution in page.evolutions)
+    store.note_read(store.get(subject.id) or subject.as_entity() for subject in subjects)
 
 
-def _texts(found: EvolutionPage, options: _ReadOptions) -> list[bytes]:
+def _texts(page: EvolutionPage, options: _ReadOptions) -> list[bytes]:
     terms = options.context.terms
     texts = [
-        orjson.dumps(render_evolution(one, options.query, options.view, terms)) for one in found.evolutions
+        orjson.dumps(render_evolution(evolution, options.query, options.view, terms))
+        for evolution in page.evolutions
     ]
     return [with_context(text, options.context) for text in texts] if options.accept == JSON_LD else texts
 
 
-def _answer(body: bytes, found: EvolutionPage, options: _ReadOptions) -> Response:
+def _answer(body: bytes, page: EvolutionPage, options: _ReadOptions) -> Response:
     headers = (
         [(b"content-type", JSON_LD.encode())] if options.accept == JSON_LD else json_headers(options.context)
     )
-    content = content_range(found, options.query)
+    content = content_range(page, options.query)
     if content is None:
         return Response(200, body, headers)
     return Response(206, body, [*headers, (b"content-range", content)])
@@ -249,16 +255,16 @@ def temporal_parameters(document: Any) -> dict[str, str]:
     """Return the query parameters equivalent to a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
     if not isinstance(document, Mapping):
         raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')
-    rest = {name: given for name, given in document.items() if name not in {"temporalQ", "aggrParams"}}
+    rest = {name: content for name, content in document.items() if name not in {"temporalQ", "aggrParams"}}
     parameters = query_parameters(rest)
-    for name, known in (
+    for name, members in (
         ("temporalQ", TIME_PARAMETERS | AGGREGATION_PARAMETERS),
         ("aggrParams", AGGREGATION_PARAMETERS),
     ):
-        given = document.get(name, {})
-        if not isinstance(given, Mapping) or not known.issuperset(given):
-            raise bad_request_data(f'"{name}" is an object with {", ".join(sorted(known))} at most')
-        for member, value in given.items():
+        nested = document.get(name, {})
+        if not isinstance(nested, Mapping) or not members.issuperset(nested):
+            raise bad_request_data(f'"{name}" is an object with {", ".join(sorted(members))} at most')
+        for member, value in nested.items():
             parameters[member] = _as_parameter(member, value)
     return parameters
 
@@ -266,7 +272,7 @@ def temporal_parameters(document: Any) -> dict[str, str]:
 def _as_parameter(name: str, value: Any) -> str:
     if name == "lastN" and isinstance(value, int) and not isinstance(value, bool):
         return str(value)
-    if name == "aggrMethods" and isinstance(value, list) and all(isinstance(one, str) for one in value):
+    if name == "aggrMethods" and isinstance(value, list) and all(isinstance(method, str) for method in value):
         return ",".join(value)
     if isinstance(value, str) and name != "lastN":
         return value

@@ -39,8 +39,8 @@ from handover_broker.storage.history_archive import END_OF_TIME, Archive, Histor
 from handover_broker.temporal.evolution_parser import ProvidedEvolution, parse_evolution
 from handover_broker.temporal.history import (
     SCOPE,
-    Change,
-    Recorder,
+    HistoryRecorder,
+    RowContent,
     TemporalOnlyEntity,
     parse_instance_id,
 )
@@ -61,15 +61,15 @@ _SEEN: Final = "observed_to >= ? AND observed_from <= ?"
 class TemporalProvision:
     """Operations that write temporal evolutions."""
 
-    def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
+    def __init__(self, archive: Archive, recorder: HistoryRecorder | None) -> None:
         self._archive = archive
-        self._recorder = recorder or Recorder()
+        self._recorder = recorder or HistoryRecorder()
         self._locks: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        one = "temporal/entities/{id}"
-        attribute = f"{one}/attrs/{{name}}"
+        by_id = "temporal/entities/{id}"
+        attribute = f"{by_id}/attrs/{{name}}"
         instance = f"{attribute}/{{instance}}"
         deleting = frozenset({"datasetId", "deleteAll", "local"})
         return (
@@ -82,8 +82,8 @@ class TemporalProvision:
                 _LOCAL,
                 makes_tenant=True,
             ),
-            Operation("DELETE", one, "deleteTemporal", "6.19.3.2", self.delete, _LOCAL),
-            Operation("POST", f"{one}/attrs", "appendAttrsTemporal", "6.20.3.1", self.append, _LOCAL),
+            Operation("DELETE", by_id, "deleteTemporal", "6.19.3.2", self.delete, _LOCAL),
+            Operation("POST", f"{by_id}/attrs", "appendAttrsTemporal", "6.20.3.1", self.append, _LOCAL),
             Operation(
                 "DELETE", attribute, "deleteAttrsTemporal", "6.21.3.1", self.delete_attribute, deleting
             ),
@@ -155,24 +155,24 @@ class TemporalProvision:
         """DELETE temporal/entities/{id}/attrs/{name}; instances of one datasetId, or all with deleteAll."""
         entity_id, tenant = _entity_id(request), request.tenant
         name = _attribute(request, (await request.reader_context()).terms)
-        given = request.parameter("datasetId")
-        dataset = None if given in {None, DEFAULT_INSTANCE} else require_uri(given, "datasetId")
+        text = request.parameter("datasetId")
+        dataset = None if text in {None, DEFAULT_INSTANCE} else require_uri(text, "datasetId")
         every = request.flag("deleteAll")
 
-        def cut(change: Change) -> bool:
-            return change.cut(name, lambda one: every or one == dataset)
+        def cut(change: RowContent) -> bool:
+            return change.cut(name, lambda instance_dataset: every or instance_dataset == dataset)
 
         async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
-            found = 0
+            count = 0
             for entity_seq in subject.entity_seqs:
                 after: int | None = -1
                 while after is not None:
                     rows, after = await asyncio.to_thread(self._rewritten, entity_seq, after, cut)
                     if rows:
-                        found += len(rows)
+                        count += len(rows)
                         await _commit(tenant, Entries(history=rows))
-        if not found:
+        if not count:
             which = "no instance" if every else f"no instance with {_dataset_shown(dataset)}"
             raise not_found(
                 f"the history of {entity_id} has {which} of the attribute {shown(request.names[1])}"
@@ -197,8 +197,8 @@ class TemporalProvision:
             instance = change.find(name, position)
             if instance is None:
                 raise _absent_instance(request)
-            given = {member: value for member, value in document.items() if member != "@context"}
-            part = read_attribute(request.names[1], completed_part(given, instance), context.terms)[0]
+            content = {member: value for member, value in document.items() if member != "@context"}
+            part = read_attribute(request.names[1], completed_part(content, instance), context.terms)[0]
             if is_deletion(part):
                 raise bad_request_data(
                     "an instance is deleted with DELETE, not by a PATCH; leave the NULL out"
@@ -246,17 +246,17 @@ class TemporalProvision:
             entity_seq = live.seq
         else:
             entity_seq = subject.entity_seqs[-1] if subject is not None else tenant.store.next_seq()
-            known = (
+            existing = (
                 TemporalOnlyEntity((), (), at, at, None) if subject is None else subject.as_temporal_only(at)
             )
-            known = replace(
-                known,
-                types=tuple(dict.fromkeys((*known.types, *provided.types))),
-                scopes=provided.scopes or known.scopes,
-                expires_at=provided.expires_at or known.expires_at,
+            existing = replace(
+                existing,
+                types=tuple(dict.fromkeys((*existing.types, *provided.types))),
+                scopes=provided.scopes or existing.scopes,
+                expires_at=provided.expires_at or existing.expires_at,
             )
-            tenant.store.require_shown(Entity(entity_id, known.types, {}, at, at))
-            entries.temporal_only[entity_seq] = TemporalOnlyRow(tenant.name, entity_id, known.stored())
+            tenant.store.require_shown(Entity(entity_id, existing.types, {}, at, at))
+            entries.temporal_only[entity_seq] = TemporalOnlyRow(tenant.name, entity_id, existing.stored())
         try:
             if overwrites and subject is not None:
                 rows, added = await asyncio.to_thread(self._overwritten, subject.entity_seqs, added)
@@ -264,44 +264,47 @@ class TemporalProvision:
             for number, attributes in enumerate(_pieces(added)):
                 if number % 10 == 9:
                     await asyncio.sleep(0)  # serve other requests in between
-                entries.history.append(self._recorder.row(entity_seq, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
+                entries.history.append(self._recorder.row(entity_seq, RowContent(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {entity_id} is nested too deep; use at most 200 levels") from None
         await _commit(tenant, entries)
 
     def _overwritten(
-        self, entity_seqs: Sequence[int], given: Attributes
+        self, entity_seqs: Sequence[int], attributes: Attributes
     ) -> tuple[list[HistoryRow], Attributes]:
         """Replace stored instances by provided ones of the same time.
 
         Return the changed rows, and the provided instances that replaced nothing.
         """
         new = {
-            (name, dataset_of(one), seen): one
-            for name, several in given.items()
-            for one in several
-            if (seen := moment(one.get("observedAt", ""))) is not None
+            (name, dataset_of(instance), seen): instance
+            for name, several in attributes.items()
+            for instance in several
+            if (seen := moment(instance.get("observedAt", ""))) is not None
         }
         if not new:
-            return [], given
+            return [], attributes
         times = [seen for _, _, seen in new]
         within = (min(times) - 1e-6, max(times) + 1e-6)
         rows: list[HistoryRow] = []
         taken: set[int] = set()
         for entity_seq, seq, _, body in self._archive.history(entity_seqs, _SEEN, within, latest_first=True):
-            change, before = Change.restored(body), len(taken)
-            for name, position, known in list(change.instances(seq)):
-                seen = moment(known.get("observedAt", ""))
-                one = None if seen is None else new.get((name, dataset_of(known), seen))
-                if one is None or id(one) in taken or change.find(name, position) is None:
+            change, before = RowContent.restored(body), len(taken)
+            for name, position, stored in list(change.instances(seq)):
+                seen = moment(stored.get("observedAt", ""))
+                replacement = None if seen is None else new.get((name, dataset_of(stored), seen))
+                if replacement is None or id(replacement) in taken or change.find(name, position) is None:
                     continue
-                change.put(position, {**one, "createdAt": known["createdAt"]})
-                taken.add(id(one))
+                change.put(position, {**replacement, "createdAt": stored["createdAt"]})
+                taken.add(id(replacement))
             if len(taken) > before:
                 rows.append(_row(entity_seq, seq, change))
             if len(taken) == len(new):
                 break
-        left = {name: [one for one in several if id(one) not in taken] for name, several in given.items()}
+        left = {
+            name: [instance for instance in several if id(instance) not in taken]
+            for name, several in attributes.items()
+        }
         return rows, {name: several for name, several in left.items() if several}
 
     async def _subject(self, tenant: Tenant, entity_id: str) -> Subject | None:
@@ -309,10 +312,10 @@ class TemporalProvision:
             lambda: list(self._archive.temporal_only_entities(tenant.name, entity_id))
         )
         live = tenant.store.latest(entity_id)
-        found = subjects_of(() if live is None else (live,), temporal_only)
-        if found:
-            tenant.store.require_shown(found[0].with_all_types())
-        return found[0] if found else None
+        subjects = subjects_of(() if live is None else (live,), temporal_only)
+        if subjects:
+            tenant.store.require_shown(subjects[0].with_all_types())
+        return subjects[0] if subjects else None
 
     async def _existing(self, tenant: Tenant, entity_id: str) -> Subject:
         subject = await self._subject(tenant, entity_id)
@@ -320,27 +323,27 @@ class TemporalProvision:
             raise absent(entity_id)
         return subject
 
-    async def _row(self, request: RequestContext, entity_id: str) -> tuple[int, int, int, Change]:
+    async def _row(self, request: RequestContext, entity_id: str) -> tuple[int, int, int, RowContent]:
         """Return the position of the instance in the path, and the change that it is part of."""
         subject = await self._existing(request.tenant, entity_id)
-        given = require_uri(request.names[2], "the instanceId in the path")
-        where = parse_instance_id(given)
+        instance_uri = require_uri(request.names[2], "the instanceId in the path")
+        where = parse_instance_id(instance_uri)
         if where is None or where[0] not in subject.entity_seqs:
             raise _absent_instance(request)
         entity_seq, seq, position = where
         rows = await asyncio.to_thread(self._archive.changes_after, entity_seq, seq - 1, 1)
         if not rows or rows[0][0] != seq:
             raise _absent_instance(request)
-        return entity_seq, seq, position, Change.restored(rows[0][1])
+        return entity_seq, seq, position, RowContent.restored(rows[0][1])
 
     def _rewritten(
-        self, entity_seq: int, after: int, cut: Callable[[Change], bool]
+        self, entity_seq: int, after: int, cut: Callable[[RowContent], bool]
     ) -> tuple[list[HistoryRow], int | None]:
         """Return the next rows that `cut` has changed, and the seq to continue after, if any."""
-        found = self._archive.changes_after(entity_seq, after, ROWS_PER_COMMIT)
-        changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
+        stored = self._archive.changes_after(entity_seq, after, ROWS_PER_COMMIT)
+        changed = [(seq, change) for seq, body in stored if cut(change := RowContent.restored(body))]
         rows = [_row(entity_seq, seq, change) for seq, change in changed]
-        return rows, found[-1][0] if len(found) == ROWS_PER_COMMIT else None
+        return rows, stored[-1][0] if len(stored) == ROWS_PER_COMMIT else None
 
     @asynccontextmanager
     async def _exclusive(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
@@ -373,16 +376,16 @@ async def _commit(tenant: Tenant, entries: Entries) -> None:
         raise not_stored(str(error), is_away=error.is_away) from error
 
 
-def _row(entity_seq: int, seq: int, change: Change) -> HistoryRow:
+def _row(entity_seq: int, seq: int, change: RowContent) -> HistoryRow:
     body = None if change.is_empty() else change.stored()
     return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 1, body)
 
 
 def _pieces(attributes: Attributes) -> Iterator[Attributes]:
     """Yield the instances in groups for one row each, ordered by time."""
-    instances = [(name, one) for name, several in attributes.items() for one in several]
+    instances = [(name, part) for name, several in attributes.items() for part in several]
     if len(instances) > INSTANCES_PER_ROW:
-        instances.sort(key=lambda one: moment(one[1].get("observedAt", "")) or 0.0)
+        instances.sort(key=lambda named_instance: moment(named_instance[1].get("observedAt", "")) or 0.0)
     for start in range(0, len(instances), INSTANCES_PER_ROW):
         piece: Attributes = {}
         for name, instance in instances[start : start + INSTANCES_PER_ROW]:
@@ -396,7 +399,7 @@ def _patched(instance: Instance, part: Instance) -> Instance:
         if value == NULL:
             del merged[member]
         elif ":" in member and isinstance(value, list):
-            merged[member] = [one for one in value if not is_deletion(one)]
+            merged[member] = [remaining for remaining in value if not is_deletion(remaining)]
             if not merged[member]:
                 del merged[member]
     if (dataset := dataset_of(instance)) is not None:
@@ -409,8 +412,8 @@ def _entity_id(request: RequestContext) -> str:
 
 
 def _attribute(request: RequestContext, terms: Terms) -> str:
-    given = require_name(request.names[1], "the attribute name in the path")
-    return SCOPE if given == SCOPE else expand(given, terms)
+    name = require_name(request.names[1], "the attribute name in the path")
+    return SCOPE if name == SCOPE else expand(name, terms)
 
 
 def _dataset_shown(dataset: str | None) -> str:

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from handover_broker.model.context import Context
 from handover_broker.model.entity import Instance
-from handover_broker.model.language import preferences
 from handover_broker.model.problems import bad_request_data, invalid_request
-from handover_broker.model.projection import read_projection
-from handover_broker.model.rendering import Form, View
+from handover_broker.model.representation.language import preferences
+from handover_broker.model.representation.projection import read_projection
+from handover_broker.model.representation.rendering import Form, View
 from handover_broker.model.validation import MICROS, moment, require_time, shown
 from handover_broker.query.pages import Window
 from handover_broker.query.parameters import Use, names_for
@@ -42,7 +42,10 @@ class Representation(StrEnum):
     AGGREGATED = "aggregatedValues"
 
 
-_REPRESENTATIONS: Final = {**{one.value: one for one in Representation}, "simplified": Representation.VALUES}
+_REPRESENTATIONS: Final = {
+    **{representation.value: representation for representation in Representation},
+    "simplified": Representation.VALUES,
+}
 _OPTIONS: Final = frozenset({*_REPRESENTATIONS, "sysAttrs", "count"})
 
 
@@ -170,7 +173,7 @@ def temporal_view(request: RequestContext, context: Context) -> TemporalView:
     """Return the requested representation; raise a problem (400) for contradictions."""
     parameters = request.parameters
     options = options_of(request, _OPTIONS)
-    representations = {_REPRESENTATIONS[one] for one in options if one in _REPRESENTATIONS}
+    representations = {_REPRESENTATIONS[option] for option in options if option in _REPRESENTATIONS}
     wanted = parameters.get("format")
     if wanted is not None:
         if wanted not in _REPRESENTATIONS:
@@ -231,22 +234,22 @@ def _window(parameters: Mapping[str, str]) -> tuple[str | None, int | None, int 
 
 
 def _time(parameters: Mapping[str, str], name: str) -> int | None:
-    given = parameters.get(name)
-    if given is None:
+    text = parameters.get(name)
+    if text is None:
         return None
-    at_s = moment(require_time(given, name))
+    at_s = moment(require_time(text, name))
     assert at_s is not None  # noqa: S101 - require_time has seen to it
     return round(at_s * MICROS)
 
 
 def _aggregation(parameters: Mapping[str, str]) -> Aggregation:
-    given = parameters.get("aggrMethods")
-    if not given:
+    text = parameters.get("aggrMethods")
+    if not text:
         raise bad_request_data(
             f"aggregatedValues needs aggrMethods, a list of {', '.join(METHODS)}; add it to the request"
         )
-    methods = tuple(dict.fromkeys(given.split(",")))
-    if unknown := next((one for one in methods if one not in METHODS), None):
+    methods = tuple(dict.fromkeys(text.split(",")))
+    if unknown := next((method for method in methods if method not in METHODS), None):
         raise bad_request_data(f"aggrMethods has {shown(unknown)}; it takes {', '.join(METHODS)}")
     return Aggregation(
         methods, read_duration(parameters.get("aggrPeriodDuration", "PT0S"), "aggrPeriodDuration")

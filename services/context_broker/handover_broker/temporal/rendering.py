@@ -6,8 +6,8 @@ Clauses 4.5.6 to 4.5.9 (normalized, concise and temporalValues) and 4.5.19 (aggr
 from typing import Any, Final
 
 from handover_broker.model.entity import Terms
-from handover_broker.model.language import in_language
-from handover_broker.model.rendering import Form, written
+from handover_broker.model.representation.language import in_language
+from handover_broker.model.representation.rendering import Form, written
 from handover_broker.model.validation import is_time, written_time
 from handover_broker.temporal.aggregation import written_totals
 from handover_broker.temporal.history import SCOPE
@@ -98,23 +98,23 @@ def _pairs(
     return result
 
 
-def content_range(found: EvolutionPage, query: TemporalQuery) -> bytes | None:
+def content_range(page: EvolutionPage, query: TemporalQuery) -> bytes | None:
     """Return the Content-Range of a partial response, None for a complete one.
 
     Clause 6.3.10: start and end of the response, backwards for the last instances. The next request starts at
     its end. Because a range includes its start, instances of that instant come again with the same
     instanceId.
     """
-    if found.edge is None:
+    if page.edge is None:
         return None
-    times = [at for one in found.evolutions for series in one.all() for at, _, _ in series.points]
+    times = [at for evolution in page.evolutions for series in evolution.all() for at, _, _ in series.points]
     if query.last is None:
-        start = query.start if query.start is not None else min(times, default=found.edge)
+        start = query.start if query.start is not None else min(times, default=page.edge)
         size = "*"
     else:
-        start = query.end if query.end is not None else max(times, default=found.edge)
+        start = query.end if query.end is not None else max(times, default=page.edge)
         size = str(query.last)
-    end = found.edge
+    end = page.edge
     if query.aggregation is None and end == start and query.last is None:
         end += 1  # all instances of this instant are in the response: the next request starts after it
     return f"date-time {written_time(start)}-{written_time(end)}/{size}".encode()

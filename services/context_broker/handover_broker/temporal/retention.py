@@ -102,14 +102,14 @@ class Retention:
 
     def _expired(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
         """Return tenant, id and sequence number of expired history, also earlier ones of the same entity."""
-        found: list[tuple[str, str, int]] = []
+        expired: list[tuple[str, str, int]] = []
         for tenant in tenants:
             before: dict[str, list[int]] = {}
             for entity_seq, entity_id, body in self._archive.temporal_only_entities(tenant):
                 before.setdefault(entity_id, []).append(entity_seq)
                 if TemporalOnlyEntity.restored(body).has_expired_at(now_s):
-                    found += [(tenant, entity_id, one) for one in before.pop(entity_id)]
-        return found
+                    expired += [(tenant, entity_id, seq) for seq in before.pop(entity_id)]
+        return expired
 
     async def _delete(self, entity_seq: int, before: int) -> int:
         """Delete the changes of an entity with a seq below `before`; return the number of commits."""
@@ -126,10 +126,10 @@ class Retention:
         """Return the next entity with something to delete, else the last scanned one, -1 at the end."""
         entity_seq = after
         for _ in range(ENTITIES_PER_SCAN):
-            found = self._archive.first_change(entity_seq)
-            if found is None:
+            change = self._archive.first_change(entity_seq)
+            if change is None:
                 return -1, False
-            entity_seq, seq = found
+            entity_seq, seq = change
             if seq < before:
                 return entity_seq, True
         return entity_seq, False

@@ -65,17 +65,17 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
 
     Places before an expired one are left out, even if they are still on disk.
     """
-    found: dict[str, Subject] = {}
+    subjects: dict[str, Subject] = {}
     now_s = time.time()
     for entity_seq, entity_id, body in temporal_only:
         stored = TemporalOnlyEntity.restored(body)
         if stored.has_expired_at(now_s):
-            found.pop(entity_id, None)
+            subjects.pop(entity_id, None)
             continue
-        known = found.get(entity_id)
-        entity_seqs = (entity_seq,) if known is None else (*known.entity_seqs, entity_seq)
-        created_at = stored.created_at if known is None else known.created_at
-        found[entity_id] = Subject(
+        earlier_subject = subjects.get(entity_id)
+        entity_seqs = (entity_seq,) if earlier_subject is None else (*earlier_subject.entity_seqs, entity_seq)
+        created_at = stored.created_at if earlier_subject is None else earlier_subject.created_at
+        subjects[entity_id] = Subject(
             entity_id,
             stored.types,
             stored.scopes,
@@ -85,16 +85,16 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             entity_seqs,
             stored.expires_at,
             was_never_current=stored.deleted_at is None,
-            earlier_types=_earlier(known, stored.former_types),
+            earlier_types=_earlier(earlier_subject, stored.former_types),
         )
     for entity in entities:
-        known = found.get(entity.id)
+        earlier_subject = subjects.get(entity.id)
         earlier = (
             ()
-            if known is None
-            else tuple(entity_seq for entity_seq in known.entity_seqs if entity_seq != entity.seq)
+            if earlier_subject is None
+            else tuple(entity_seq for entity_seq in earlier_subject.entity_seqs if entity_seq != entity.seq)
         )
-        found[entity.id] = Subject(
+        subjects[entity.id] = Subject(
             entity.id,
             entity.types,
             entity.scopes,
@@ -103,10 +103,14 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             None,
             (*earlier, entity.seq),
             entity.expires_at,
-            earlier_types=_earlier(known, entity.former_types),
+            earlier_types=_earlier(earlier_subject, entity.former_types),
         )
-    return sorted(found.values(), key=lambda subject: subject.entity_seqs[0])
+    return sorted(subjects.values(), key=lambda subject: subject.entity_seqs[0])
 
 
-def _earlier(known: Subject | None, former: tuple[str, ...]) -> tuple[str, ...]:
-    return former if known is None else (*known.earlier_types, *known.types, *former)
+def _earlier(earlier_subject: Subject | None, former: tuple[str, ...]) -> tuple[str, ...]:
+    return (
+        former
+        if earlier_subject is None
+        else (*earlier_subject.earlier_types, *earlier_subject.types, *former)
+    )

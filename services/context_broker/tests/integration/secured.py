@@ -10,9 +10,9 @@ import httpx
 from handover.security.caller import CallerKind
 from handover.security.permissions import Grant, Role
 from handover.security.service_access import service_token_file
-from handover_accounts import grants, secret_token_store, users
 from handover_accounts.set_up import opened_store, set_up
 from handover_accounts.settings import AccountsSettings
+from handover_accounts.storage import grants, secret_token_store, users
 from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for
 

@@ -8,8 +8,9 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.security import audit_chains, revocations
+from handover.security import revocations
 from handover.security.access_tokens import SigningKey, key_set
+from handover.security.audit_reading import audit_chains
 from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import OWNER_GRANTS, Grant, Role

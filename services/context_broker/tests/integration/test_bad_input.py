@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from handover_broker.app import create_broker
-from handover_broker.query.place_index import PlaceIndex
+from handover_broker.query.indexes.place_index import PlaceIndex
 from handover_broker.settings import BrokerSettings
 
 NEAR = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": "[8,40]"}

@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from handover_broker.app import create_broker
-from handover_broker.federation.operations import entity_map_pages
 from handover_broker.settings import BrokerSettings
+from handover_federation.operations import entity_map_pages
 
 from .conftest import BrokerProcess
 

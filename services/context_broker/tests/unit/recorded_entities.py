@@ -13,7 +13,7 @@ from handover_broker.model.entity_parser import read_change, read_entity
 from handover_broker.model.validation import timestamp
 from handover_broker.storage.entries import Entries
 from handover_broker.storage.journal import Journal
-from handover_broker.temporal.history import Recorder
+from handover_broker.temporal.history import HistoryRecorder
 from handover_broker.temporal.history_reader import EvolutionPage, HistoryRequest, read_evolution
 from handover_broker.temporal.query import TemporalQuery
 from handover_broker.temporal.subjects import Subject, subjects_of
@@ -35,7 +35,7 @@ class RecordedEntity:
     """An entity that is changed step by step, with a note of every instance that was written."""
 
     journal: Journal
-    recorder: Recorder = field(default_factory=Recorder)
+    recorder: HistoryRecorder = field(default_factory=HistoryRecorder)
     pending: Entries = field(default_factory=Entries)
     place: int = field(default_factory=lambda: next(PLACES))
     now: datetime = START

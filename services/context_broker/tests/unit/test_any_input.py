@@ -17,7 +17,7 @@ from handover_broker.model.changes import appended, created, merged
 from handover_broker.model.completion import completed, normalized
 from handover_broker.model.context import Context
 from handover_broker.model.entity_parser import read_change, read_entity
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)

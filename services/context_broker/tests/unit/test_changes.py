@@ -8,7 +8,7 @@ import pytest
 from handover_broker.model import changes
 from handover_broker.model.entity import NULL, Entity
 from handover_broker.model.entity_parser import read_change, read_entity
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_broker.model.validation import moment
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 

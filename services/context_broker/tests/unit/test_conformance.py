@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handover_broker.model.conformance import OURS, conformed
+from handover_broker.model.representation.conformance import OURS, conformed
 
 ENTITY: dict[str, Any] = {
     "id": "urn:ngsi-ld:Store:1",

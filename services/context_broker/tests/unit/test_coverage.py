@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_broker.federation.distribution.query_targets import coverage_of
-from handover_broker.federation.registrations.coverage import (
+from handover_broker.model.entity import Entity
+from handover_broker.query.geo_query import geo_query
+from handover_broker.query.scope_query import scope_query
+from handover_federation.distribution.query_targets import coverage_of
+from handover_federation.registrations.coverage import (
     CoverageQuery,
     has_matching_place,
     may_hold,
     placement_filter,
 )
-from handover_broker.model.entity import Entity
-from handover_broker.query.geo_query import geo_query
-from handover_broker.query.scope_query import scope_query
 from services.context_broker.tests.unit.test_registry import CONTEXT, TASKS, registered
 
 EXPAND = CONTEXT.terms.expand

@@ -11,7 +11,7 @@ from handover_broker.model.changes import created, merged
 from handover_broker.model.completion import completed, normalized
 from handover_broker.model.entity import VALUE_MEMBER, Entity
 from handover_broker.model.entity_parser import read_change, read_entity
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)

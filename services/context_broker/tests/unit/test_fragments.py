@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from handover_broker.federation.distribution.fragments import (
+from handover_broker.model.attribute_selection import select_attributes
+from handover_broker.model.entity import Attributes, Entity
+from handover_datamodels.contexts import TermMap, resolve
+from handover_federation.distribution.forwarding.translation import translated
+from handover_federation.distribution.reads.fragments import (
     Fragment,
     merged,
     read_fragment,
     without_expired,
 )
-from handover_broker.federation.distribution.translation import translated
-from handover_broker.model.attribute_selection import select_attributes
-from handover_broker.model.entity import Attributes, Entity
-from handover_datamodels.contexts import TermMap, resolve
 
 TERMS = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

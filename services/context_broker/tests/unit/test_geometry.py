@@ -14,7 +14,7 @@ from handover_broker.model.entity import Entity
 from handover_broker.model.entity_parser import read_entity
 from handover_broker.model.geometry import DEPTHS, MAX_POSITIONS, fault_of
 from handover_broker.query.geo_query import geo_query_document
-from handover_broker.query.place_index import SKIPPED, PlaceIndex
+from handover_broker.query.indexes.place_index import SKIPPED, PlaceIndex
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL).terms

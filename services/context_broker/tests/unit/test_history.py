@@ -20,8 +20,8 @@ from handover_broker.temporal import history_reader
 from handover_broker.temporal.aggregation import Aggregation
 from handover_broker.temporal.durations import read_duration
 from handover_broker.temporal.history import (
-    Change,
-    Recorder,
+    HistoryRecorder,
+    RowContent,
     change_of,
     instance_id,
     micros_of,
@@ -321,9 +321,9 @@ def test_a_change_without_a_new_time_has_its_own_row(journal: Journal) -> None:
 
 
 def test_changes_of_one_instant_keep_their_order() -> None:
-    recorder = Recorder()
+    recorder = HistoryRecorder()
     at = timestamp(START)
-    seqs = [recorder.row(1, Change(), at).seq for _ in range(5)]
+    seqs = [recorder.row(1, RowContent(), at).seq for _ in range(5)]
     assert seqs == sorted(set(seqs))
     assert time_of(seqs[0]) == at
 

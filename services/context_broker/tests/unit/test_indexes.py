@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from handover_broker.model.entity import Entity
 from handover_broker.query.geo_query import geo_query_document
-from handover_broker.query.place_index import PlaceIndex
-from handover_broker.query.q_index import Equality, Range
+from handover_broker.query.indexes.place_index import PlaceIndex
+from handover_broker.query.indexes.q_index import Equality, Range
 from handover_broker.query.type_selection import of_types, type_selection
 from handover_broker.storage.store import MAX_INDEXES, Store
 

@@ -17,7 +17,7 @@ from handover_broker.storage.entries import (
 from handover_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
 from handover_broker.storage.write_ahead_log.log import WriteAheadLog
 from handover_broker.storage.write_ahead_log.records import encode
-from handover_broker.temporal.history import Change, TemporalOnlyEntity
+from handover_broker.temporal.history import RowContent, TemporalOnlyEntity
 from tests.kit.paths import REPOSITORY
 
 PAGE = REPOSITORY / "docs" / "reference" / "write-ahead-log.md"
@@ -138,7 +138,9 @@ def test_each_type_of_record_is_documented_with_its_fields() -> None:
 
 def test_the_members_of_the_bodies_are_documented() -> None:
     at = "2026-01-01T00:00:00Z"
-    change = Change({"urn:a": [{"type": "Property", "value": 1}]}, {"urn:b": [("Property", None)]}, ["/a"])
+    change = RowContent(
+        {"urn:a": [{"type": "Property", "value": 1}]}, {"urn:b": [("Property", None)]}, ["/a"]
+    )
     written = {
         "entity/1": Entity("urn:x", ("urn:t",), {}, at, at, 1, former_types=("urn:s",)).stored(),
         "history/1": change.stored(),

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from handover.errors import Problem
 from handover_broker.model.changes import created
 from handover_broker.model.entity_parser import read_entity
-from handover_broker.model.geojson import feature_of, geometry
-from handover_broker.model.language import best_tag, preferences
-from handover_broker.model.projection import read_projection
-from handover_broker.model.rendering import Form, View, render
+from handover_broker.model.representation.geojson import feature_of, geometry
+from handover_broker.model.representation.language import best_tag, preferences
+from handover_broker.model.representation.projection import read_projection
+from handover_broker.model.representation.rendering import Form, View, render
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
 TERMS = TermMap(HANDOVER_URL)

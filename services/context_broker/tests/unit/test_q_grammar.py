@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from handover.errors import Problem
 from handover_broker.model.entity import Entity
-from handover_broker.query.attribute_index import AttributeIndex, ids_of
+from handover_broker.query.indexes.attribute_index import AttributeIndex, ids_of
+from handover_broker.query.indexes.q_index import Equality, Range, conditions, scalars
 from handover_broker.query.q_grammar import (
     And,
     Compare,
@@ -27,7 +28,6 @@ from handover_broker.query.q_grammar import (
     parse,
     paths,
 )
-from handover_broker.query.q_index import Equality, Range, conditions, scalars
 from handover_broker.query.q_match import no_lookup, predicate
 
 VOCAB = "https://a.example/"

@@ -8,19 +8,19 @@ from hypothesis import strategies as st
 
 from handover.errors import Problem
 from handover_broker.contexts.context_resolver import CORE
-from handover_broker.federation.registrations.registration import (
+from handover_broker.model.context import Context
+from handover_broker.model.entity import Entity
+from handover_broker.query.patterns import pattern
+from handover_datamodels.contexts import TermMap
+from handover_federation.registrations.registration import (
     EntityTarget,
     Mode,
     Registration,
     root_of,
     shown_document,
 )
-from handover_broker.federation.registrations.registration_parser import kept_document, registration
-from handover_broker.federation.registrations.registry import Registry, claims
-from handover_broker.model.context import Context
-from handover_broker.model.entity import Entity
-from handover_broker.query.patterns import pattern
-from handover_datamodels.contexts import TermMap
+from handover_federation.registrations.registration_parser import kept_document, registration
+from handover_federation.registrations.registry import Registry, claims
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))

@@ -11,7 +11,7 @@ from handover_broker.storage.database import SqliteDatabase
 from handover_broker.storage.entries import Entries
 from handover_broker.storage.history_archive import TemporalOnlyRow
 from handover_broker.storage.journal import Journal, NotStored
-from handover_broker.temporal.history import Change, Recorder, TemporalOnlyEntity, micros_of
+from handover_broker.temporal.history import HistoryRecorder, RowContent, TemporalOnlyEntity, micros_of
 from handover_broker.temporal.retention import Retention
 
 from .recorded_entities import START, RecordedEntity
@@ -78,7 +78,7 @@ async def test_expired_history_is_deleted_with_all_earlier_places(
     monkeypatch.setattr("handover_broker.temporal.retention.CHANGES_PER_COMMIT", 2)
     monkeypatch.setattr("handover_broker.temporal.retention.PAUSE_S", 0)
     at, end = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
-    recorder, entries = Recorder(), Entries()
+    recorder, entries = HistoryRecorder(), Entries()
     kept = {
         1: ("urn:x:gone", TemporalOnlyEntity(("urn:t",), (), at, at, at)),
         2: ("urn:x:stays", TemporalOnlyEntity(("urn:t",), (), at, at, None)),
@@ -90,7 +90,7 @@ async def test_expired_history_is_deleted_with_all_earlier_places(
         entries.temporal_only[place] = TemporalOnlyRow("", entity_id, temporal_only.stored())
         for number in range(5):
             instance = {"type": "Property", "value": number, "observedAt": at}
-            entries.history.append(recorder.row(place, Change({"urn:a": [instance]}), at))
+            entries.history.append(recorder.row(place, RowContent({"urn:a": [instance]}), at))
     own.commit(entries)
     retention = Retention(own.archive, Straight(own), 0, tenants=lambda: [""])  # type: ignore[arg-type]
     end_s = moment(end) or 0.0

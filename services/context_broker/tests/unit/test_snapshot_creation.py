@@ -11,12 +11,12 @@ from handover_broker.app import Broker
 from handover_broker.request.request_context import Request, RequestContext, Response
 from handover_broker.request.routing import Operation
 from handover_broker.settings import BrokerSettings
-from handover_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
-from handover_broker.snapshots.snapshot_creation import SnapshotCreator
-from handover_broker.snapshots.snapshot_store import SnapshotStore
 from handover_broker.storage.database import SqliteDatabase
 from handover_broker.storage.entries import DocumentKind
 from handover_broker.storage.journal import Journal
+from handover_federation.snapshots.snapshot import Snapshot, Status, new_snapshot
+from handover_federation.snapshots.snapshot_creation import SnapshotCreator
+from handover_federation.snapshots.snapshot_store import SnapshotStore
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
 

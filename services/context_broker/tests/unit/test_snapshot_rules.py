@@ -8,8 +8,8 @@ import pytest
 from handover.errors import Problem
 from handover_broker.model.entity import Entity
 from handover_broker.model.validation import inside, moment, outside, tenant_headers
-from handover_broker.snapshots.content import SnapshotContent
-from handover_broker.snapshots.snapshot import (
+from handover_federation.snapshots.content import SnapshotContent
+from handover_federation.snapshots.snapshot import (
     MAX_LIFETIME_S,
     Status,
     details,

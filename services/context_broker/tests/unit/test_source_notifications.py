@@ -8,8 +8,8 @@ from hypothesis import given
 from handover.errors import Problem
 from handover_broker.delivery.notification import change_data
 from handover_broker.delivery.subscription import subscription
-from handover_broker.federation.distribution.source_notifications import change_of_notification
 from handover_broker.model.entity import Entity
+from handover_federation.distribution.subscriptions.source_notifications import change_of_notification
 from services.context_broker.tests.unit.test_fragments import ANYTHING
 from services.context_broker.tests.unit.test_registry import CONTEXT, TASKS, registered
 

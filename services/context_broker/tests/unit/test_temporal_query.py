@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from handover.errors import Problem
 from handover_broker.model.validation import MICROS
 from handover_broker.temporal.evolution_parser import parse_evolution
-from handover_broker.temporal.history import SCOPE, Change
+from handover_broker.temporal.history import SCOPE, RowContent
 from handover_broker.temporal.query import TemporalQuery, temporal_query
 from handover_datamodels.contexts import HANDOVER_URL, TermMap
 
@@ -89,8 +89,8 @@ def test_any_temporal_input_is_stored_or_refused(attribute: Any, scope: Any) -> 
         return
     assert isinstance(provided.scopes, tuple)
     stamped = provided.stamped("2026-01-01T00:00:00.000000Z").attributes
-    change = Change({name: [*several] for name, several in stamped.items()})
-    kept = Change.restored(change.stored())
+    change = RowContent({name: [*several] for name, several in stamped.items()})
+    kept = RowContent.restored(change.stored())
     instances = list(kept.instances(0))
     assert len(instances) == sum(len(several) for several in provided.attributes.values())
     assert all(one["createdAt"] == one["modifiedAt"] for _, _, one in instances)

@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from handover_broker.federation.distribution.translation import older, translated
-from handover_broker.federation.distribution.via import append_to_via, chain
 from handover_datamodels.contexts import TermMap, resolve
+from handover_federation.distribution.forwarding.translation import older, translated
+from handover_federation.distribution.forwarding.via import append_to_via, chain
 
 CORE = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from handover.job import RequestedAction
 from handover.messages import message
-from handover.security.pin_check import ProvenPin
+from handover.security.proofs.pin_check import ProvenPin
 from handover_datamodels.states import Outcome
 from handover_gloves import metrics
 from handover_gloves.gloves.connection_state import ConnectionState

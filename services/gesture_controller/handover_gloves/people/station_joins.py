@@ -12,7 +12,7 @@ from typing import Any, Final
 from handover.errors import UsageError
 from handover.runtime.retry import Backoff
 from handover.security.authentication import Guard
-from handover.security.performer_proof import performer_proof
+from handover.security.proofs.performer_proof import performer_proof
 from handover.security.service_access import AccountsUnavailable
 from handover.telemetry import get_logger
 

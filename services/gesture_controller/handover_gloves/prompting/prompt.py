@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 from handover.job import Job, RequestedAction, TaskFailed
 from handover.messages import message
-from handover.security import performer_proof, pin_check
-from handover.security.pin_check import ProvenPin
+from handover.security.proofs import performer_proof, pin_check
+from handover.security.proofs.pin_check import ProvenPin
 from handover.tasks.outcomes import reason_of
 from handover_datamodels.states import Outcome
 from handover_gloves.prompting.sequence_gesture import SequenceProgress
@@ -77,9 +77,9 @@ class PromptAnswer:
     note: str | None = None
     performed_by: str | None = None
     pin_proof: str | None = None
-    """Shows that this Person has given the own PIN for the Task (`handover.security.pin_check`)."""
+    """Shows that this Person has given the own PIN for the Task (`handover.security.proofs.pin_check`)."""
     performer_proof: str | None = None
-    """Shows that this Person has answered (`handover.security.performer_proof`)."""
+    """Shows that this Person has answered (`handover.security.proofs.performer_proof`)."""
 
     @property
     def gesture(self) -> str | None:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from handover.formats.strict_json import StrictModel
 from handover.formats.validation import Moment
-from handover.security.pin_check import MAX_PIN_CHARACTERS
+from handover.security.proofs.pin_check import MAX_PIN_CHARACTERS
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
 from handover_processes.storage.process_filter import ProcessFilter, read_condition

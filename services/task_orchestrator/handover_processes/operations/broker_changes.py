@@ -9,8 +9,8 @@ from prometheus_client import Counter
 from handover.messages import message, with_code
 from handover.security.caller import InvalidToken
 from handover.security.keys_in_force import KeysInForce
-from handover.security.performer_proof import PERFORMER_MEMBER, require_proven_performer
-from handover.security.pin_check import proven_person
+from handover.security.proofs.performer_proof import PERFORMER_MEMBER, require_proven_performer
+from handover.security.proofs.pin_check import proven_person
 from handover.tasks.task_life import FINISHED
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Task, TaskStatus

@@ -12,7 +12,7 @@ from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover.security.pin_check import require_pin
+from handover.security.proofs.pin_check import require_pin
 from handover.tasks.task_life import is_for_people
 from handover_datamodels.entities import TaskStatus
 from handover_processes.documents.document import document, documents, json_response

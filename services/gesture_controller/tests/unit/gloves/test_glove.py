@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from handover.job import RequestedAction
-from handover.security.pin_check import ProvenPin
+from handover.security.proofs.pin_check import ProvenPin
 from handover_datamodels.states import Outcome
 from handover_gloves.gloves.gesture_responder import Station
 from handover_gloves.gloves.glove import Glove

@@ -9,14 +9,14 @@ import uvicorn
 
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
-from handover.security.performer_proof import require_proven_performer
+from handover.security.proofs.performer_proof import require_proven_performer
 from handover.settings import Settings
 from handover_accounts.app import make_app
-from handover_accounts.identifiers import IdentifierKind, set_identifier
 from handover_accounts.set_up import set_up
 from handover_accounts.settings import AccountsSettings
-from handover_accounts.stations import add_station
-from handover_accounts.users import add_user, set_person
+from handover_accounts.storage.identifiers import IdentifierKind, set_identifier
+from handover_accounts.storage.stations import add_station
+from handover_accounts.storage.users import add_user, set_person
 from handover_gloves.people.station_joins import StationJoins
 from tests.kit.ports import next_free_port
 

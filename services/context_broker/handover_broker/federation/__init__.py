@@ -1,1 +1,0 @@
-"""Federation: context source registrations, operations distributed to them, and entity maps."""

@@ -1,0 +1,1 @@
+"""Entities as clients receive them: members, names, languages, GeoJSON and earlier versions of NGSI-LD."""

@@ -1,0 +1,1 @@
+"""Subscriptions that are forwarded to context sources, and the notifications of these."""
