@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = "handover-try"
 DISTRIBUTIONS = (
     "handover-cell",
-    "handover-broker",
+    "handover-broker[federation]",
     "handover-processes",
     "handover-gloves[gif]",
     "handover-robots[physics]",
