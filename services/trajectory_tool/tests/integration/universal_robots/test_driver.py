@@ -20,14 +20,14 @@ from handover_robots.driver_base.context import RobotContext
 from handover_robots.model.faults import RobotFault
 from handover_robots.robots.panda import ROBOT as PANDA
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.universal_robots import rtde
-from handover_robots.universal_robots.arm_model import expected_model, other_series
-from handover_robots.universal_robots.driver import UniversalRobot
-from handover_robots.universal_robots.exchange import INPUTS
-from handover_robots.universal_robots.options import UrOptions, with_environment
-from handover_robots.universal_robots.routes import view_of
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
+from handover_ur import rtde
+from handover_ur.arm_model import expected_model, other_series
+from handover_ur.driver import UniversalRobot
+from handover_ur.exchange import INPUTS
+from handover_ur.options import UrOptions, with_environment
+from handover_ur.routes import view_of
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.states import RobotMode, RuntimeState, SafetyStatus
 from services.trajectory_tool.tests.integration.universal_robots.conftest import HOME, NewRobot
 from tests.kit.ur_controllers import RunningController
 from tests.kit.waiting import until, wait_for

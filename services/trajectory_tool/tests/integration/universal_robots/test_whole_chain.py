@@ -7,7 +7,7 @@ import httpx
 import pytest
 
 from handover_datamodels.entities import TaskStatus
-from handover_robots.universal_robots.states import RuntimeState, SafetyStatus
+from handover_ur.states import RuntimeState, SafetyStatus
 from services.trajectory_tool.tests.integration.test_tasks import AWAY, HOME, Shop, at_work
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handover_robots.universal_robots.states import RobotMode, SafetyStatus
+from handover_ur.states import RobotMode, SafetyStatus
 from tests.kit.paths import REPOSITORY
 
 

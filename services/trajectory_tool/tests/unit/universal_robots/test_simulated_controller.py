@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots.program import Payload, ProgramParameters, program
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.urscript import Program, ScriptError
-from handover_robots.universal_robots.states import (
+from handover_ur.program import Payload, ProgramParameters, program
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.urscript import Program, ScriptError
+from handover_ur.states import (
     Mode,
     ProgramState,
     RobotMode,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots.tracking import CycleClock, Tracker
+from handover_ur.tracking import CycleClock, Tracker
 
 CYCLE_S = 0.002
 SPEED, ACCELERATION = 2.0, 16.0

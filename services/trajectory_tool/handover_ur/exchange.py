@@ -1,6 +1,6 @@
 """The exchange process: RTDE with one controller at its full rate, apart from the trajectory tool.
 
-`python -m handover_robots.universal_robots.exchange` reads its parameters as one line of JSON from
+`python -m handover_ur.exchange` reads its parameters as one line of JSON from
 standard input, and ends when that closes. In each cycle it writes the report to shared memory and sends
 heartbeat, mode and joint targets. A byte on standard input means a new setpoint: the joint targets of the
 cycle are sent again, so that the controller has them earlier. It stops the joints in two cases, and waits
@@ -24,15 +24,15 @@ from dataclasses import asdict, dataclass, replace
 from typing import Self
 
 from handover.errors import HandoverError
-from handover_robots.universal_robots import rtde
-from handover_robots.universal_robots.rtde import PackageReader, PackageType, ProtocolError, Recipe
-from handover_robots.universal_robots.shared_memory import (
+from handover_ur import rtde
+from handover_ur.rtde import PackageReader, PackageType, ProtocolError, Recipe
+from handover_ur.shared_memory import (
     Command,
     Interruption,
     Report,
     SharedMemory,
 )
-from handover_robots.universal_robots.states import (
+from handover_ur.states import (
     HEARTBEAT_REGISTER,
     MAY_MOVE,
     MODE_REGISTER,
@@ -44,7 +44,7 @@ from handover_robots.universal_robots.states import (
     RobotMode,
     RuntimeState,
 )
-from handover_robots.universal_robots.tracking import CycleClock, Tracker
+from handover_ur.tracking import CycleClock, Tracker
 
 OUTPUTS = (
     "timestamp",

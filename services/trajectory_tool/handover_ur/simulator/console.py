@@ -9,8 +9,8 @@ import asyncio
 import sys
 from collections.abc import Callable
 
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.simulator import Ports, Simulator
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.simulator import Ports, Simulator
 
 
 async def run(

@@ -7,14 +7,14 @@ from contextlib import suppress
 from typing import Any
 
 from handover.telemetry import get_logger
-from handover_robots.universal_robots import rtde
-from handover_robots.universal_robots.rtde import PackageReader, PackageType, ProtocolError, Recipe
-from handover_robots.universal_robots.simulator.controller import (
+from handover_ur import rtde
+from handover_ur.rtde import PackageReader, PackageType, ProtocolError, Recipe
+from handover_ur.simulator.controller import (
     REGISTERS,
     TOOL_OUTPUT_BIT,
     SimulatedController,
 )
-from handover_robots.universal_robots.states import RuntimeState
+from handover_ur.states import RuntimeState
 
 log = get_logger(__name__)
 

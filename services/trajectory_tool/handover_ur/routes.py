@@ -11,11 +11,11 @@ from handover.errors import Problem
 from handover.messages import text_of
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
-from handover_robots.universal_robots.dashboard import Dashboard, DashboardError
-from handover_robots.universal_robots.faults import fault_of, is_connected, why_silent
-from handover_robots.universal_robots.options import UrOptions
-from handover_robots.universal_robots.shared_memory import Report
-from handover_robots.universal_robots.states import RuntimeState, robot_mode, safety_status
+from handover_ur.dashboard import Dashboard, DashboardError
+from handover_ur.faults import fault_of, is_connected, why_silent
+from handover_ur.options import UrOptions
+from handover_ur.shared_memory import Report
+from handover_ur.states import RuntimeState, robot_mode, safety_status
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from handover_robots.universal_robots.states import Mode
+from handover_ur.states import Mode
 
 ZEROS = (0.0,) * 6
 _REASON_BYTES = 240

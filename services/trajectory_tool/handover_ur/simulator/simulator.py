@@ -6,8 +6,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, fields
 from typing import Self
 
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.servers import (
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.servers import (
     DashboardServer,
     RobotiqServer,
     RtdeServer,

@@ -12,7 +12,7 @@ arm without the tool:
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from handover_robots.universal_robots.states import (
+from handover_ur.states import (
     HEARTBEAT_REGISTER,
     MODE_REGISTER,
     PROGRAM_ID_REGISTER,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 
 from handover.messages import message
 from handover_robots.model.faults import RobotFault
-from handover_robots.universal_robots.options import UrOptions
-from handover_robots.universal_robots.shared_memory import Report
+from handover_ur.options import UrOptions
+from handover_ur.shared_memory import Report
 
 TOOL_INPUT_BIT = TOOL_OUTPUT_BIT = 16
 CHECK_EVERY_S = 0.02

@@ -26,27 +26,27 @@ from handover_robots.model.faults import RobotFault
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.joints import Joints, JointState, Pace, Velocity
 from handover_robots.model.trajectory import Setpoint
-from handover_robots.universal_robots.arm_model import expected_model, other_model, other_series
-from handover_robots.universal_robots.dashboard import Dashboard, DashboardError
-from handover_robots.universal_robots.exchange_process import ExchangeProcess
-from handover_robots.universal_robots.faults import (
+from handover_ur.arm_model import expected_model, other_model, other_series
+from handover_ur.dashboard import Dashboard, DashboardError
+from handover_ur.exchange_process import ExchangeProcess
+from handover_ur.faults import (
     EMERGENCY_STOPS,
     MIN_SPEED_FRACTION,
     SAFEGUARD_STOPS,
     fault_of,
     is_connected,
 )
-from handover_robots.universal_robots.gripper import (
+from handover_ur.gripper import (
     Gripper,
     NoGripper,
     RobotiqGripper,
     ToolOutputGripper,
 )
-from handover_robots.universal_robots.options import UrOptions, with_environment
-from handover_robots.universal_robots.program import JOINTS, Payload, ProgramParameters, program
-from handover_robots.universal_robots.routes import add_routes
-from handover_robots.universal_robots.shared_memory import Interruption, Report
-from handover_robots.universal_robots.states import (
+from handover_ur.options import UrOptions, with_environment
+from handover_ur.program import JOINTS, Payload, ProgramParameters, program
+from handover_ur.routes import add_routes
+from handover_ur.shared_memory import Interruption, Report
+from handover_ur.states import (
     ProgramState,
     RuntimeState,
     SafetyStatus,

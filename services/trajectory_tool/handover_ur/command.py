@@ -11,7 +11,10 @@ from handover.errors import UsageError
 HOME = "0,-1.5708,1.5708,-1.5708,-1.5708,0"
 CB3_HZ, E_SERIES_HZ = 125.0, 500.0
 
+app = typer.Typer()
 
+
+@app.command()
 def simulate_ur(  # noqa: PLR0917 - options of a command
     host: Annotated[str, typer.Option("--host", help="The address to listen on.")] = "127.0.0.1",
     rtde_port: Annotated[int, typer.Option("--rtde-port")] = 30004,
@@ -27,11 +30,11 @@ def simulate_ur(  # noqa: PLR0917 - options of a command
 ) -> None:
     """Simulate a controller of Universal Robots; lines of input are what a person does at the arm."""
     # Only this command needs them.
-    from handover_robots.universal_robots.simulator.console import run  # noqa: PLC0415
-    from handover_robots.universal_robots.simulator.controller import (  # noqa: PLC0415
+    from handover_ur.simulator.console import run  # noqa: PLC0415
+    from handover_ur.simulator.controller import (  # noqa: PLC0415
         SimulatedController,
     )
-    from handover_robots.universal_robots.simulator.simulator import Ports  # noqa: PLC0415
+    from handover_ur.simulator.simulator import Ports  # noqa: PLC0415
 
     controller = SimulatedController(
         _positions(joints), running=not off, frequency_hz=CB3_HZ if cb3 else E_SERIES_HZ, model=model

@@ -1,8 +1,8 @@
 """Why an arm cannot move, and the remedy, for each state of its controller."""
 
 from handover.messages import Message, message
-from handover_robots.universal_robots.shared_memory import Report
-from handover_robots.universal_robots.states import (
+from handover_ur.shared_memory import Report
+from handover_ur.states import (
     MAY_MOVE,
     RobotMode,
     SafetyStatus,

@@ -11,10 +11,10 @@ from threading import Lock
 from handover.runtime.python_processes import module_command
 from handover.telemetry import get_logger
 from handover_robots.model.trajectory import Limits, Setpoint
-from handover_robots.universal_robots.exchange import ExchangeParameters
-from handover_robots.universal_robots.options import UrOptions
-from handover_robots.universal_robots.shared_memory import Command, Report, SharedMemory
-from handover_robots.universal_robots.states import Mode, robot_mode, safety_status
+from handover_ur.exchange import ExchangeParameters
+from handover_ur.options import UrOptions
+from handover_ur.shared_memory import Command, Report, SharedMemory
+from handover_ur.states import Mode, robot_mode, safety_status
 
 log = get_logger(__name__)
 
@@ -114,7 +114,7 @@ class ExchangeProcess:
             memory=memory.descriptor,
         )
         self._process = subprocess.Popen(  # noqa: S603 - our own module
-            module_command("handover_robots.universal_robots.exchange"),
+            module_command("handover_ur.exchange"),
             stdin=subprocess.PIPE,
             bufsize=0,
             pass_fds=[memory.descriptor],

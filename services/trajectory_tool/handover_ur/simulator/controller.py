@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from handover_robots.universal_robots.program import JOINTS
-from handover_robots.universal_robots.simulator.urscript import Cycles, Program, ScriptError
-from handover_robots.universal_robots.states import MAY_MOVE, RobotMode, RuntimeState, SafetyStatus
+from handover_ur.program import JOINTS
+from handover_ur.simulator.urscript import Cycles, Program, ScriptError
+from handover_ur.states import MAY_MOVE, RobotMode, RuntimeState, SafetyStatus
 
 UR10_SPEED_RAD_S = (2.0944, 2.0944, math.pi, math.pi, math.pi, math.pi)
 POSITION_LIMIT_RAD = 2 * math.pi + 0.006
