@@ -14,7 +14,7 @@ from handover_processes.model import Activity, Definition, Node, Scope, Value
 from handover_processes.notation.faults import BadBpmn
 from handover_processes.notation.file import read_bpmn
 from handover_robots.settings import TrajectorySettings
-from handover_robots.tasks.dry_run import DryRun, Nearest
+from handover_robots.tasks.dry_run import DryRun, NearestPair
 from handover_robots.tasks.operations import OPERATIONS
 
 
@@ -29,7 +29,7 @@ class Checked:
     duration_s: float = 0.0
     faults: tuple[str, ...] = ()
     skipped: str | None = None
-    nearest: Nearest | None = None
+    nearest: NearestPair | None = None
 
 
 def check_process(file: Path, settings: TrajectorySettings, given: Mapping[str, Any]) -> list[Checked]:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from lxml import etree
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.device import description
 from handover_robots.model.joints import Joints
 from handover_robots.model.obstacles import World
@@ -189,7 +189,7 @@ class ModelContract:
     ) -> None:
         """It is what `GET /robots/{robot}/description` returns."""
         settings = TrajectorySettings.load(data_dir=tmp_path, robot_model=self.robot, robot="simulated")
-        described = json.loads(json.dumps(description(Cell(settings).only), allow_nan=False))
+        described = json.loads(json.dumps(description(RobotCell(settings).only), allow_nan=False))
         assert [joint["name"] for joint in described["joints"]] == list(model.joint_names)
         assert described["home"] == list(model.home)
         drawn = etree.fromstring(described["urdf"].encode())

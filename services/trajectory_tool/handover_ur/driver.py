@@ -20,8 +20,7 @@ from handover.messages import message, text_of
 from handover.telemetry import get_logger
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.cyclic_robot import CyclicRobot
-from handover_robots.driver_base.robot import SafetyStatus as ReportedSafety
-from handover_robots.driver_base.robot import StopCategory
+from handover_robots.driver_base.robot import SafetyStatus, StopCategory
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.joints import Joints, JointState, Pace, Velocity
@@ -37,10 +36,10 @@ from handover_ur.faults import (
     is_connected,
 )
 from handover_ur.gripper import (
-    Gripper,
     NoGripper,
     RobotiqGripper,
     ToolOutputGripper,
+    UrGripper,
 )
 from handover_ur.options import UrOptions, with_environment
 from handover_ur.program import JOINTS, Payload, ProgramParameters, program
@@ -49,7 +48,7 @@ from handover_ur.shared_memory import Interruption, Report
 from handover_ur.states import (
     ProgramState,
     RuntimeState,
-    SafetyStatus,
+    UrSafetyStatus,
     robot_mode,
     safety_status,
 )
@@ -196,14 +195,14 @@ class UniversalRobot(CyclicRobot):
         await self._gripper.open()
         self._gripper_closed = False
 
-    def safety_status(self) -> ReportedSafety:
+    def safety_status(self) -> SafetyStatus:
         """Return what the controller reports of its safety functions."""
         report = self.exchange.report()
         status, fault = safety_status(report.safety_status), self._fault(report)
         is_fresh = self._is_fresh(report)
-        return ReportedSafety(
+        return SafetyStatus(
             emergency_stop=is_fresh and status in EMERGENCY_STOPS,
-            protective_stop=is_fresh and status is SafetyStatus.PROTECTIVE_STOP,
+            protective_stop=is_fresh and status is UrSafetyStatus.PROTECTIVE_STOP,
             safeguard_stop=is_fresh and status in SAFEGUARD_STOPS,
             mode=f"{robot_mode(report.robot_mode).name}, {status.name}" if is_fresh else "",
             speed=report.speed_fraction if is_fresh else None,
@@ -225,7 +224,7 @@ class UniversalRobot(CyclicRobot):
         """Return whether the last command closed the gripper."""
         return self._gripper_closed
 
-    def _make_gripper(self, context: RobotContext) -> Gripper:
+    def _make_gripper(self, context: RobotContext) -> UrGripper:
         match self.options.gripper:
             case "robotiq":
                 return RobotiqGripper(self.options)

@@ -39,12 +39,12 @@ from handover_ur.states import (
     PROGRAM_ID_REGISTER,
     PROGRAM_STATE_REGISTER,
     TARGET_REGISTER,
-    Mode,
+    ExchangeMode,
     ProgramState,
     RobotMode,
     RuntimeState,
 )
-from handover_ur.tracking import CycleClock, Tracker
+from handover_ur.tracking import CycleClock, TargetTracker
 
 OUTPUTS = (
     "timestamp",
@@ -190,7 +190,7 @@ class Connection:
                 self._note(package)
         return (self.outputs.decode(data[-1].payload) if data else None), len(data)
 
-    def send(self, heartbeat: int, mode: Mode, targets: tuple[float, ...], command: Command) -> None:
+    def send(self, heartbeat: int, mode: ExchangeMode, targets: tuple[float, ...], command: Command) -> None:
         """Write the input registers and the tool outputs."""
         values: rtde.Values = dict(zip(TARGETS, targets, strict=True))
         values[INPUTS[0]], values[INPUTS[1]] = heartbeat, int(mode)
@@ -209,7 +209,7 @@ class Exchange:
     def __init__(self, parameters: ExchangeParameters, memory: SharedMemory) -> None:
         self._parameters = parameters
         self._memory = memory
-        self._tracker = Tracker(parameters.max_rad_s, parameters.max_rad_s2)
+        self._tracker = TargetTracker(parameters.max_rad_s, parameters.max_rad_s2)
         self._clock = CycleClock()
         self._report = Report()
         self._heartbeat = 0
@@ -282,7 +282,9 @@ class Exchange:
         deadline_s = time.monotonic() + END_TIMEOUT_S
         state = f"output_int_register_{PROGRAM_STATE_REGISTER}"
         while time.monotonic() < deadline_s:
-            connection.send(self._next_heartbeat(), Mode.END, tuple(self._tracker.positions), Command())
+            connection.send(
+                self._next_heartbeat(), ExchangeMode.END, tuple(self._tracker.positions), Command()
+            )
             values, _ = connection.latest()
             if values is not None and values[state] not in {ProgramState.READY, ProgramState.SERVOING}:
                 return
@@ -293,26 +295,26 @@ class Exchange:
         command = self._memory.read_command()
         mode, targets = self._decide(report, command, values["target_q"], now_s, cycles)
         connection.send(self._next_heartbeat(), mode, targets, command)
-        lag_rad = self._tracker.lag_rad if mode is Mode.SERVO else 0.0
+        lag_rad = self._tracker.lag_rad if mode is ExchangeMode.SERVO else 0.0
         self._report = replace(self._report, interruption=self._interruption, lag_rad=lag_rad)
         self._memory.write_report(self._report)
 
     def _send_again(self, connection: Connection) -> None:
         """Send the targets of this cycle for a newer setpoint."""
         command = self._memory.read_command()
-        if self._is_servoing and command.mode is Mode.SERVO and self._cycle_s > 0:
+        if self._is_servoing and command.mode is ExchangeMode.SERVO and self._cycle_s > 0:
             setpoint = (command.positions, command.velocities, command.accelerations)
             age_s = self._cycle_at_s - command.stamp_s
             targets = self._tracker.step_again(setpoint, age_s, self._cycle_s)
-            connection.send(self._next_heartbeat(), Mode.SERVO, targets, command)
+            connection.send(self._next_heartbeat(), ExchangeMode.SERVO, targets, command)
 
     def _decide(
         self, report: Report, command: Command, target_q: object, now_s: float, cycles: int
-    ) -> tuple[Mode, tuple[float, ...]]:
+    ) -> tuple[ExchangeMode, tuple[float, ...]]:
         """Return the mode and the joint targets of this cycle."""
         cycle_s = 1.0 / report.frequency_hz
         at_s = self._clock.next_s(now_s, cycles, cycle_s)
-        if command.mode is not Mode.SERVO:
+        if command.mode is not ExchangeMode.SERVO:
             self._is_servoing = False
             self._interruption = Interruption.NONE
             return command.mode, tuple(self._tracker.positions)
@@ -322,14 +324,14 @@ class Exchange:
             self._interruption = self._interruption or Interruption.STALLED
         if self._interruption is not Interruption.NONE:
             self._is_servoing = False
-            return Mode.HOLD, tuple(self._tracker.positions)
+            return ExchangeMode.HOLD, tuple(self._tracker.positions)
         if not self._is_servoing:
             self._is_servoing = True
             assert isinstance(target_q, tuple)  # noqa: S101 - the recipe has a vector
             self._tracker.start(target_q)
         setpoint = (command.positions, command.velocities, command.accelerations)
         self._cycle_at_s, self._cycle_s = at_s, cycle_s * cycles
-        return Mode.SERVO, self._tracker.step(setpoint, at_s - command.stamp_s, self._cycle_s)
+        return ExchangeMode.SERVO, self._tracker.step(setpoint, at_s - command.stamp_s, self._cycle_s)
 
     def _next_heartbeat(self) -> int:
         self._heartbeat = self._heartbeat % MAX_HEARTBEAT + 1

@@ -14,7 +14,7 @@ from handover_robots.model.trajectory import Limits, Setpoint
 from handover_ur.exchange import ExchangeParameters
 from handover_ur.options import UrOptions
 from handover_ur.shared_memory import Command, Report, SharedMemory
-from handover_ur.states import Mode, robot_mode, safety_status
+from handover_ur.states import ExchangeMode, robot_mode, safety_status
 
 log = get_logger(__name__)
 
@@ -76,7 +76,7 @@ class ExchangeProcess:
         """Command a setpoint to the program; thread-safe."""
         self._write(
             stamp_s=time.monotonic(),
-            mode=Mode.SERVO,
+            mode=ExchangeMode.SERVO,
             program_id=program_id,
             positions=setpoint.positions,
             velocities=setpoint.velocities,
@@ -89,7 +89,7 @@ class ExchangeProcess:
 
     def hold(self) -> None:
         """End a motion: the joints stop if they move, and the program waits; thread-safe."""
-        self._write(stamp_s=time.monotonic(), mode=Mode.HOLD)
+        self._write(stamp_s=time.monotonic(), mode=ExchangeMode.HOLD)
 
     def set_tool_outputs(self, mask: int, outputs: int) -> None:
         """Set the tool outputs of `mask`; thread-safe."""

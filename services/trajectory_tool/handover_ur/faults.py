@@ -5,14 +5,14 @@ from handover_ur.shared_memory import Report
 from handover_ur.states import (
     MAY_MOVE,
     RobotMode,
-    SafetyStatus,
+    UrSafetyStatus,
     robot_mode,
     safety_status,
 )
 
 MIN_SPEED_FRACTION = 0.01
-EMERGENCY_STOPS = frozenset({SafetyStatus.SYSTEM_EMERGENCY_STOP, SafetyStatus.ROBOT_EMERGENCY_STOP})
-SAFEGUARD_STOPS = frozenset({SafetyStatus.SAFEGUARD_STOP, SafetyStatus.AUTOMATIC_MODE_SAFEGUARD_STOP})
+EMERGENCY_STOPS = frozenset({UrSafetyStatus.SYSTEM_EMERGENCY_STOP, UrSafetyStatus.ROBOT_EMERGENCY_STOP})
+SAFEGUARD_STOPS = frozenset({UrSafetyStatus.SAFEGUARD_STOP, UrSafetyStatus.AUTOMATIC_MODE_SAFEGUARD_STOP})
 
 
 def fault_of(report: Report, now_s: float, silence_s: float, host: str) -> Message | None:
@@ -47,10 +47,10 @@ def why_silent(report: Report, now_s: float) -> str:
     )
 
 
-def _safety_fault(status: SafetyStatus) -> Message | None:
+def _safety_fault(status: UrSafetyStatus) -> Message | None:
     if status in MAY_MOVE:
         return None
-    if status is SafetyStatus.PROTECTIVE_STOP:
+    if status is UrSafetyStatus.PROTECTIVE_STOP:
         return message(
             "robot.ur_protective_stop",
             "the arm is in a protective stop; remove the cause, then unlock the arm at the teach pendant",

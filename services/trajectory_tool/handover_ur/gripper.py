@@ -20,7 +20,7 @@ _MOVING, _CLOSED_ON_OBJECT = 0, 2
 _RANGE = 255
 
 
-class Gripper(ABC):
+class UrGripper(ABC):
     """A gripper that opens and closes."""
 
     @abstractmethod
@@ -32,7 +32,7 @@ class Gripper(ABC):
         """Open. Raises `RobotFault`."""
 
 
-class NoGripper(Gripper):
+class NoGripper(UrGripper):
     """The arm has no gripper."""
 
     async def close(self) -> bool:
@@ -53,7 +53,7 @@ class NoGripper(Gripper):
         )
 
 
-class ToolOutputGripper(Gripper):
+class ToolOutputGripper(UrGripper):
     """A gripper that closes while a tool output is high.
 
     `set_output` sets the outputs by mask and value. Without an input for the gripped object,
@@ -102,7 +102,7 @@ class ToolOutputGripper(Gripper):
         await asyncio.sleep(self._acts_in_s)
 
 
-class RobotiqGripper(Gripper):
+class RobotiqGripper(UrGripper):
     """A gripper of Robotiq, through the socket of its URCap: `SET name value` and `GET name`.
 
     It is not activated here, because the fingers move then; a person does that at the teach pendant.

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from dotenv import dotenv_values
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
+from pydantic import BeforeValidator, Field, FiniteFloat
 
+from handover.formats.validation import ClosedModel
 from handover.settings import ENV_FILE, PREFIX
 
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -25,10 +26,8 @@ Point = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], BeforeValidator(
 """Coordinates in m; in the environment as JSON."""
 
 
-class UrOptions(BaseModel):
+class UrOptions(ClosedModel):
     """One controller, its gripper and its watchdog."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: str = Field("127.0.0.1", min_length=1, description="the address of the controller")
     rtde_port: Port = Field(30004, description="the port of RTDE")

@@ -18,7 +18,7 @@ from handover_ur.states import (
     PROGRAM_ID_REGISTER,
     PROGRAM_STATE_REGISTER,
     TARGET_REGISTER,
-    Mode,
+    ExchangeMode,
     ProgramState,
 )
 
@@ -68,8 +68,8 @@ def program(given: ProgramParameters) -> str:
         f"  heartbeat = read_input_integer_register({HEARTBEAT_REGISTER})",
         "  missed = 0",
         "  moving = False",
-        f"  mode = {Mode.HOLD:d}",
-        f"  while mode != {Mode.END:d} and missed < {missed}:",
+        f"  mode = {ExchangeMode.HOLD:d}",
+        f"  while mode != {ExchangeMode.END:d} and missed < {missed}:",
         f"    received = read_input_integer_register({HEARTBEAT_REGISTER})",
         "    if received == heartbeat:",
         "      missed = missed + 1",
@@ -78,7 +78,7 @@ def program(given: ProgramParameters) -> str:
         "      heartbeat = received",
         "    end",
         f"    mode = read_input_integer_register({MODE_REGISTER})",
-        f"    if mode == {Mode.SERVO:d}:",
+        f"    if mode == {ExchangeMode.SERVO:d}:",
         "      if moving and missed > 0:",
         f"        step = {shorter}",
         f"        target = {continued}",

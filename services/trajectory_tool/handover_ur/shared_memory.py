@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from handover_ur.states import Mode
+from handover_ur.states import ExchangeMode
 
 ZEROS = (0.0,) * 6
 _REASON_BYTES = 240
@@ -32,7 +32,7 @@ class Command(NamedTuple):
     """What the tool commands; times on the monotonic clock in s."""
 
     stamp_s: float = 0.0
-    mode: Mode = Mode.HOLD
+    mode: ExchangeMode = ExchangeMode.HOLD
     program_id: int = 0
     positions: tuple[float, ...] = ZEROS
     velocities: tuple[float, ...] = ZEROS
@@ -149,7 +149,7 @@ class SharedMemory:
         """Return the last command."""
         stamp_s, mode, program_id, *rest = self._command.read()
         q, qd, qdd = tuple(rest[:6]), tuple(rest[6:12]), tuple(rest[12:18])
-        return Command(stamp_s, Mode(mode), program_id, q, qd, qdd, rest[18], rest[19])
+        return Command(stamp_s, ExchangeMode(mode), program_id, q, qd, qdd, rest[18], rest[19])
 
     def write_report(self, report: Report) -> None:
         """Replace the report."""

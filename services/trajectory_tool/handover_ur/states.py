@@ -18,7 +18,7 @@ class RobotMode(IntEnum):
     UPDATING_FIRMWARE = 8
 
 
-class SafetyStatus(IntEnum):
+class UrSafetyStatus(IntEnum):
     """`safety_status`."""
 
     UNKNOWN = 0
@@ -57,7 +57,7 @@ class ProgramState(IntEnum):
     ENDED_BY_WATCHDOG = 3
 
 
-class Mode(IntEnum):
+class ExchangeMode(IntEnum):
     """What our program on the controller should do; the driver writes it to the mode register."""
 
     END = 0
@@ -65,7 +65,7 @@ class Mode(IntEnum):
     SERVO = 2
 
 
-MAY_MOVE = frozenset({SafetyStatus.NORMAL, SafetyStatus.REDUCED})
+MAY_MOVE = frozenset({UrSafetyStatus.NORMAL, UrSafetyStatus.REDUCED})
 
 HEARTBEAT_REGISTER, MODE_REGISTER = 24, 25
 TARGET_REGISTER = 24
@@ -81,9 +81,9 @@ def robot_mode(value: float) -> RobotMode:
         return RobotMode.DISCONNECTED
 
 
-def safety_status(value: float) -> SafetyStatus:
+def safety_status(value: float) -> UrSafetyStatus:
     """Return the status; a value of a later software version counts as unknown, in which nothing moves."""
     try:
-        return SafetyStatus(int(value))
+        return UrSafetyStatus(int(value))
     except ValueError:
-        return SafetyStatus.UNKNOWN
+        return UrSafetyStatus.UNKNOWN

@@ -35,7 +35,7 @@ class CycleClock:
         return self._time_s
 
 
-class Tracker:
+class TargetTracker:
     """Joint targets that follow setpoints within limits of velocity (rad/s) and acceleration (rad/s^2)."""
 
     def __init__(self, max_rad_s: Sequence[float], max_rad_s2: Sequence[float]) -> None:

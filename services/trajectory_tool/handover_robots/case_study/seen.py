@@ -27,7 +27,7 @@ INSIDE_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class FingerTarget:
     """Where the tips of the fingers should be, and the direction of closing (rad about z); None: any."""
 
     tips: Vector
@@ -73,7 +73,7 @@ class SeenObject:
             rows = offered.frame().rotation
             self._spot = _spot_at((x, y), math.atan2(rows[1][1], rows[0][1]), boxes)  # fingers close along y
 
-    def target(self) -> Target:
+    def target(self) -> FingerTarget:
         """Return where the fingers should grip: around the middle, or at the chosen place of cloth."""
         boxes = self._simulation.part_boxes(self._part)
         positions = np.array([pose.position for pose, _ in boxes])
@@ -85,13 +85,13 @@ class SeenObject:
         x, y, z = self.middle()
         if len(boxes) > 1:  # long: across it
             way = positions[-1] - positions[0]
-            return Target((x, y, z - 0.004), math.atan2(way[1], way[0]) + math.pi / 2, bottom)
+            return FingerTarget((x, y, z - 0.004), math.atan2(way[1], way[0]) + math.pi / 2, bottom)
         pose, size = boxes[0]
         if len(set(size)) == 1 and self.name != "cube":
-            return Target((x, y, z - 0.004), None, bottom)
+            return FingerTarget((x, y, z - 0.004), None, bottom)
         axes = np.array(pose.frame().rotation)
         flat = min(range(3), key=lambda axis: abs(float(axes[2, axis])))
-        return Target((x, y, z - 0.004), math.atan2(axes[1, flat], axes[0, flat]), bottom)
+        return FingerTarget((x, y, z - 0.004), math.atan2(axes[1, flat], axes[0, flat]), bottom)
 
     def _pinch(self, boxes: Sequence[tuple[Pose, Vector]]) -> _Spot:
         """Choose a place where the fingers find room on both sides of cloth; else its highest patch."""
@@ -102,7 +102,7 @@ class SeenObject:
             return _Spot(patch, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
         return _spot_at(pinch.place, pinch.closing_rad, boxes)
 
-    def _at_spot(self, spot: _Spot, boxes: Sequence[tuple[Pose, Vector]], bottom_m: float) -> Target:
+    def _at_spot(self, spot: _Spot, boxes: Sequence[tuple[Pose, Vector]], bottom_m: float) -> FingerTarget:
         frame = boxes[spot.patch][0].frame()
         x, y, _ = (frame @ Frame(NO_TURN, spot.place)).position
         closing = np.array(frame.rotation) @ spot.closing
@@ -112,7 +112,7 @@ class SeenObject:
             if math.dist(pose.position[:2], (x, y)) < PATCH_NEAR_M + max(size) / 2
         ]
         end = min(near, default=bottom_m) + END_ABOVE_M
-        return Target(
+        return FingerTarget(
             (x, y, end + self._fingers.frame.position[2]), math.atan2(closing[1], closing[0]), bottom_m
         )
 

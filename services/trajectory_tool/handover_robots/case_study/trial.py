@@ -29,7 +29,7 @@ from handover.performer import TaskFailed
 from handover_datamodels.streams import HumanInput
 from handover_robots.case_study.operators import EVERY_S, Operator, Person, Supervisor, view_of
 from handover_robots.case_study.seen import SeenObject
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.cell_file import CellPlan, RobotEntry
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.recording import Recording
@@ -113,7 +113,7 @@ class Trial:
             )
             entry = RobotEntry(model="panda", driver="physics", speed=settings.robot_speed)
             plan = CellPlan({ROBOT: entry}, self._scene(), self._folder)
-            async with Cell(settings, plan=plan) as cell:
+            async with RobotCell(settings, plan=plan) as cell:
                 return await self._perform(cell.only)
 
     def _scene(self) -> dict[str, Any]:

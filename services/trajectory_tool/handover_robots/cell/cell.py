@@ -38,7 +38,7 @@ VIEW_ONLY = frozenset({"digest", "revision", "parts", "trueParts", "shapes"})
 """What GET adds to a scene; a client may send it back."""
 
 
-class Cell:
+class RobotCell:
     """All robots of a cell; an asynchronous context manager while they are switched on.
 
     Robots behind ROS are reached through `broker`. `plan` is by default that of the settings; `folder` has

@@ -87,14 +87,14 @@ def measure_stop(
 
     The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
     """
-    from handover_robots.cell.cell import Cell  # noqa: PLC0415
+    from handover_robots.cell.cell import RobotCell  # noqa: PLC0415
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415
     from handover_robots.tasks.stop_measurement import measure_stop as measure  # noqa: PLC0415
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
 
     async def run() -> None:
-        async with Cell(settings) as robots:
+        async with RobotCell(settings) as robots:
             for name, unit in robots.units.items():
                 target = (unit.home[0] + turn, *unit.home[1:])
                 stop = await measure(unit, target, speed)

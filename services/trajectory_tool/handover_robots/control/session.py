@@ -67,7 +67,7 @@ class SharedState:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredStop:
+class StopTimes:
     """The last stop: from its cause to its begin in the control loop, and to the rest of the robot, in s.
 
     The cause is the arrival of a release, or the moment at which the last input had become too old.
@@ -113,7 +113,7 @@ class ControlSession:
         self._stop_begin: tuple[float, float] | None = None
         """Cause and begin of the present stop."""
         self._released_s = 0.0
-        self.stop: MeasuredStop | None = None
+        self.stop: StopTimes | None = None
         self._kinematics = unit.kinematics
         self._limits = [MAX_JOINT_FRACTION * limit for limit in unit.limits.velocity]
         self._now = now
@@ -273,7 +273,7 @@ class ControlSession:
             return
         cause_s, begin_s = self._stop_begin
         if cause_s <= begin_s:  # otherwise the control was pressed again meanwhile
-            self.stop = MeasuredStop(begin_s - cause_s, self._now() - cause_s)
+            self.stop = StopTimes(begin_s - cause_s, self._now() - cause_s)
             CONTROL_STOP_BEGIN.observe(self.stop.begin_s)
             CONTROL_STOP.observe(self.stop.rest_s)
 

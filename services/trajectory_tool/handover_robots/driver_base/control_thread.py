@@ -26,7 +26,7 @@ IDLE_S = 5.0
 
 
 @dataclass(slots=True)
-class _Work:
+class _CyclicWork:
     cycles: Cycles[Any]
     done: "Future[Any]"
 
@@ -36,7 +36,7 @@ class ControlThread:
 
     def __init__(self) -> None:
         self._changed = Condition()
-        self._works: dict[str, deque[_Work]] = {}
+        self._works: dict[str, deque[_CyclicWork]] = {}
         self._due: list[tuple[float, int, str]] = []
         """The next time of each robot with work, as a heap."""
         self._numbers = itertools.count()
@@ -47,7 +47,7 @@ class ControlThread:
         done: Future[T] = Future()
         with self._changed:
             works = self._works.setdefault(robot, deque())
-            works.append(_Work(cycles, done))
+            works.append(_CyclicWork(cycles, done))
             if len(works) == 1:
                 self._schedule(robot, time.monotonic())
             if self._thread is None:

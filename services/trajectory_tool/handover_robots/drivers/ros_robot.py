@@ -25,11 +25,12 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from handover.broker import BrokerClient, BrokerError
 from handover.broker.resync import Resync
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
 from handover.messages import message
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
@@ -70,10 +71,8 @@ POLL_S = 0.02
 FORWARD_S = 1e-4
 
 
-class RosOptions(BaseModel):
+class RosOptions(ClosedModel):
     """The settings of the driver: the interfaces of the arm, and the Device with its gripper."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     arm: str = Field("arm-1", pattern=r"^[A-Za-z0-9_.:-]+$")
     joint_states: str = "/joint_states"

@@ -17,15 +17,13 @@ from typing import Annotated, Self
 import yaml
 from pydantic import (
     AwareDatetime,
-    BaseModel,
-    ConfigDict,
     Field,
     FiniteFloat,
     ValidationError,
 )
 
 from handover.errors import UsageError
-from handover.formats.validation import fault_lines
+from handover.formats.validation import ClosedModel, fault_lines
 from handover.messages import message
 
 MAX_FILE_BYTES = 256 * 1024
@@ -34,18 +32,14 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Written(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ContactLimit(_Written):
+class ContactLimit(ClosedModel):
     """What one kind of contact may reach."""
 
     force_n: Positive
     pressure_n_per_cm2: Positive | None = None
 
 
-class BodyRegion(_Written):
+class BodyRegion(ClosedModel):
     """A body region: its mass, stiffness, and limits for a free contact and for a clamped one."""
 
     mass_kg: Positive
@@ -54,7 +48,7 @@ class BodyRegion(_Written):
     clamped: ContactLimit | None = None
 
 
-class ContactTable(_Written):
+class ContactTable(ClosedModel):
     """The limits by body region, where they come from, and who confirmed them for the cell."""
 
     source: Text
@@ -63,7 +57,7 @@ class ContactTable(_Written):
     regions: Annotated[dict[Text, BodyRegion], Field(min_length=1, max_length=100)]
 
 
-class ContactEntry(_Written):
+class ContactEntry(ClosedModel):
     """How people may be touched by one robot: which regions, by which mass, and with which area.
 
     `moving_mass_kg` is that of the moving parts of the robot, `load_kg` that of the tool and the part.
@@ -78,7 +72,7 @@ class ContactEntry(_Written):
     may_clamp: bool = False
 
 
-class ContactSpeed(_Written):
+class ContactSpeed(ClosedModel):
     """The permitted speed of contacts of one robot, and the region that determines it."""
 
     region: str

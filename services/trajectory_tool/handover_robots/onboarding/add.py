@@ -25,7 +25,7 @@ from handover_robots.onboarding.comparison import (
     decide,
     link_pairs,
 )
-from handover_robots.onboarding.home import Home, find_home
+from handover_robots.onboarding.home import HomePosition, find_home
 from handover_robots.onboarding.hulls import Piece
 from handover_robots.onboarding.refinement import SEED, Shaping, unchecked_on_purpose
 from handover_robots.onboarding.semantics import FROM_SRDF, Semantics
@@ -125,7 +125,7 @@ def _settle(
     return model, comparison
 
 
-def _about(home: Home, arm: Arm) -> Finding:
+def _about(home: HomePosition, arm: Arm) -> Finding:
     values = ", ".join(f"{round(value, 2) + 0.0:g}" for value in home.joints)
     place = ", ".join(f"{value:.2f}" for value in arm.tool(home.joints).translation)
     why = (

@@ -37,14 +37,14 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class HomePosition:
     """A home position, and whether the tool points down there."""
 
     joints: Joints
     is_tool_down: bool
 
 
-def find_home(arm: Arm, seed: int) -> Home:
+def find_home(arm: Arm, seed: int) -> HomePosition:
     """Return a home position. Raises `UsageError` that names what touches where no position is free."""
     collisions, random = Collisions(arm, World()), np.random.default_rng(seed)
     middle = (arm.lower + arm.upper) / 2
@@ -66,7 +66,7 @@ def find_home(arm: Arm, seed: int) -> Home:
         for clearance_m in CLEARANCES_M:
             for joints in candidates:
                 if collisions.is_free(joints, clearance_m):
-                    return Home(tuple(joints.tolist()), is_down)
+                    return HomePosition(tuple(joints.tolist()), is_down)
     raise UsageError(_what_touches(collisions, tries))
 
 

@@ -32,7 +32,7 @@ PARALLEL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class LinkPlace:
     """The link of ours that another link is, and the pose of the other frame in the frame of ours."""
 
     link: str
@@ -45,7 +45,7 @@ class Mapping:
 
     joints: tuple[tuple[str, str], ...]
     """The joints that both have: our name, and the name in the other URDF."""
-    places: dict[str, Place] = field(default_factory=dict)
+    places: dict[str, LinkPlace] = field(default_factory=dict)
     unmapped: dict[str, str] = field(default_factory=dict)
 
     def surfaces(self, others: Surfaces) -> dict[str, list[Surface]]:
@@ -89,7 +89,7 @@ def map_links(model: RobotModel, other: Any, links: Sequence[str]) -> Mapping:
             number = ours.getJointId(own) if own else 0
             same = link if link in bodies[number] else bodies[number][0]
             placed = ours.frames[ours.getFrameId(same, pin.FrameType.BODY)].placement
-            mapping.places[link] = Place(same, placed.inverse() * poses[own] * frame.placement)
+            mapping.places[link] = LinkPlace(same, placed.inverse() * poses[own] * frame.placement)
     return mapping
 
 

@@ -50,7 +50,7 @@ class Blocked:
     error: float
 
 
-class Arm:
+class SimulatedArm:
     """One arm in the state of a simulation, whose `lock` it uses; it starts at rest, opened, at `joints`."""
 
     def __init__(self, names: ArmNames, model: Any, data: Any, lock: RLock, joints: Joints) -> None:

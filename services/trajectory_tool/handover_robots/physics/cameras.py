@@ -13,7 +13,7 @@ from handover.telemetry import get_logger
 from handover_robots.model.poses import NO_TURN, Frame, Pose
 from handover_robots.perception.depth_image import Intrinsics
 from handover_robots.perception.grasps import AT_TIP
-from handover_robots.physics.arm import Arm
+from handover_robots.physics.arm import SimulatedArm
 from handover_robots.physics.depth_camera import CameraMount, DepthCamera, misaligned
 from handover_robots.physics.simulation import Simulation
 from handover_robots.scene.scene import Scene
@@ -36,7 +36,7 @@ class Cameras(Mapping[str, DepthCamera]):
     def __init__(
         self,
         simulation: Simulation,
-        arm: Arm,
+        arm: SimulatedArm,
         scene: Scene,
         *,
         seed: int,

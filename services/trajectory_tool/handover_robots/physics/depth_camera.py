@@ -7,7 +7,7 @@ import numpy as np
 
 from handover_robots.model.poses import Frame
 from handover_robots.perception.depth_image import DepthImage, Intrinsics
-from handover_robots.physics.arm import Arm
+from handover_robots.physics.arm import SimulatedArm
 from handover_robots.physics.simulation import Simulation
 
 MAX_RANGE_M = 3.0
@@ -31,7 +31,7 @@ class DepthCamera:
     def __init__(
         self,
         simulation: Simulation,
-        arm: Arm,
+        arm: SimulatedArm,
         mount: CameraMount,
         intrinsics: Intrinsics,
         *,

@@ -37,7 +37,7 @@ IDLE_EVERY_S = 0.03
 
 
 @dataclass(slots=True)
-class _Work:
+class _PacedWork:
     cycles: Cycles[Any]
     done: Future[Any]
     is_paced: bool
@@ -56,7 +56,7 @@ class PacedSimulation:
         self.on_step: Callable[[], None] = lambda: None
         """Called in the thread after each step for a robot that waits; it must not fail."""
         self._changed = Condition()
-        self._works: dict[str, deque[_Work]] = {}
+        self._works: dict[str, deque[_PacedWork]] = {}
         self._thread: Thread | None = None
         self._users = 0
         self._resync()
@@ -80,7 +80,7 @@ class PacedSimulation:
         """
         done: Future[T] = Future()
         with self._changed:
-            self._works.setdefault(robot, deque()).append(_Work(cycles, done, is_paced))
+            self._works.setdefault(robot, deque()).append(_PacedWork(cycles, done, is_paced))
             self._require_thread()
             self._changed.notify_all()
         return done
@@ -129,7 +129,7 @@ class PacedSimulation:
             else:
                 self._catch_up()
 
-    def _cycle(self, works: list[tuple[str, _Work]]) -> None:
+    def _cycle(self, works: list[tuple[str, _PacedWork]]) -> None:
         """Resume the work that is due, and simulate a step if a robot waits for it."""
         now_s = self.simulation.time_s
         waiting = [
@@ -142,7 +142,7 @@ class PacedSimulation:
             self.on_step()
             self._keep_pace(is_paced=any(work.is_paced for work in waiting))
 
-    def _has_ended(self, robot: str, work: _Work) -> bool:
+    def _has_ended(self, robot: str, work: _PacedWork) -> bool:
         """Resume work until it waits again; return whether it has ended."""
         try:
             work.due_s = next(work.cycles)

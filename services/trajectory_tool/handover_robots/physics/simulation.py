@@ -14,7 +14,7 @@ import numpy as np
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose, Vector
 from handover_robots.model.trajectory import Setpoint
-from handover_robots.physics.arm import Arm, Array, frame_of
+from handover_robots.physics.arm import Array, SimulatedArm, frame_of
 from handover_robots.physics.world_model import CAMERA_GROUP, STEP_S, WorldModel, parked_at
 
 STILL_MPS = 0.002
@@ -34,7 +34,7 @@ class Simulation:
         self.lock = RLock()
         self._use(world)
         self.arms = {
-            name: Arm(names, self._model, self._data, self.lock, joints[name])
+            name: SimulatedArm(names, self._model, self._data, self.lock, joints[name])
             for name, names in world.arms.items()
         }
         mujoco.mj_forward(self._model, self._data)
@@ -56,7 +56,7 @@ class Simulation:
         self._torque = np.zeros(model.nv)
 
     @property
-    def arm(self) -> Arm:
+    def arm(self) -> SimulatedArm:
         """Return the only arm."""
         (arm,) = self.arms.values()
         return arm

@@ -33,7 +33,7 @@ Accept = Callable[[Array], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Nearest:
+class NearestPose:
     """The nearest to an unreachable pose that was found, and how far it is away."""
 
     pose: Pose
@@ -87,7 +87,7 @@ class Inverse:
                     break
         return accepted
 
-    def nearest(self, pose: Pose, near: Array) -> Nearest:
+    def nearest(self, pose: Pose, near: Array) -> NearestPose:
         """Return the nearest pose that is found for one out of reach; the position counts most."""
         target = se3_of(pose)
         weights = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05])
@@ -100,7 +100,7 @@ class Inverse:
         reached = self.arm.tool(best[1])
         turn = float(np.linalg.norm(pin.log3(reached.rotation.T @ target.rotation)))
         away = float(np.linalg.norm(reached.translation - target.translation))
-        return Nearest(pose_of(reached), best[1], away, turn)
+        return NearestPose(pose_of(reached), best[1], away, turn)
 
     def _all(self, pose: Pose, near: Array) -> list[Array]:
         """Return the solutions of the closed form, each turned as near to `near` as the limits allow."""

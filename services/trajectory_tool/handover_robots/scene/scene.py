@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
 from handover.telemetry import get_logger
 from handover_robots.model.faults import Unreachable
 from handover_robots.model.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
@@ -30,11 +31,7 @@ Size = Annotated[FiniteFloat, Field(gt=0, le=20)]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-class _Written(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Spot(_Written):
+class Spot(ClosedModel):
     """A position of the gripper's tips, with the gripper pointing straight down."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -46,7 +43,7 @@ class Spot(_Written):
         return pointing_down(self.position, math.radians(self.yaw_deg))
 
 
-class Gripper(_Written):
+class Gripper(ClosedModel):
     """The simulated gripper, and its approach to a part."""
 
     opening_m: Length = 0.02
@@ -58,7 +55,7 @@ class Gripper(_Written):
     """The mass of a part, for the check of torques and simulated physics."""
 
 
-class Placed(_Written):
+class Placed(ClosedModel):
     """Where a shape is, by its middle."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -71,7 +68,7 @@ class Placed(_Written):
         return Pose(self.position, (0.0, 0.0, math.sin(half), math.cos(half)))
 
 
-class RoundShape(_Written):
+class RoundShape(ClosedModel):
     """A cylinder along z, in m."""
 
     radius: Size
@@ -184,7 +181,7 @@ class WrittenZone(Thing):
         )
 
 
-class Fence(_Written):
+class Fence(ClosedModel):
     """A fence along points of the ground in m."""
 
     points: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=2, max_length=100)]
@@ -259,7 +256,7 @@ class OpenBox(Placed):
             yield Obstacle(name, Box(size), Pose.of(placed))
 
 
-class Bin(_Written):
+class Bin(ClosedModel):
     """A bin, its camera position, and its initial parts, the topmost first."""
 
     view: Spot
@@ -275,7 +272,7 @@ class Bin(_Written):
     """Objects of simulated physics that are no boxes; the camera looks for things of any shape there."""
 
 
-class Fixture(_Written):
+class Fixture(ClosedModel):
     """A fixture with nests, each for one part."""
 
     nests: Annotated[tuple[Spot, ...], Field(min_length=1)]
@@ -283,7 +280,7 @@ class Fixture(_Written):
     body: Thing | None = None
 
 
-class Scene(_Written):
+class Scene(ClosedModel):
     """The whole cell; `home` (rad or m for each joint) takes the place of the robot's own."""
 
     name: str

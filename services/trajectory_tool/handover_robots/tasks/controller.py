@@ -20,7 +20,7 @@ from handover.tasks.outcomes import outcome_unknown
 from handover.tasks.task_life import type_of
 from handover.telemetry import get_logger
 from handover_datamodels.entities import DeviceState
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.device import RobotDevice
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.limits.records import LimitRecords
@@ -47,7 +47,7 @@ class Controllers:
     """
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
-        self.cell = Cell(settings, broker=broker)
+        self.cell = RobotCell(settings, broker=broker)
         self._broker = broker
         self._record = SubscriptionRecord(settings.data_dir / "trajectory_tool" / "subscriptions.json")
         self.by_name = {

@@ -12,7 +12,7 @@ from typing import Any
 
 from handover_ur.program import JOINTS
 from handover_ur.simulator.urscript import Cycles, Program, ScriptError
-from handover_ur.states import MAY_MOVE, RobotMode, RuntimeState, SafetyStatus
+from handover_ur.states import MAY_MOVE, RobotMode, RuntimeState, UrSafetyStatus
 
 UR10_SPEED_RAD_S = (2.0944, 2.0944, math.pi, math.pi, math.pi, math.pi)
 POSITION_LIMIT_RAD = 2 * math.pi + 0.006
@@ -64,7 +64,7 @@ class SimulatedController:
         self.target = list(joints)
         self.torques = [0.0] * JOINTS
         self.robot_mode = RobotMode.RUNNING if running else RobotMode.POWER_OFF
-        self.safety = SafetyStatus.NORMAL
+        self.safety = UrSafetyStatus.NORMAL
         self.runtime = RuntimeState.STOPPED
         self.in_remote_control = True
         self.speed_slider = 1.0
@@ -280,31 +280,31 @@ class SimulatedController:
     def protective_stop(self, reason: str) -> None:
         """Stop the arm and end the program, as a real controller does for a collision."""
         self.messages.append(f"Protective stop: {reason}")
-        self._halt(SafetyStatus.PROTECTIVE_STOP)
+        self._halt(UrSafetyStatus.PROTECTIVE_STOP)
 
     def emergency_stop(self) -> None:
         """Stop the arm and switch it off."""
-        self._halt(SafetyStatus.ROBOT_EMERGENCY_STOP)
+        self._halt(UrSafetyStatus.ROBOT_EMERGENCY_STOP)
         self.robot_mode = RobotMode.POWER_OFF
 
     def safeguard_stop(self) -> None:
         """Stop the arm and pause the program until `release_safeguard`."""
-        self.safety = SafetyStatus.SAFEGUARD_STOP
+        self.safety = UrSafetyStatus.SAFEGUARD_STOP
         self._servo, self._stop_rad_s2 = None, SAFETY_STOP_RAD_S2
         if self.runtime is RuntimeState.PLAYING:
             self.runtime, self._paused_by_safeguard = RuntimeState.PAUSED, True
 
     def release_safeguard(self) -> None:
         """End a safeguard stop; the program continues by itself, as on a real controller."""
-        if self.safety is SafetyStatus.SAFEGUARD_STOP:
-            self.safety = SafetyStatus.NORMAL
+        if self.safety is UrSafetyStatus.SAFEGUARD_STOP:
+            self.safety = UrSafetyStatus.NORMAL
             if self._paused_by_safeguard:
                 self.runtime, self._paused_by_safeguard = RuntimeState.PLAYING, False
 
     def clear_stop(self) -> None:
         """End a protective or emergency stop, as a person does at the pendant."""
-        if self.safety in {SafetyStatus.PROTECTIVE_STOP, SafetyStatus.ROBOT_EMERGENCY_STOP}:
-            self.safety = SafetyStatus.NORMAL
+        if self.safety in {UrSafetyStatus.PROTECTIVE_STOP, UrSafetyStatus.ROBOT_EMERGENCY_STOP}:
+            self.safety = UrSafetyStatus.NORMAL
 
     def move_by_hand(self, displacements: Joints) -> None:
         """Move the joints as a person does in free-drive: in local control, without a program."""
@@ -314,7 +314,7 @@ class SimulatedController:
             self.target[joint] = self.positions[joint]
             self.velocities[joint] = 0.0
 
-    def _halt(self, status: SafetyStatus) -> None:
+    def _halt(self, status: UrSafetyStatus) -> None:
         self.stop_program()
         self.safety = status
         self._stop_rad_s2 = SAFETY_STOP_RAD_S2

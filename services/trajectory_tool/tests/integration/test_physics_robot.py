@@ -18,7 +18,7 @@ from handover_robots.tasks import operations, parameters
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.robot import Robot
 from handover_robots.driver_contract import RobotContract
@@ -127,7 +127,7 @@ class PhysicsCell:
         settings = TrajectorySettings(
             data_dir=folder, robot="physics", simulation_pace=0, robot_speed=1.0, **others
         )
-        self.cell = Cell(settings)
+        self.cell = RobotCell(settings)
         self.unit = next(iter(self.cell.units.values()))
         robot = self.unit.robot
         assert isinstance(robot, PhysicsRobot)

@@ -34,7 +34,7 @@ from handover_humanoid.behaviours.assistance import AssistedWalking, Hands
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
 from handover_humanoid.behaviours.walking import SIDES, WalkingController
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
-from handover_humanoid.cycle.gains import GainShares, gain_fields
+from handover_humanoid.cycle.gains import GainTransition, gain_fields
 from handover_humanoid.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from handover_humanoid.engines.choice import DEFAULT_ENGINE, EngineName
 from handover_humanoid.model.humanoid import Humanoid
@@ -50,7 +50,7 @@ from handover_humanoid.patterns.footsteps import Wish
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
 from handover_humanoid.patterns.minimum_jerk import moved
 from handover_humanoid.patterns.regions import Side, turn
-from handover_humanoid.patterns.throwing import Throw
+from handover_humanoid.patterns.throwing import PlannedThrow
 from handover_humanoid.solvers.problem import Solver
 
 GAINS_S: Final = 0.5
@@ -160,7 +160,7 @@ class HumanoidComponent:
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
         """Share of the gains of the model, by joint."""
-        self._shares = GainShares(humanoid)
+        self._shares = GainTransition(humanoid)
         self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
         self._ball = _Ball()
@@ -402,7 +402,7 @@ class HumanoidComponent:
         throwing.throw(throw)
         self._ball.phase = BallPhase.HELD
 
-    def _planned(self) -> Throw | None:
+    def _planned(self) -> PlannedThrow | None:
         """Return the throw of the wish, None if it is none that the arm can do."""
         wanted = self._wanted
         grip = self.humanoid.grips.get(f"{wanted.side}_hand")
@@ -413,7 +413,7 @@ class HumanoidComponent:
             return None
         nothing = np.full(3, np.nan)
         release, velocity = wanted.release[: len(arm)], wanted.velocity[: len(arm)]
-        throw = Throw(
+        throw = PlannedThrow(
             grip,
             wanted.target,
             wanted.flight_s,

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from handover.files.durable_files import replace_durably
+from handover.formats.validation import ClosedModel
 from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.model.humanoid import Humanoid
@@ -97,9 +98,7 @@ def read_rehearsals(path: Path, humanoid: Humanoid) -> dict[str, Throws]:
     }
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _File(ClosedModel):
     digest: str
     throws: dict[
         str,

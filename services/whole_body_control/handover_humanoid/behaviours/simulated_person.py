@@ -91,7 +91,7 @@ SCRIPTS: Final[Mapping[str, Sequence[Lead]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class PersonArm:
     """The arm of the person: a spring with damping."""
 
     stiffness_npm: float = 40.0
@@ -131,7 +131,7 @@ class LedWalk:
         seed: int = 1,
         *,
         intention: IntentionName = DEFAULT_INTENTION,
-        hold: Hold | None = None,
+        hold: PersonArm | None = None,
     ) -> None:
         start = HumanoidComponent(humanoid, solver).start
         self.robot = RobotWithBall(humanoid, start, noise, seed)
@@ -139,7 +139,7 @@ class LedWalk:
         if self.component.assistance is None:  # it has a world, so it has one
             raise ValueError(f"{humanoid.name} cannot be led")
         self.assistance = self.component.assistance
-        self._hold = hold or Hold()
+        self._hold = hold or PersonArm()
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
         self._command.positions[:] = start[7:]
         self._between = Interpolation(humanoid, start[7:], self.component.control_s, self.robot.period_s)

@@ -25,7 +25,7 @@ from handover_humanoid.patterns.ballistics import landing_point
 from handover_humanoid.patterns.minimum_jerk import moved, rate
 from handover_humanoid.patterns.pendulum import Pendulum
 from handover_humanoid.patterns.regions import Footprint, Side, turn
-from handover_humanoid.patterns.throwing import Throw, ThrowPlanner
+from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.solvers.problem import Solver
 from handover_humanoid.tasks.base import Level
 from handover_humanoid.tasks.constraints import JointLimits
@@ -130,7 +130,7 @@ class Practice:
 
 def aimed_throw(
     planner: ThrowPlanner, practice: Practice, grip: str, base: Array, target: Array
-) -> tuple[Array, Throw]:
+) -> tuple[Array, PlannedThrow]:
     """Return where to aim so that the ball lands at `target`, and the throw that does.
 
     Where aiming off is beyond reach, the throw is to the target itself, so that `OutOfReach` names what was
@@ -190,7 +190,7 @@ class ThrowingController:
         self._centre = self._kinematics.centre_of_mass()
         self._pendulum = Pendulum(float(self._centre[2]))
         self._feet, self._sole = self._footprints()
-        self._throw: Throw | None = None
+        self._throw: PlannedThrow | None = None
         self._time_s, self._has_opened, self._is_cancelled = 0.0, False, False
         self.last_step = Step(self._q, self._velocity, {})
         self._stand()
@@ -225,7 +225,7 @@ class ThrowingController:
         """Open no hand in this throw: what has begun is followed through, and the arm returns."""
         self._is_cancelled = True
 
-    def throw(self, throw: Throw) -> None:
+    def throw(self, throw: PlannedThrow) -> None:
         """Begin a throw; the hand has the ball. Raises `ValueError` while another one is under way."""
         if self._throw is not None:
             raise ValueError("a throw is under way; wait until the robot stands again")
@@ -295,7 +295,7 @@ class ThrowingController:
         self._com.velocity = self._plan.centre_of_mass_jacobian() @ v
         return phase
 
-    def _arm_at(self, throw: Throw, time_s: float) -> tuple[tuple[Array, Array], Phase]:
+    def _arm_at(self, throw: PlannedThrow, time_s: float) -> tuple[tuple[Array, Array], Phase]:
         reach_s = self.settings.reach_s
         if time_s < reach_s:
             return _between(self._home, throw.start, time_s / reach_s, reach_s), Phase.REACHING

@@ -184,8 +184,8 @@ def lead(
     from handover_humanoid.behaviours.led_walk_report import Followed, followed  # noqa: PLC0415
     from handover_humanoid.behaviours.simulated_person import (  # noqa: PLC0415
         SCRIPTS,
-        Hold,
         LedWalk,
+        PersonArm,
     )
     from handover_humanoid.patterns.intention import INTENTIONS  # noqa: PLC0415
     from handover_humanoid.solvers.compiled import fastest_solver  # noqa: PLC0415
@@ -200,7 +200,7 @@ def lead(
         fastest_solver(),
         seed=seed,
         intention=chosen,
-        hold=Hold(stiffness, stiffness / 5),
+        hold=PersonArm(stiffness, stiffness / 5),
     )
     record = walk.run(SCRIPTS[script])
     for part in followed(record, walk.step_limits):

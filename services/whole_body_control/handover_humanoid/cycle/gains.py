@@ -22,7 +22,7 @@ def gain_fields(humanoid: Humanoid) -> tuple[str, ...]:
     return tuple(f"{chain}.{kind}" for chain in humanoid.gain_limits for kind in KINDS)
 
 
-class GainShares:
+class GainTransition:
     """The shares that the joints have now, which move to those that are wanted. Not thread-safe."""
 
     def __init__(self, humanoid: Humanoid) -> None:

@@ -8,7 +8,7 @@ The wish comes from a process that may stall or be killed. When it is older than
 finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
 controller that raises an error, or has no valid sensors for `MAX_FAULTS` of its periods, is stopped for good:
 the joints hold the last command. So do those of a robot that has fallen, or that refuses a command. The state
-says why by `Hold`.
+says why by `HoldReason`.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class Mode(IntEnum):
         return self in {Mode.HOLDING, Mode.DOWN}
 
 
-class Hold(IntEnum):
+class HoldReason(IntEnum):
     """Why the joints hold for good."""
 
     NONE = 0
@@ -129,7 +129,7 @@ class ControlLoop(Generic[R, C]):
         self.timing, self._is_paced = Timing(robot.period_s), is_paced
         self._faults = 0
         self._state = np.zeros(len(state_fields(controller)))
-        self.mode, self.fault, self.hold = Mode.STANDING, "", Hold.NONE
+        self.mode, self.fault, self.hold = Mode.STANDING, "", HoldReason.NONE
         self._is_ending = False
 
     def warm_up(self) -> None:
@@ -183,10 +183,10 @@ class ControlLoop(Generic[R, C]):
         try:
             fault = self.controller.step(self._sensors, self._command)
         except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
-            self._stop(f"the controller failed: {error!r}", Hold.FAILED)
+            self._stop(f"the controller failed: {error!r}", HoldReason.FAILED)
             return
         if self.controller.is_down:
-            self._stop("the robot has fallen", Hold.FALLEN, Mode.DOWN)
+            self._stop("the robot has fallen", HoldReason.FALLEN, Mode.DOWN)
             return
         if not fault:
             self._faults = 0
@@ -195,7 +195,7 @@ class ControlLoop(Generic[R, C]):
         self.fault, self._faults = fault, self._faults + 1
         self._between.rest()
         if self._faults >= MAX_FAULTS:
-            self._stop(fault, Hold.FAULTS)
+            self._stop(fault, HoldReason.FAULTS)
 
     def _send(self) -> None:
         try:
@@ -204,9 +204,9 @@ class ControlLoop(Generic[R, C]):
             self.robot.write(self._modes.convert(self._between.next(), self._sensors))
         except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
             if not self.mode.is_final:  # else the first reason stays, and the state is written on
-                self._stop(f"the robot refused a command: {error!r}", Hold.REFUSED)
+                self._stop(f"the robot refused a command: {error!r}", HoldReason.REFUSED)
 
-    def _stop(self, fault: str, hold: Hold, mode: Mode = Mode.HOLDING) -> None:
+    def _stop(self, fault: str, hold: HoldReason, mode: Mode = Mode.HOLDING) -> None:
         self.mode, self.fault, self.hold = mode, fault, hold
         self._between.rest()
 

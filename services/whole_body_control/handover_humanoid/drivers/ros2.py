@@ -28,11 +28,12 @@ from contextlib import suppress
 from typing import Annotated, Final, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from websockets.asyncio.client import ClientConnection
 
 from handover.control.limit_link import exchange, keep_connected
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_datamodels.humanoid_stream import (
@@ -63,10 +64,8 @@ RESTARTED_S: Final = 1.0
 """A clock that is set back by so much is that of a robot that has started again."""
 
 
-class Ros2Options(BaseModel):
+class Ros2Options(ClosedModel):
     """The settings of the driver: the topics of the robot, and what its controllers accept."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     joint_states: str = "/joint_states"
     imu: str = "/imu"

@@ -24,11 +24,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.formats.robot_xml import parse_robot_xml
-from handover.formats.validation import fault_lines
+from handover.formats.validation import ClosedModel, fault_lines
 from handover_humanoid.model.humanoid import (
     Chain,
     ContactSurface,
@@ -56,27 +56,23 @@ MIN_SOLE_M2 = 1e-4
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Gains(_Strict):
+class _Gains(ClosedModel):
     stiffness: Positive
     damping: Positive
 
 
-class _GainLimits(_Strict):
+class _GainLimits(ClosedModel):
     stiffness: tuple[Positive, Positive]
     damping: tuple[Positive, Positive]
 
 
-class _Contact(_Strict):
+class _Contact(ClosedModel):
     link: str
     corners: Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], Field(min_length=3)]
     friction: Positive = 0.7
 
 
-class _Grip(_Strict):
+class _Grip(ClosedModel):
     arm: str
     link: str
     point: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -85,7 +81,7 @@ class _Grip(_Strict):
 _Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class _PackagedUrdf(_Strict):
+class _PackagedUrdf(ClosedModel):
     package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
     path: Annotated[str, Field(pattern=r"^([A-Za-z0-9_-][A-Za-z0-9._-]*/)*[A-Za-z0-9_-][A-Za-z0-9._-]*$")]
     extra: str
@@ -93,7 +89,7 @@ class _PackagedUrdf(_Strict):
     capsules: dict[str, tuple[tuple[_Point, _Point, Positive], ...]] = Field(default_factory=dict)
 
 
-class _RobotFile(_Strict):
+class _RobotFile(ClosedModel):
     name: Annotated[str, Field(min_length=1)]
     urdf: Path | _PackagedUrdf
     srdf: Path

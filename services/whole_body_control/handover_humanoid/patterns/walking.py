@@ -15,7 +15,7 @@ from handover_humanoid.model.kinematics import Array
 from handover_humanoid.patterns.footsteps import Footsteps, Stance, StepLimits, Wish
 from handover_humanoid.patterns.pendulum import PendulumState
 from handover_humanoid.patterns.regions import Footprint, Region, Side, turn
-from handover_humanoid.patterns.zmp_control import Plan, ZmpControl
+from handover_humanoid.patterns.zmp_control import ZmpControl, ZmpPlan
 
 LOCKED = 2
 TOLERATED_M = 0.01
@@ -33,7 +33,7 @@ class Pattern:
     """
 
     stance: Stance
-    plan: Plan
+    plan: ZmpPlan
     region: Region
     landings: Mapping[Side, Footprint]
 

@@ -44,7 +44,7 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ZmpPlan:
     """The states at each sample, the present one first, and the velocity of the ZMP in between (samples, 2).
 
     `excess_m` is by how much the bounds of the ZMP or the last capture point are exceeded at most.
@@ -89,7 +89,7 @@ class ZmpControl:
         one = w.velocity * velocity.T @ velocity + w.centre * zmp.T @ zmp + w.effort * np.eye(samples)
         self._hessian = np.kron(np.eye(2), one)
 
-    def plan(self, state: PendulumState, regions: Sequence[Region], wanted: Array) -> Plan:
+    def plan(self, state: PendulumState, regions: Sequence[Region], wanted: Array) -> ZmpPlan:
         """Return the motion from a state, with the region of each sample and the wanted velocity (2,).
 
         Raises `Unplannable`.
@@ -115,7 +115,7 @@ class ZmpControl:
         velocities = np.asarray(inputs).reshape(2, self.samples).T
         moved = drift + np.einsum("ksj,ja->ksa", self._of_input, velocities)
         states = (state, *(PendulumState(*each) for each in moved))
-        return Plan(states, velocities, excess if excess > 10 * TOLERANCE else 0.0)
+        return ZmpPlan(states, velocities, excess if excess > 10 * TOLERANCE else 0.0)
 
     def _gradient(self, drift: Array, regions: Sequence[Region], wanted: Array) -> Array:
         centres = np.array([region.centre for region in regions])

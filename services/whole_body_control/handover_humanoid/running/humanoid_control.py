@@ -18,7 +18,7 @@ from handover_humanoid.behaviours.humanoid_component import Behaviour, Fault, be
 from handover_humanoid.behaviours.rehearsal import FILE as REHEARSALS
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.behaviours.walking import footsteps_of
-from handover_humanoid.cycle.loop import Hold, Mode
+from handover_humanoid.cycle.loop import HoldReason, Mode
 from handover_humanoid.metrics import FRACTION
 from handover_humanoid.robots import folder, humanoid
 from handover_humanoid.running.cycle_process import CycleProcess
@@ -63,14 +63,14 @@ FAULTS: Final[Mapping[int, str]] = {
     ),
 }
 HOLDS: Final[Mapping[int, str]] = {
-    Hold.FAULTS: message(
+    HoldReason.FAULTS: message(
         "humanoid.hold_faults", "no valid values for too long; the joints hold. Restart the control cycle"
     ),
-    Hold.FAILED: message(
+    HoldReason.FAILED: message(
         "humanoid.hold_failed",
         "the controller failed, and the joints hold; the log of the control cycle says why. Restart it",
     ),
-    Hold.REFUSED: message(
+    HoldReason.REFUSED: message(
         "humanoid.hold_refused",
         "the robot refused a command, and the joints hold; the log of the control cycle says why. Restart it",
     ),

@@ -20,7 +20,7 @@ from handover.messages import message
 from handover_humanoid.behaviours.humanoid_component import Behaviour
 from handover_humanoid.metrics import STOPS
 from handover_humanoid.patterns.footsteps import Footsteps, Wish
-from handover_humanoid.patterns.throwing import Throw as PlannedThrow
+from handover_humanoid.patterns.throwing import PlannedThrow
 
 HOLD_TIMEOUT_S: Final = 0.25
 """Clients send 20 times a second or more."""
@@ -43,7 +43,7 @@ class Stopped:
 
 
 @dataclass(frozen=True, slots=True)
-class Throw:
+class RequestedThrow:
     """A throw of `hand` to `target` in m, in the frame of the feet: x ahead, y to the left, z up.
 
     `plan` has the values of the wish that describe the motion, by their names.
@@ -69,7 +69,7 @@ class Motion:
         """Whether a session or a Task pauses the motion: the robot stands on both feet meanwhile."""
         self.is_finishing = False
         """Whether a session has ended, and the robot walks by wishes again as soon as it stands."""
-        self.throw = Throw(0, (0.8, 0.0, 0.5), "right")
+        self.throw = RequestedThrow(0, (0.8, 0.0, 0.5), "right")
         self.limit = Allowed("body")
         self._velocity = (0.0, 0.0, 0.0)
         self._dead_man = DeadMan(HOLD_TIMEOUT_S)
@@ -151,7 +151,7 @@ class Motion:
         plan = {"flight_s": planned.flight_s, "swing_s": planned.swing_s, "follow_s": planned.follow_s}
         plan |= {f"release_{index}_rad": float(value) for index, value in enumerate(planned.release)}
         plan |= {f"velocity_{index}_radps": float(value) for index, value in enumerate(planned.velocity)}
-        self.throw = Throw(number, (x, y, z), hand, plan)
+        self.throw = RequestedThrow(number, (x, y, z), hand, plan)
 
     def require_free(self) -> None:
         """Raise `Problem` 409 while a stop or a limit of 0 keeps the robot where it is."""

@@ -7,7 +7,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.formats.strict_json import StrictModel
 from handover.settings import Settings
-from handover_humanoid.running.training import Plan
+from handover_humanoid.running.training import SessionPlan
 from handover_humanoid.sessions.difficulty import CatchingSpace, DifficultyRules
 from handover_humanoid.sessions.exercise import Goal
 
@@ -79,11 +79,11 @@ class SessionRequest(_Parameters):
 
 def plan_of(
     asked: JuggleParameters | WalkParameters | SessionRequest, settings: Settings, task: str | None = None
-) -> Plan:
+) -> SessionPlan:
     """Return the plan of what was asked."""
     person = None if asked.person is None else settings.entity_id("Person", asked.person)
     if isinstance(asked, WalkParameters):
-        return Plan("walking", Goal(seconds=asked.seconds), person, task)
+        return SessionPlan("walking", Goal(seconds=asked.seconds), person, task)
     rules = DifficultyRules(
         start=asked.start_level, is_adaptive=asked.is_adaptive, weak_side=asked.weak_side, hand=asked.hand
     )
@@ -92,7 +92,7 @@ def plan_of(
         space = CatchingSpace(centre=asked.target, side_m=0.0, height_m=0.0)
     if isinstance(asked, SessionRequest):
         goal, application = asked.goal, asked.application
-        return Plan(
+        return SessionPlan(
             application,
             Goal(goal.throws, goal.catches, goal.seconds),
             person,
@@ -102,4 +102,4 @@ def plan_of(
             asked.needs_grip,
         )
     goal_of_task = Goal(asked.throws, asked.catches, asked.seconds)
-    return Plan("juggling", goal_of_task, person, task, rules, space, asked.needs_grip)
+    return SessionPlan("juggling", goal_of_task, person, task, rules, space, asked.needs_grip)

@@ -9,7 +9,7 @@ from handover.database.outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
 from handover_humanoid.running.session_store import SessionStore
-from handover_humanoid.running.training import Plan, Session, Training
+from handover_humanoid.running.training import Session, SessionPlan, Training
 from handover_humanoid.sessions.exercise import EndReason
 
 WRITE_EVERY_S: Final = 1.0
@@ -23,7 +23,7 @@ class SessionWriter:
         self._written: tuple[str, dict[str, Any]] | None = None
         self._lock = asyncio.Lock()
 
-    async def begin(self, plan: Plan) -> Session:
+    async def begin(self, plan: SessionPlan) -> Session:
         """Begin a session; it is in the database before it is returned. Raises `Problem` 409, 503."""
         await self.flush()
         session = self._training.open(plan)

@@ -25,7 +25,7 @@ from handover.telemetry import get_logger
 from handover_humanoid.behaviours.throwing import Practice, aimed_throw
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
-from handover_humanoid.patterns.throwing import OutOfReach, Throw, ThrowPlanner
+from handover_humanoid.patterns.throwing import OutOfReach, PlannedThrow, ThrowPlanner
 from handover_humanoid.running.motion import Motion
 from handover_humanoid.running.rehearsals import Rehearsals
 
@@ -207,7 +207,7 @@ class Throws:
     async def _in_worker(self, function: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._worker, function)
 
-    def _planned(self, grip: str, target: Array) -> tuple[Array, Throw]:
+    def _planned(self, grip: str, target: Array) -> tuple[Array, PlannedThrow]:
         """Return where to aim, and the throw that does; runs in the worker."""
         return aimed_throw(self._planner(grip), self._practice, grip, self._base, target)
 

@@ -47,7 +47,7 @@ _HOLDING: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SessionPlan:
     """What a therapist or a Task asks for; `person` is the id of an entity, None for nobody in particular."""
 
     application: Application
@@ -68,7 +68,7 @@ class Plan:
 class Session:
     """The session of a plan."""
 
-    plan: Plan
+    plan: SessionPlan
     exercise: Exercise
     juggling: Juggling | None
     id: str = field(default_factory=lambda: str(uuid4()))
@@ -166,7 +166,7 @@ class Training:
         """The sessions that are kept."""
         return self._store
 
-    def open(self, plan: Plan) -> Session:
+    def open(self, plan: SessionPlan) -> Session:
         """Begin a session; the caller adds it to the store. Raises `Problem` 409."""
         control = self._control
         if self.current is not None and not self.current.is_ended:

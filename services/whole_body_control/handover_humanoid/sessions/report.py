@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from handover_humanoid.patterns.regions import Side
-from handover_humanoid.sessions.exercise import Exercise, Throw
+from handover_humanoid.sessions.exercise import Exercise, SessionThrow
 
 SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -109,13 +109,13 @@ def progress(sessions: Iterable[SessionFigures]) -> list[Week]:
     ]
 
 
-def _of_side(throws: Sequence[Throw], side: Side) -> SideFigures:
+def _of_side(throws: Sequence[SessionThrow], side: Side) -> SideFigures:
     outcomes = [throw.outcome for throw in throws if throw.outcome.side == side]
     caught = sum(outcome.result == "caught" for outcome in outcomes)
     return SideFigures(len(outcomes), caught, _median(outcome.closest_m for outcome in outcomes))
 
 
-def _longest_run(throws: Sequence[Throw]) -> int:
+def _longest_run(throws: Sequence[SessionThrow]) -> int:
     """Return the most balls that were caught one after the other."""
     longest = run = 0
     for throw in throws:

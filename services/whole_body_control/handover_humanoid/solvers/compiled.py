@@ -27,7 +27,7 @@ from handover_humanoid.solvers.problem import (
 log = get_logger(__name__)
 
 
-class _Memory:
+class _CompiledArrays:
     """The arrays of one shape of problem: `n` velocities, `m` bounds, and `counts` rows of the levels."""
 
     def __init__(self, n: int, m: int, counts: tuple[int, ...]) -> None:
@@ -52,7 +52,7 @@ class Compiled:
     def __init__(self) -> None:
         self._kernels = _kernels()
         self._reference = Cascade()
-        self._memory: dict[tuple[int, int, tuple[int, ...]], _Memory] = {}
+        self._memory: dict[tuple[int, int, tuple[int, ...]], _CompiledArrays] = {}
         self.fallbacks = 0
         """How many problems the reference had to solve since rounding errors led in a circle."""
         self._compile()
@@ -94,11 +94,11 @@ class Compiled:
         self.fallbacks += 1
         return self._reference.solve(problem)
 
-    def _fill(self, problem: Problem) -> _Memory:
+    def _fill(self, problem: Problem) -> _CompiledArrays:
         shape = require_shapes(problem)
         memory = self._memory.get(shape)
         if memory is None:
-            memory = self._memory[shape] = _Memory(*shape)
+            memory = self._memory[shape] = _CompiledArrays(*shape)
         if problem.stacked is not None:
             np.copyto(memory.rows, problem.stacked[0])
             np.copyto(memory.targets, problem.stacked[1])

@@ -27,7 +27,7 @@ REACHED = 5e-4
 SAME_LENGTH = 1e-9
 
 
-class _Memory:
+class _HierarchyArrays:
     """The arrays of one shape of problem: bounds first, then the rows of the levels, in one matrix."""
 
     def __init__(self, n: int, m: int, counts: tuple[int, ...]) -> None:
@@ -99,14 +99,14 @@ class Hierarchical:
     name = "daqp, hierarchical"
 
     def __init__(self) -> None:
-        self._memory: dict[tuple[int, int, tuple[int, ...]], _Memory] = {}
+        self._memory: dict[tuple[int, int, tuple[int, ...]], _HierarchyArrays] = {}
 
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         shape = require_shapes(problem)
         memory = self._memory.get(shape)
         if memory is None:
-            memory = self._memory[shape] = _Memory(*shape)
+            memory = self._memory[shape] = _HierarchyArrays(*shape)
         memory.fill(problem)
         solution = memory.solve(problem.epsilon)
         return memory.solve(problem.epsilon) if memory.turn(solution.residuals) else solution

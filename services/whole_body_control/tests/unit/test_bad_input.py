@@ -15,7 +15,7 @@ from handover_humanoid import control_process
 from handover_humanoid.behaviours.humanoid_component import PHASES, Behaviour, Fault
 from handover_humanoid.behaviours.walking import footsteps_of
 from handover_humanoid.components.robot import JointCommand, RobotSensors
-from handover_humanoid.cycle.loop import Hold, Mode
+from handover_humanoid.cycle.loop import HoldReason, Mode
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.reading import read_folder
 from handover_humanoid.robots import COMAN, humanoid
@@ -99,7 +99,7 @@ def test_a_robot_whose_sensor_fails_for_good_holds_its_joints_and_does_not_sink(
     before = cycle.run(1.0, STANDING)
     cycle.spoil(spoiled)
     state = cycle.run(2.0, WALKING)
-    assert (state["mode"], state["fault"], state["hold"]) == (Mode.HOLDING, Fault.SENSORS, Hold.FAULTS)
+    assert (state["mode"], state["fault"], state["hold"]) == (Mode.HOLDING, Fault.SENSORS, HoldReason.FAULTS)
     assert state["robot_time_s"] > before["robot_time_s"] + 1.9, "the state is written on"
     assert cycle.loop.robot.true_configuration()[2] == pytest.approx(before["base.z"], abs=0.01)
 
@@ -135,7 +135,7 @@ def test_a_sensor_that_fails_for_good_in_a_step_lets_it_be_finished_before_the_j
     cycle.spoil(spoiled)
     assert cycle.run(0.1, WALKING)["fault"] == Fault.SENSORS
     state = cycle.run(4.0, WALKING)
-    assert (state["mode"], state["fault"], state["hold"]) == (Mode.HOLDING, Fault.SENSORS, Hold.FAULTS)
+    assert (state["mode"], state["fault"], state["hold"]) == (Mode.HOLDING, Fault.SENSORS, HoldReason.FAULTS)
     assert state["phase"] == PHASES.index("standing")
     assert cycle.loop.robot.height_m > UPRIGHT_M
 
@@ -159,12 +159,12 @@ def test_an_error_of_the_controller_and_a_refused_command_hold_the_joints(
     with monkeypatch.context() as patch:
         patch.setattr(cycle.loop.robot, "write", refuse)
         state = cycle.run(0.1, STANDING)
-    assert (state["mode"], state["hold"]) == (Mode.HOLDING, Hold.REFUSED)
+    assert (state["mode"], state["hold"]) == (Mode.HOLDING, HoldReason.REFUSED)
     assert "refused a command" in cycle.loop.fault
     second = Cycle(tmp_path / "second")
     monkeypatch.setattr(second.loop.controller, "_walk", lambda *_: 1 / 0)
     state = second.run(1.0, STANDING)
-    assert (state["mode"], state["hold"]) == (Mode.HOLDING, Hold.FAILED)
+    assert (state["mode"], state["hold"]) == (Mode.HOLDING, HoldReason.FAILED)
     assert second.loop.robot.height_m > UPRIGHT_M
 
 
@@ -172,8 +172,8 @@ def test_an_error_of_the_controller_and_a_refused_command_hold_the_joints(
     ("values", "code"),
     [
         *(({"fault": float(fault)}, f"fault{int(fault)}") for fault in Fault if fault),
-        *(({"hold": float(hold)}, f"hold{int(hold)}") for hold in Hold if hold in HOLDS),
-        ({"fault": float(Fault.SENSORS), "hold": float(Hold.FAULTS)}, "fault1"),
+        *(({"hold": float(hold)}, f"hold{int(hold)}") for hold in HoldReason if hold in HOLDS),
+        ({"fault": float(Fault.SENSORS), "hold": float(HoldReason.FAULTS)}, "fault1"),
     ],
 )
 def test_every_reason_is_shown_with_the_code_of_its_message(values: dict[str, float], code: str) -> None:

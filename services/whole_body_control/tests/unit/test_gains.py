@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from handover.errors import Problem, UsageError
 from handover_humanoid.control_process import control_loop
 from handover_humanoid.cycle.deployment import Deployment
-from handover_humanoid.cycle.gains import CHANGE_S, GainShares, gain_fields
+from handover_humanoid.cycle.gains import CHANGE_S, GainTransition, gain_fields
 from handover_humanoid.cycle.loop import Mode
 from handover_humanoid.cycle.ports import PortWriter
 from handover_humanoid.cycle.wish import WISH
@@ -32,7 +32,7 @@ any_share = st.floats(-10, 10)
 
 @given(st.lists(any_share, min_size=len(FIELDS), max_size=len(FIELDS)))
 def test_shares_move_gradually_to_the_wanted_ones_and_never_beyond_the_limits(wanted: list[float]) -> None:
-    shares = GainShares(COMAN)
+    shares = GainTransition(COMAN)
     shares.want(np.array(wanted))
     for _ in range(round(CHANGE_S / PERIOD_S)):
         before = shares.values.copy()
@@ -116,7 +116,7 @@ def test_a_model_without_limits_of_gains_lets_nobody_change_them_and_wrong_limit
     (folder / "robot.yaml").write_text(text[:start] + text[end:])
     fixed = read_folder(folder)
     assert (fixed.gain_limits, gain_fields(fixed)) == ({}, ())
-    GainShares(fixed).step(PERIOD_S)
+    GainTransition(fixed).step(PERIOD_S)
     with pytest.raises(Problem, match="the model permits: -"):
         ChainGains(fixed).changed({"left_arm": OF_THE_MODEL})
     wrong = (

@@ -19,7 +19,7 @@ from handover_humanoid.cycle.loop import Mode
 from handover_humanoid.cycle.wish import WISH
 from handover_humanoid.model.kinematics import Kinematics
 from handover_humanoid.patterns.regions import Footprint, Side
-from handover_humanoid.patterns.throwing import Throw, ThrowPlanner
+from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.robots import humanoid
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 from services.whole_body_control.tests.unit.cycle import Cycle
@@ -34,7 +34,7 @@ def cycle(tmp_path_factory: pytest.TempPathFactory) -> Cycle:
 
 
 @pytest.fixture(scope="module")
-def throw() -> Throw:
+def throw() -> PlannedThrow:
     model = humanoid("coman")
     kinematics = Kinematics(model)
     return ThrowPlanner(kinematics, kinematics.standing("stand"), model.grips["right_hand"]).plan(TARGET)
@@ -45,7 +45,7 @@ JUGGLING = {"speed_share": 1.0, "behaviour": float(Behaviour.JUGGLING)}
 ASSISTED = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
 
 
-def thrown(number: int, throw: Throw) -> dict[str, float]:
+def thrown(number: int, throw: PlannedThrow) -> dict[str, float]:
     wish = {**JUGGLING, "throw_number": float(number), "hand": 1.0}
     wish |= {f"target_{axis}_m": value for axis, value in zip("xyz", TARGET.tolist(), strict=True)}
     wish |= {"flight_s": throw.flight_s, "swing_s": throw.swing_s, "follow_s": throw.follow_s}
@@ -60,7 +60,9 @@ def on_feet(state: Mapping[str, float], name: str) -> tuple[float, float]:
     return float(cosine * x + sine * y), float(cosine * y - sine * x)
 
 
-def test_it_walks_then_throws_from_where_it_stands_then_walks_again(cycle: Cycle, throw: Throw) -> None:
+def test_it_walks_then_throws_from_where_it_stands_then_walks_again(
+    cycle: Cycle, throw: PlannedThrow
+) -> None:
     walked = cycle.run(3.0, {**WALKING, "ahead_mps": 0.1, "yaw_radps": 0.15})
     while_walking = cycle.run(0.1, JUGGLING)
     assert while_walking["behaviour"] == Behaviour.WALKING  # never while it takes a step
@@ -109,7 +111,9 @@ def test_a_foot_lands_where_the_state_says(cycle: Cycle) -> None:
     assert all(np.isnan(stands[f"{side}_landing.x"]) for side in SIDES)
 
 
-def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(cycle: Cycle, throw: Throw) -> None:
+def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(
+    cycle: Cycle, throw: PlannedThrow
+) -> None:
     cycle.run(0.5, JUGGLING)
     begun = cycle.run(0.8, thrown(2, throw))
     assert begun["ball_phase"] == BallPhase.HELD
@@ -120,7 +124,7 @@ def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(cycle: 
     assert cycle.run(1.0, WALKING)["behaviour"] == Behaviour.WALKING
 
 
-def test_a_ball_that_leaves_the_room_is_lost_and_the_robot_stands(cycle: Cycle, throw: Throw) -> None:
+def test_a_ball_that_leaves_the_room_is_lost_and_the_robot_stands(cycle: Cycle, throw: PlannedThrow) -> None:
     cycle.run(0.5, JUGGLING)
     state = cycle.run(0.1, thrown(4, throw))
     for _ in range(40):

@@ -9,10 +9,10 @@ from handover_humanoid.behaviours.humanoid_component import Fault
 from handover_humanoid.behaviours.led_walk_report import (
     REACTION_S,
     Followed,
-    Stopped,
+    StopResponse,
     followed,
 )
-from handover_humanoid.behaviours.simulated_person import SCRIPTS, Hold, Lead, LedRecord, LedWalk
+from handover_humanoid.behaviours.simulated_person import SCRIPTS, Lead, LedRecord, LedWalk, PersonArm
 from handover_humanoid.behaviours.simulated_walk import SimulatedWalk
 from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.model.humanoid import Humanoid
@@ -26,15 +26,15 @@ COMAN = humanoid("coman")
 
 
 def led(
-    name: str, hold: Hold | None = None, seed: int = 0, robot: Humanoid = COMAN
-) -> tuple[LedRecord, list[Followed | Stopped]]:
+    name: str, hold: PersonArm | None = None, seed: int = 0, robot: Humanoid = COMAN
+) -> tuple[LedRecord, list[Followed | StopResponse]]:
     walk = LedWalk(robot, hold=hold, seed=seed)
     record = walk.run(SCRIPTS[name])
     assert not record.has_fallen
     return record, followed(record, walk.step_limits)
 
 
-def require_criterion(parts: list[Followed | Stopped], motion: float) -> None:
+def require_criterion(parts: list[Followed | StopResponse], motion: float) -> None:
     """The velocity is within 15 degrees after half a second and stays so; so is the motion, but for
     `motion`."""
     for part in parts:
@@ -47,17 +47,17 @@ def require_criterion(parts: list[Followed | Stopped], motion: float) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("hold", [Hold(), Hold(20.0, 4.0)], ids=["usual", "soft"])
+@pytest.mark.parametrize("hold", [PersonArm(), PersonArm(20.0, 4.0)], ids=["usual", "soft"])
 @pytest.mark.parametrize(("name", "motion"), [("forward", 0.0), ("side", 4.0)])
 def test_it_goes_where_the_person_leads_within_half_a_second_and_stops_with_them(
-    name: str, motion: float, hold: Hold
+    name: str, motion: float, hold: PersonArm
 ) -> None:
     record, parts = led(name, hold)
     assert not record.faults.any()
     assert len(parts) == len(SCRIPTS[name])
     require_criterion(parts, motion)
     for part in parts:
-        if isinstance(part, Stopped):
+        if isinstance(part, StopResponse):
             assert part.reaction_s is not None
             assert part.reaction_s < 1.0
 
@@ -95,7 +95,7 @@ def test_it_turns_with_the_person_on_the_spot() -> None:
 @pytest.mark.nightly
 def test_a_person_who_stops_or_lets_go_stops_it() -> None:
     record, parts = led("stop")
-    ends = [part for part in parts if isinstance(part, Stopped)]
+    ends = [part for part in parts if isinstance(part, StopResponse)]
     assert len(ends) == 2
     assert ends[-1].standing_s is not None  # nobody holds it: it finishes its step and stands
     assert ends[-1].standing_s < 3.0

@@ -13,7 +13,7 @@ from handover_humanoid.behaviours.throwing import Phase, Practice, ThrowingContr
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
 from handover_humanoid.patterns import ballistics
-from handover_humanoid.patterns.throwing import OutOfReach, Throw, ThrowPlanner
+from handover_humanoid.patterns.throwing import OutOfReach, PlannedThrow, ThrowPlanner
 from handover_humanoid.robots import folder, humanoid
 from handover_humanoid.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
 from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE
@@ -78,7 +78,7 @@ def test_a_planned_throw_obeys_every_limit_and_lands(
     require_clear(throw)
 
 
-def require_clear(throw: Throw) -> None:
+def require_clear(throw: PlannedThrow) -> None:
     """The arm touches nothing of the robot on its way."""
     collision, arm = SelfCollision(KINEMATICS), np.array(COMAN.indices(throw.grip.arm))
     q = STANDING.copy()

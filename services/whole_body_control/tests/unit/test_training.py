@@ -15,7 +15,7 @@ from handover_humanoid.running.inputs import SILENT_S, PoseMessage, PullMessage
 from handover_humanoid.running.session_store import SessionStore
 from handover_humanoid.running.signals import PatientSignals
 from handover_humanoid.running.store import Store
-from handover_humanoid.running.training import GRACE_S, Plan, Session, Training
+from handover_humanoid.running.training import GRACE_S, Session, SessionPlan, Training
 from handover_humanoid.sessions.exercise import (
     CAUSES,
     EndReason,
@@ -41,7 +41,7 @@ class Exercises:
         self._training = training
 
     def begin(self) -> Session:
-        session = self._training.open(Plan("walking", Goal(seconds=600)))
+        session = self._training.open(SessionPlan("walking", Goal(seconds=600)))
         self.send()
         self.later(GRACE_S)
         return session
