@@ -25,8 +25,9 @@ from handover_robots.model.poses import NO_TURN, Frame
 from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.robot import PhysicsRobot
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
-from handover_robots.physics.world_model import STEP_S, build
+from handover_robots.physics.world_model import build
 from handover_robots.robots.ur10 import FOLDER, ROBOT
 from handover_robots.scene.scene import Scene, load
 from handover_robots.settings import TrajectorySettings

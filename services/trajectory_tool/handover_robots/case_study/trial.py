@@ -37,7 +37,8 @@ from handover_robots.control.session import ControlSession
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.physics.robot import PhysicsRobot
-from handover_robots.physics.world_model import STEP_S, fingers_of
+from handover_robots.physics.robot_bodies import STEP_S
+from handover_robots.physics.world_model import fingers_of
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
 from handover_robots.tasks.work import Work

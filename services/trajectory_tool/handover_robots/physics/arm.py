@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Frame
 from handover_robots.model.trajectory import Setpoint
-from handover_robots.physics.world_model import ArmNames
+from handover_robots.physics.robot_bodies import ArmNames
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from handover.telemetry import get_logger
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.metrics import SIMULATED_SECONDS, SIMULATION_CPU_SECONDS
 from handover_robots.model.faults import RobotFault
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
-from handover_robots.physics.world_model import STEP_S
 
 log = get_logger(__name__)
 

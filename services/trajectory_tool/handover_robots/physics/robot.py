@@ -26,9 +26,9 @@ from handover_robots.model.poses import Frame
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.model.trajectory import Limits, Setpoint
 from handover_robots.physics.cameras import Cameras
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.shared_world import SharedWorld
 from handover_robots.physics.vision import PhysicsVision
-from handover_robots.physics.world_model import STEP_S
 from handover_robots.scene.scene import Scene
 
 T = TypeVar("T")

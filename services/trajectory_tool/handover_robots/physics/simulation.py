@@ -15,7 +15,8 @@ from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose, Vector
 from handover_robots.model.trajectory import Setpoint
 from handover_robots.physics.arm import Array, SimulatedArm, frame_of
-from handover_robots.physics.world_model import CAMERA_GROUP, STEP_S, WorldModel, parked_at
+from handover_robots.physics.robot_bodies import CAMERA_GROUP, STEP_S
+from handover_robots.physics.world_model import WorldModel, parked_at
 
 STILL_MPS = 0.002
 

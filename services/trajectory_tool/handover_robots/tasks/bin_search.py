@@ -1,9 +1,10 @@
 """The search for a part in a bin: the topmost one that the robot can grip and reach, or why there is none."""
 
 import itertools
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
+from handover.messages import Message, message
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.scene.contents import Lying
 from handover_robots.scene.vision import SeenGrasp, Sighting
@@ -76,3 +77,14 @@ def _why_none(bin_name: str, sightings: Sequence[Sighting]) -> str:
     reasons = sorted(str(one.reason or "the arm does not reach its grasps") for one in sightings)
     counted = (f"{len(list(same))}: {reason}" for reason, same in itertools.groupby(reasons))
     return f"no part lies free in {bin_name}: of {len(sightings)} that are seen, {'; '.join(counted)}"
+
+
+def unknown_bin(operation: str, name: str, bins: Mapping[str, Any]) -> Message:
+    """Return that there is no such bin, and the names of those that there are."""
+    return message(
+        "robot.unknown_bin",
+        'parameter "bin" of {operation}: there is no bin "{bin}"; the cell has {known}',
+        operation=operation,
+        bin=name,
+        known=", ".join(bins) or "none",
+    )
