@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.whole_body_walking import DEPLOYMENT
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.cycle.ports import PortReader, PortWriter
 from handover_humanoid.cycle.wish import PERSON, SIDES, WISH
 

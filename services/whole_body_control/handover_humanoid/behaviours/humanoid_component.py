@@ -23,18 +23,29 @@ How it works:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
 from handover_humanoid.behaviours.assistance import AssistedWalking, Hands
+from handover_humanoid.behaviours.component_state import (
+    PHASES,
+    REFUSED,
+    SOLVER_BOUNDS_US,
+    THROW_PHASES,
+    Ball,
+    BallPhase,
+    Behaviour,
+    Fault,
+    constraint_names,
+    residual_names,
+    state_fields,
+)
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
 from handover_humanoid.behaviours.walking import SIDES, WalkingController
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
-from handover_humanoid.cycle.gains import GainTransition, gain_fields
+from handover_humanoid.cycle.gains import GainTransition
 from handover_humanoid.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from handover_humanoid.engines.choice import DEFAULT_ENGINE, EngineName
 from handover_humanoid.model.humanoid import Humanoid
@@ -65,58 +76,6 @@ FINISH_S: Final = 3.0
 MIN_SLACK: Final = 1e-4
 """Of a constraint, in m/s or rad/s; less is the tolerance of a solver."""
 LIMIT_SLACK_RAD: Final = 0.01
-LANDED_M: Final = 0.03
-"""A ball that is lower, or below the height of its target, has landed."""
-LOST_M: Final = 6.0
-SOLVER_BOUNDS_US: Final = (20, 40, 60, 80, 100, 150, 200, 300, 400, 600, 1000, 2000)
-PHASES: Final = ("standing", "double", "single")
-THROW_PHASES: Final = (Phase.STANDING, Phase.REACHING, Phase.SWINGING, Phase.FOLLOWING, Phase.RETURNING)
-REFUSED: Final = 6.0
-
-
-class Behaviour(IntEnum):
-    """The codes of `behaviour` in the ports."""
-
-    WALKING = 0
-    ASSISTED_WALKING = 1
-    JUGGLING = 2
-
-
-class Fault(IntEnum):
-    """The codes of `fault` in the ports; the page says them in words."""
-
-    NONE = 0
-    SENSORS = 1
-    SOLVER = 2
-    PULLED_HARD = 3
-    FALLEN = 4
-    THROW_REFUSED = 5
-    NOT_OFFERED = 6
-    STRETCHED = 7
-    RELAXED = 8
-
-
-class BallPhase(IntEnum):
-    """The codes of `ball_phase` in the ports."""
-
-    NONE = 0
-    HELD = 1
-    FLYING = 2
-    LANDED = 3
-    LOST = 4
-
-
-@dataclass
-class _Ball:
-    """The ball as the ports show it, on the ground of the estimate."""
-
-    phase: BallPhase = BallPhase.NONE
-    number: float = 0.0
-    height_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.place, self.landed = np.full(3, np.nan), np.full(3, np.nan)
-        self.target, self.predicted = np.full(3, np.nan), np.full(3, np.nan)
 
 
 def behaviours_of(humanoid: Humanoid) -> tuple[Behaviour, ...]:
@@ -163,17 +122,17 @@ class HumanoidComponent:
         self._shares = GainTransition(humanoid)
         self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
-        self._ball = _Ball()
+        self._ball = Ball()
         self._throw_phase, self.fault = 0.0, Fault.NONE
         self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
         self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
-        self._residuals = _residual_names(self.walking, self._throwing)
+        self._residuals = residual_names(self.walking, self._throwing)
         self._blind_s = 0.0
         """Since when sensors are not valid."""
         self._of_legs = Kinematics(humanoid)
-        self._slack = dict.fromkeys(_constraint_names(self.walking, self._throwing), 0.0)
+        self._slack = dict.fromkeys(constraint_names(self.walking, self._throwing), 0.0)
         self._relaxed_s = 0.0
-        self.fields: Sequence[str] = _fields(humanoid, self._residuals, tuple(self._slack))
+        self.fields: Sequence[str] = state_fields(humanoid, self._residuals, tuple(self._slack))
 
     def hand_force(self, side: Side) -> Array:
         """Return the force (3,) in N of a person at a hand, in the frame between the soles."""
@@ -212,7 +171,9 @@ class HumanoidComponent:
         self._soften(command)
         if self._taken < 1.0:
             self._take_over(sensors, command)
-        self._follow_ball()
+        if self._world is not None:
+            estimator = self.walking.estimator
+            self._ball.follow(self._world.ball_from_root, estimator.rotation, estimator.q[:3])
         self._count()
         self._note_slack()
         self._judge(NOT_FINITE if is_blind else fault)
@@ -289,7 +250,7 @@ class HumanoidComponent:
         if wanted == Behaviour.JUGGLING and self._throwing is not None:
             self._throwing.stand_at(self._between_soles(self.walking.reference))
             self._throwing.estimator.take_tilt(self.walking.estimator)
-            self._ball, self._throw_phase = _Ball(number=self._wanted.throw_number), 0.0
+            self._ball, self._throw_phase = Ball(number=self._wanted.throw_number), 0.0
         elif self.behaviour is Behaviour.JUGGLING:
             self._throw_phase = 0.0
         if self.assistance is not None:
@@ -392,7 +353,7 @@ class HumanoidComponent:
     def _begin_throw(self) -> None:
         """Put the ball into the hand and begin, if the plan can be carried out."""
         wanted, throwing, world = self._wanted, self._throwing, self._world
-        self._ball = _Ball(number=wanted.throw_number, height_m=wanted.target[2])
+        self._ball = Ball(number=wanted.throw_number, height_m=wanted.target[2])
         self._ball.target = wanted.target.copy()
         throw = self._planned()
         if throw is None or throwing is None or world is None:
@@ -463,23 +424,6 @@ class HumanoidComponent:
         command.positions += left * (first.positions - command.positions)
         command.torques += left * (first.torques - command.torques)
 
-    def _follow_ball(self) -> None:
-        ball, estimator = self._ball, self.walking.estimator
-        if self._world is None or ball.phase is BallPhase.NONE:
-            return
-        before = ball.place
-        ball.place = estimator.rotation @ self._world.ball_from_root() + estimator.q[:3]
-        if ball.phase is not BallPhase.FLYING:
-            return
-        height_m = max(ball.height_m, LANDED_M)
-        if before[2] > height_m >= ball.place[2]:
-            share = (before[2] - height_m) / (before[2] - ball.place[2])
-            ball.landed, ball.phase = before + share * (ball.place - before), BallPhase.LANDED
-        elif ball.place[2] < LANDED_M:
-            ball.landed, ball.phase = ball.place.copy(), BallPhase.LANDED
-        elif float(np.linalg.norm(ball.place - estimator.q[:3])) > LOST_M:
-            ball.phase = BallPhase.LOST
-
     def _on_ground(self, place: Array, feet: Array) -> Array:
         """Return a place (3,) of the frame of the feet on the ground of the estimate."""
         return np.array([*(feet[:2] + turn(feet[2]) @ place[:2]), place[2]])
@@ -525,39 +469,3 @@ class HumanoidComponent:
             self.fault = Fault.RELAXED
         elif self._throw_phase != REFUSED:
             self.fault = Fault.NONE
-
-
-def _residual_names(walking: WalkingController, throwing: ThrowingController | None) -> list[tuple[int, str]]:
-    stacks = [*walking.level_names, *(throwing.level_names if throwing else ())]
-    return sorted({(index, name) for stack in stacks for index, name in enumerate(stack)})
-
-
-def _constraint_names(walking: WalkingController, throwing: ThrowingController | None) -> list[str]:
-    return sorted({*walking.constraint_names, *(throwing.constraint_names if throwing else ())})
-
-
-def _fields(
-    humanoid: Humanoid, residuals: Sequence[tuple[int, str]], constraints: Sequence[str]
-) -> tuple[str, ...]:
-    names = ["behaviour", "phase", *(f"support_{side}" for side in SIDES)]
-    names += [
-        f"{name}.{axis}"
-        for name in ("com", "reference", "wanted_zmp", "measured_zmp", "velocity_reference")
-        for axis in "xy"
-    ]
-    names += ["feet.x", "feet.y", "feet.yaw"]
-    for side in SIDES:
-        names += [f"{side}_foot.force.{axis}" for axis in "xyz"]
-        names += [f"{side}_foot.pressure.{axis}" for axis in "xy"]
-    for side in SIDES:
-        names += [*(f"{side}_hand.force.{axis}" for axis in "xyz"), f"{side}_hand.manipulability"]
-    names += [*(f"ball.{axis}" for axis in "xyz"), "ball_phase"]
-    names += [f"{name}.{axis}" for name in ("target", "ball_landed", "predicted") for axis in "xyz"]
-    names += ["throw_number", "throw_phase", "fault"]
-    names += [f"{side}_landing.{axis}" for side in SIDES for axis in ("x", "y", "yaw")]
-    names += [f"gain.{name}" for name in gain_fields(humanoid)]
-    names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
-    names += [f"residual.{index}.{name}" for index, name in residuals]
-    names += [f"slack.{name}" for name in constraints]
-    names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    return (*names, *(f"joint.{name}" for name in humanoid.joint_names))

@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_humanoid.behaviours.humanoid_component import Behaviour, HumanoidComponent
+from handover_humanoid.behaviours.component_state import Behaviour
+from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.behaviours.simulated_walk import FALLEN_SHARE
 from handover_humanoid.behaviours.walking import SIDES, WalkingState
 from handover_humanoid.components.robot import Interpolation, JointCommand, RobotSensors

@@ -17,7 +17,8 @@ from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
-from handover_humanoid.behaviours.humanoid_component import Behaviour, behaviours_of
+from handover_humanoid.behaviours.component_state import Behaviour
+from handover_humanoid.behaviours.humanoid_component import behaviours_of
 from handover_humanoid.robots import HUMANOIDS, humanoid
 from handover_humanoid.routes.access import of_humanoid
 from handover_humanoid.routes.bodies import (

@@ -27,7 +27,7 @@ from handover_humanoid.running.inputs import (
     WishMessage,
 )
 from handover_humanoid.running.motion import Motion
-from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.sessions.signals import PatientSignals
 
 MAX_MESSAGE_CHARS: Final = 4096
 MAX_REASON_CHARS: Final = 300

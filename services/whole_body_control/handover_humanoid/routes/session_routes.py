@@ -21,10 +21,10 @@ from handover.security.guard import guard_of, require, require_signed_in
 from handover.security.permissions import Permission
 from handover_humanoid.routes.access import of_humanoid
 from handover_humanoid.routes.bodies import Body
-from handover_humanoid.running.plans import Name, SessionRequest, plan_of
-from handover_humanoid.running.session_store import StoredSession
-from handover_humanoid.running.session_writer import SessionWriter
-from handover_humanoid.running.training import Training
+from handover_humanoid.running.sessions.plans import Name, SessionRequest, plan_of
+from handover_humanoid.running.sessions.store import StoredSession
+from handover_humanoid.running.sessions.training import Training
+from handover_humanoid.running.sessions.writer import SessionWriter
 from handover_humanoid.sessions.exercise import EndReason, SessionError
 from handover_humanoid.sessions.report import progress
 

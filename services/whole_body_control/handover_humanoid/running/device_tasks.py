@@ -17,9 +17,9 @@ from handover.formats.validation import fault_text
 from handover.messages import message
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover_humanoid.running.humanoid_control import HumanoidControl
-from handover_humanoid.running.plans import JuggleParameters, WalkParameters, plan_of
-from handover_humanoid.running.session_writer import SessionWriter
-from handover_humanoid.running.training import Session, Training
+from handover_humanoid.running.sessions.plans import JuggleParameters, WalkParameters, plan_of
+from handover_humanoid.running.sessions.training import Session, Training
+from handover_humanoid.running.sessions.writer import SessionWriter
 from handover_humanoid.sessions.exercise import EndReason, PauseReason, SessionError, State
 from handover_humanoid.settings import WholeBodySettings
 

@@ -14,7 +14,8 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
-from handover_humanoid.behaviours.humanoid_component import Behaviour, Fault, behaviours_of
+from handover_humanoid.behaviours.component_state import Behaviour, Fault
+from handover_humanoid.behaviours.humanoid_component import behaviours_of
 from handover_humanoid.behaviours.rehearsal import FILE as REHEARSALS
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.behaviours.walking import footsteps_of

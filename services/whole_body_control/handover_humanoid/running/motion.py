@@ -17,7 +17,7 @@ from handover.control.dead_man import DeadMan
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.messages import message
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.metrics import STOPS
 from handover_humanoid.patterns.footsteps import Footsteps, Wish
 from handover_humanoid.patterns.throwing import PlannedThrow

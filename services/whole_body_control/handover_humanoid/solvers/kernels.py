@@ -19,6 +19,9 @@ whose multiplier is then negative. What is left is the minimum on its active bou
 not negative, where the method could have come to by itself; so the solution is the same.
 
 All arrays are made by the caller; nothing is allocated here.
+
+This is one file on purpose: numba keeps machine code on the disk by the time of the file of a function, and
+would use old code for a function that calls a changed one of another file.
 """
 
 from collections.abc import Callable

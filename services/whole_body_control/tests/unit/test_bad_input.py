@@ -12,7 +12,7 @@ import pytest
 
 from handover.control.speed_limits import Allowed
 from handover_humanoid import control_process
-from handover_humanoid.behaviours.humanoid_component import PHASES, Behaviour, Fault
+from handover_humanoid.behaviours.component_state import PHASES, Behaviour, Fault
 from handover_humanoid.behaviours.walking import footsteps_of
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.cycle.loop import HoldReason, Mode

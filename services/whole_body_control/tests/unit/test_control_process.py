@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from handover_humanoid.behaviours.humanoid_component import Behaviour, HumanoidComponent
+from handover_humanoid.behaviours.component_state import Behaviour
+from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.control_process import control_loop
 from handover_humanoid.cycle.deployment import Deployment, read_deployment

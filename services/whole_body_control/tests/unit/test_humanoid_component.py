@@ -6,13 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_humanoid.behaviours.humanoid_component import (
-    PHASES,
-    BallPhase,
-    Behaviour,
-    Fault,
-    HumanoidComponent,
-)
+from handover_humanoid.behaviours.component_state import PHASES, BallPhase, Behaviour, Fault
+from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.behaviours.walking import SIDES
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.cycle.loop import Mode

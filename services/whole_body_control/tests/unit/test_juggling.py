@@ -8,9 +8,9 @@ import pytest
 
 from handover.control.limit_link import LimitLink
 from handover.database import connect
-from handover_humanoid.behaviours.humanoid_component import BallPhase, Behaviour
+from handover_humanoid.behaviours.component_state import BallPhase, Behaviour
 from handover_humanoid.running.humanoid_control import HumanoidControl
-from handover_humanoid.running.juggling import MAX_REFUSALS, REFUSED, Juggling
+from handover_humanoid.running.sessions.juggling import MAX_REFUSALS, REFUSED, Juggling
 from handover_humanoid.running.store import Store
 from handover_humanoid.sessions.catching import CatchRules
 from handover_humanoid.sessions.difficulty import CatchingSpace, Difficulty

@@ -5,7 +5,7 @@ import pytest
 
 from handover.errors import UsageError
 from handover_humanoid.balance.external_torques import ExternalTorques
-from handover_humanoid.behaviours.humanoid_component import Fault
+from handover_humanoid.behaviours.component_state import Fault
 from handover_humanoid.behaviours.led_walk_report import (
     REACTION_S,
     Followed,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handover.errors import Problem
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.behaviours.rehearsal import (
     DIRECTIONS_RAD,
     FILE,

@@ -9,13 +9,13 @@ import pytest
 from handover.control.limit_link import LimitLink
 from handover.database import connect
 from handover.errors import Problem
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.running.humanoid_control import HumanoidControl
 from handover_humanoid.running.inputs import SILENT_S, PoseMessage, PullMessage
-from handover_humanoid.running.session_store import SessionStore
-from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.sessions.signals import PatientSignals
+from handover_humanoid.running.sessions.store import SessionStore
+from handover_humanoid.running.sessions.training import GRACE_S, Session, SessionPlan, Training
 from handover_humanoid.running.store import Store
-from handover_humanoid.running.training import GRACE_S, Session, SessionPlan, Training
 from handover_humanoid.sessions.exercise import (
     CAUSES,
     EndReason,

@@ -8,8 +8,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from handover.database.outage import database_reason
 from handover.errors import Problem
 from handover.messages import message
-from handover_humanoid.running.session_store import SessionStore
-from handover_humanoid.running.training import Session, SessionPlan, Training
+from handover_humanoid.running.sessions.store import SessionStore
+from handover_humanoid.running.sessions.training import Session, SessionPlan, Training
 from handover_humanoid.sessions.exercise import EndReason
 
 WRITE_EVERY_S: Final = 1.0

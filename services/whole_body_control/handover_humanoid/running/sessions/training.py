@@ -17,13 +17,13 @@ import numpy as np
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.patterns.regions import Side
 from handover_humanoid.running.humanoid_control import HumanoidControl
-from handover_humanoid.running.juggling import Juggling
 from handover_humanoid.running.motion import NAMES
-from handover_humanoid.running.session_store import SessionStore
-from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.sessions.juggling import Juggling
+from handover_humanoid.running.sessions.signals import PatientSignals
+from handover_humanoid.running.sessions.store import SessionStore
 from handover_humanoid.sessions.catching import CatchRules
 from handover_humanoid.sessions.difficulty import CatchingSpace, Difficulty, DifficultyRules
 from handover_humanoid.sessions.exercise import (

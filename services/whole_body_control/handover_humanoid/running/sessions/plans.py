@@ -7,7 +7,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.formats.strict_json import StrictModel
 from handover.settings import Settings
-from handover_humanoid.running.training import SessionPlan
+from handover_humanoid.running.sessions.training import SessionPlan
 from handover_humanoid.sessions.difficulty import CatchingSpace, DifficultyRules
 from handover_humanoid.sessions.exercise import Goal
 
