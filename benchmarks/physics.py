@@ -29,7 +29,8 @@ from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
 from handover_robots.physics.world_model import build
 from handover_robots.robots.ur10 import FOLDER, ROBOT
-from handover_robots.scene.scene import Scene, load
+from handover_robots.scene.reading import load
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
 from handover_robots.tasks.work import Work

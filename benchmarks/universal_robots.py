@@ -23,7 +23,7 @@ import psutil
 from benchmarks.steal_time import report_steal_time
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene.scene import load
+from handover_robots.scene.reading import load
 from handover_robots.settings import TrajectorySettings
 from handover_ur.driver import UniversalRobot
 from handover_ur.simulator.controller import SimulatedController

@@ -27,7 +27,8 @@ from handover_robots.people.measured import SceneSensors
 from handover_robots.planning import is_available
 from handover_robots.robots.folder import load_robot
 from handover_robots.scene.contents import Contents, initial
-from handover_robots.scene.scene import Scene, load, read_scene
+from handover_robots.scene.reading import load, read_scene
+from handover_robots.scene.scene import Scene
 from handover_robots.scene.scene_file import ChangedScene, SceneFile
 from handover_robots.scene.vision import Camera
 from handover_robots.settings import TrajectorySettings

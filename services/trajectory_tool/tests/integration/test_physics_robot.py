@@ -37,7 +37,8 @@ from handover_robots.physics.world_model import build
 from handover_robots.robots import panda, ur10
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.routes.scenes import scene_view
-from handover_robots.scene.scene import Scene, load
+from handover_robots.scene.reading import load
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.work import Work
 
