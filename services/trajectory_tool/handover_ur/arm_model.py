@@ -48,5 +48,5 @@ def other_series(robot_model: str, software: str) -> str | None:
     if is_e_series == bool(name[2]):
         return None
     series = ("e-Series", "CB3 series")
-    planned, found = series if name[2] else series[::-1]
-    return f"motions are planned for an arm of the {planned}, and the controller is of the {found}"
+    planned, reported = series if name[2] else series[::-1]
+    return f"motions are planned for an arm of the {planned}, and the controller is of the {reported}"

@@ -103,8 +103,8 @@ class UniversalRobot(CyclicRobot):
                 f"the driver ur moves arms with {JOINTS} joints, and {context.model.name} has "
                 f"{len(context.model.joints)}; choose another driver or model for {context.robot_id}"
             )
-        known = replace(context, options=with_environment(context.options))
-        options, limit_kg = known.read_options(UrOptions), context.model.max_payload_kg
+        complete = replace(context, options=with_environment(context.options))
+        options, limit_kg = complete.read_options(UrOptions), context.model.max_payload_kg
         if options.payload_kg is not None and limit_kg is not None and options.payload_kg > limit_kg:
             raise UsageError(
                 f"payload_kg of {context.robot_id} is {options.payload_kg:g}, and {context.model.name} may "
@@ -298,14 +298,14 @@ class UniversalRobot(CyclicRobot):
         if expected is None or connection == self._checked_connection:
             return
         try:
-            found = await self.dashboard.describe()
+            identity = await self.dashboard.describe()
         except DashboardError as error:
             log.warning("model of the arm not checked", robot=self.robot_id, reason=text_of(error))
             return
-        fault = other_model(self.robot_id, expected, found["model"])
+        fault = other_model(self.robot_id, expected, identity["model"])
         if fault is not None:
             raise RobotFault(fault)
-        warning = other_series(self._model_name, found["software"])
+        warning = other_series(self._model_name, identity["software"])
         if warning is not None and self.options.controller_model is None:
             log.warning(warning, robot=self.robot_id)
         self._checked_connection = connection

@@ -220,10 +220,10 @@ class Exchange:
     def run(self) -> None:
         """Connect, exchange, and connect again after a failure."""
         connections = 0
-        given = self._parameters
+        parameters = self._parameters
         while True:
             try:
-                connection = Connection(given.host, given.port, given.silence_s)
+                connection = Connection(parameters.host, parameters.port, parameters.silence_s)
             except HandoverError as error:
                 self._disconnected(str(error))
             else:

@@ -151,14 +151,14 @@ class RobotiqGripper(UrGripper):
         wanted = {"POS": position, "SPE": self._speed, "FOR": self._force, "GTO": 1}
         await _set(reader, writer, wanted)
         deadline_s = time.monotonic() + MOVE_TIMEOUT_S
-        while await get("PRE") != position or (found := await get("OBJ")) == _MOVING:
+        while await get("PRE") != position or (detected := await get("OBJ")) == _MOVING:
             if time.monotonic() > deadline_s:
                 raise ValueError(f"the fingers have not come to rest within {MOVE_TIMEOUT_S:.0f} s")
             await asyncio.sleep(CHECK_EVERY_S)
         fault = await get("FLT")
         if fault:
             raise ValueError(f"fault {fault}")
-        return found
+        return detected
 
     def _silent(self, reason: str) -> RobotFault:
         return RobotFault(

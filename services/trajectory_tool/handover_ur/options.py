@@ -15,11 +15,11 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
-def _parsed(given: object) -> object:
+def _parsed(written: object) -> object:
     try:
-        return json.loads(given) if isinstance(given, str) else given
+        return json.loads(written) if isinstance(written, str) else written
     except ValueError:
-        return given
+        return written
 
 
 Point = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], BeforeValidator(_parsed)]
@@ -72,5 +72,7 @@ def with_environment(options: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the options of the cell file; the environment has those that are not in it."""
     environment = {**dotenv_values(ENV_FILE), **os.environ}
     names = {name: f"{PREFIX}UR_{name.upper()}" for name in UrOptions.model_fields}
-    found = {name: environment[variable] for name, variable in names.items() if environment.get(variable)}
-    return {**found, **options}
+    by_environment = {
+        name: environment[variable] for name, variable in names.items() if environment.get(variable)
+    }
+    return {**by_environment, **options}

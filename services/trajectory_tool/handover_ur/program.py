@@ -48,22 +48,24 @@ class ProgramParameters:
     payload: Payload | None = None
 
 
-def program(given: ProgramParameters) -> str:
+def program(parameters: ProgramParameters) -> str:
     """Return the text of the program, for the script interface of the controller."""
-    missed = max(round(given.watchdog_s / given.cycle_s), 2)
-    min_hz = 1.0 / (3 * given.watchdog_s)
+    missed = max(round(parameters.watchdog_s / parameters.cycle_s), 2)
+    min_hz = 1.0 / (3 * parameters.watchdog_s)
     received = _list(f"read_input_float_register({TARGET_REGISTER + n})" for n in range(JOINTS))
     zeros = _list("0.0" for _ in range(JOINTS))
     difference = _list(f"received_target[{n}] - target[{n}]" for n in range(JOINTS))
     shorter = _list(f"{STEP_DECAY} * step[{n}]" for n in range(JOINTS))
     continued = _list(f"target[{n}] + step[{n}]" for n in range(JOINTS))
-    stop = f"stopj({given.stop_rad_s2:.3f})"
-    servo = f"servoj(target, 0, 0, {given.cycle_s:.6f}, {given.lookahead_s:.3f}, {given.gain:.0f})"
+    stop = f"stopj({parameters.stop_rad_s2:.3f})"
+    servo = (
+        f"servoj(target, 0, 0, {parameters.cycle_s:.6f}, {parameters.lookahead_s:.3f}, {parameters.gain:.0f})"
+    )
     lines = [
         "def handover_servo():",
         f'  rtde_set_watchdog("input_int_register_{HEARTBEAT_REGISTER}", {min_hz:.3f}, "stop")',
-        *_payload_lines(given.payload),
-        f"  write_output_integer_register({PROGRAM_ID_REGISTER}, {given.program_id})",
+        *_payload_lines(parameters.payload),
+        f"  write_output_integer_register({PROGRAM_ID_REGISTER}, {parameters.program_id})",
         f"  write_output_integer_register({PROGRAM_STATE_REGISTER}, {ProgramState.READY:d})",
         f"  heartbeat = read_input_integer_register({HEARTBEAT_REGISTER})",
         "  missed = 0",

@@ -269,9 +269,9 @@ def parse_text_message(payload: bytes) -> TextMessage:
         severity = payload[source_end]
     except IndexError:
         raise ProtocolError("a text message is truncated") from None
-    known = severity in set(Severity)
+    is_known = severity in set(Severity)
     return TextMessage(
         text.decode(errors="replace"),
         source.decode(errors="replace"),
-        Severity(severity) if known else Severity.INFO,
+        Severity(severity) if is_known else Severity.INFO,
     )

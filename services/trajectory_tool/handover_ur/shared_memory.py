@@ -181,9 +181,9 @@ class SharedMemory:
 
     def read_report(self) -> Report:
         """Return the last report."""
-        found = self._report.read()
-        flat = [*found[:5], found[5:11], found[11:17], found[17:23], *found[23:-1]]
-        reason = found[-1].rstrip(b"\0").decode(errors="ignore")
+        values = self._report.read()
+        flat = [*values[:5], values[5:11], values[11:17], values[17:23], *values[23:-1]]
+        reason = values[-1].rstrip(b"\0").decode(errors="ignore")
         return Report(**dict(zip(_REPORT_FIELDS, [*flat, reason], strict=True)))
 
 

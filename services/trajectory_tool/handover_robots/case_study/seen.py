@@ -98,7 +98,9 @@ class SeenObject:
         points = np.vstack([_surface(pose, size) for pose, size in boxes])
         pinch = best_pinch(points, self._fingers)
         if pinch is None:
-            patch = max(range(len(boxes)), key=lambda one: boxes[one][0].position[2] + _reach(*boxes[one]))
+            patch = max(
+                range(len(boxes)), key=lambda number: boxes[number][0].position[2] + _reach(*boxes[number])
+            )
             return _Spot(patch, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
         return _spot_at(pinch.place, pinch.closing_rad, boxes)
 
@@ -150,7 +152,7 @@ def _reach(pose: Pose, size: Vector) -> float:
 def _surface(pose: Pose, size: Vector) -> Array:
     """Return points over a box: N x 3, in the cell."""
     along = np.linspace(-0.5, 0.5, SAMPLES)
-    x, y = (each.ravel() for each in np.meshgrid(along * size[0], along * size[1]))
+    x, y = (coordinates.ravel() for coordinates in np.meshgrid(along * size[0], along * size[1]))
     frame = pose.frame()
     local = np.stack([x, y, np.zeros_like(x)], axis=1)
     return np.asarray(local @ np.array(frame.rotation).T + np.array(frame.position))
@@ -158,7 +160,7 @@ def _surface(pose: Pose, size: Vector) -> Array:
 
 def _spot_at(place: tuple[float, float], closing_rad: float, boxes: Sequence[tuple[Pose, Vector]]) -> _Spot:
     """Return the spot of the patch that is nearest to a place, with its direction of closing."""
-    patch = min(range(len(boxes)), key=lambda one: math.dist(boxes[one][0].position[:2], place))
+    patch = min(range(len(boxes)), key=lambda number: math.dist(boxes[number][0].position[:2], place))
     pose = boxes[patch][0]
     back = pose.frame().inverse()
     at = (back @ Frame(NO_TURN, (*place, pose.position[2]))).position

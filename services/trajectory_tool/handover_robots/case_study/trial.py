@@ -230,10 +230,10 @@ class Trial:
         else:
             message = operator.next(view_of(shown), now_s)
         self._sequence += 1
-        given = HumanInput.model_validate_json(orjson.dumps({"seq": self._sequence, **message}))
-        session.receive(given)
-        if given.gripper is not None and not session.acting:
-            self._gripper = given.gripper
+        human_input = HumanInput.model_validate_json(orjson.dumps({"seq": self._sequence, **message}))
+        session.receive(human_input)
+        if human_input.gripper is not None and not session.acting:
+            self._gripper = human_input.gripper
             session.acting = True  # the motion comes to rest, then the gripper acts
         if shown["moves"]:
             self._mixes.append(session.shared.mix)

@@ -182,14 +182,14 @@ class RobotCell:
 
     async def contacts(self) -> list[str]:
         """Return what each robot touches where it stands now."""
-        found = []
+        touching = []
         for name, unit in self.units.items():
             if not unit.planning.avoids_obstacles:
                 continue
             why = await unit.planning.plan(lambda planner, unit=unit: planner.why_not_free(unit.joints))  # type: ignore[misc]
             if why is not None:
-                found.append(f"{name}: {why}")
-        return found
+                touching.append(f"{name}: {why}")
+        return touching
 
     async def remember(self) -> None:
         """Store the state of the cell durably. Raises `OSError`."""
@@ -206,7 +206,7 @@ def _require_own_meshes(scene: Scene) -> None:
     """Refuse meshes outside of the folder of the scene: a client must not read other files."""
     things = [
         *scene.obstacles.items(),
-        *((name, one.body) for name, one in scene.fixtures.items() if one.body),
+        *((name, fixture.body) for name, fixture in scene.fixtures.items() if fixture.body),
     ]
     for name, thing in things:
         mesh = thing.mesh

@@ -99,11 +99,11 @@ class RobotEntry(ClosedModel):
 
     def limits_of(self, name: str, model: RobotModel) -> Limits:
         """Return the limits of motion. Raises `UsageError` for another number of values than joints."""
-        own, given = model.limits, self.limits
+        own, overrides = model.limits, self.limits
         return Limits(
-            _per_joint(name, "velocity", given.velocity, own.velocity),
-            _per_joint(name, "acceleration", given.acceleration, own.acceleration),
-            _per_joint(name, "jerk", given.jerk, own.jerk),
+            _per_joint(name, "velocity", overrides.velocity, own.velocity),
+            _per_joint(name, "acceleration", overrides.acceleration, own.acceleration),
+            _per_joint(name, "jerk", overrides.jerk, own.jerk),
         )
 
     def mounted(self, model: RobotModel) -> RobotModel:
@@ -162,15 +162,15 @@ def _read(path: Path) -> _CellFile:
         raise UsageError("\n".join(lines)) from None
 
 
-def _per_joint(robot: str, limit: str, given: Joints | None, own: Joints) -> Joints:
-    if given is None:
+def _per_joint(robot: str, limit: str, overrides: Joints | None, own: Joints) -> Joints:
+    if overrides is None:
         return own
-    if len(given) != len(own):
+    if len(overrides) != len(own):
         raise UsageError(
-            f"robots.{robot}.limits.{limit} has {len(given)} values, and the robot has {len(own)} joints; "
-            "give one value for each joint"
+            f"robots.{robot}.limits.{limit} has {len(overrides)} values, and the robot has {len(own)} "
+            "joints; give one value for each joint"
         )
-    return given
+    return overrides
 
 
 def _place(location: tuple[Any, ...]) -> str:

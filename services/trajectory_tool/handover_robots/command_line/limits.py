@@ -131,12 +131,12 @@ async def _send_measured(base: str, name: str, places: list[str], seconds: float
             written = (await client.get(f"{base}/cell/scene")).raise_for_status().json()
     except httpx.HTTPError as error:
         raise no_answer(TOOL, base, error) from None
-    scene = Scene.model_validate({key: each for key, each in written.items() if key not in VIEW_ONLY})
+    scene = Scene.model_validate({key: member for key, member in written.items() if key not in VIEW_ONLY})
     if name not in scene.people_sensors:
-        known = ", ".join(scene.people_sensors) or "none"
-        raise UsageError(f'the scene has no sensor "{name}"; it has {known}; add it to people_sensors')
+        sensors = ", ".join(scene.people_sensors) or "none"
+        raise UsageError(f'the scene has no sensor "{name}"; it has {sensors}; add it to people_sensors')
     simulated = SimulatedSensor(scene, name)
-    people = [(each["x"], each["y"]) for each in (_person(1, place) for place in places)]
+    people = [(person["x"], person["y"]) for person in (_person(1, place) for place in places)]
     stream = "scans" if simulated.sensor.kind == "lidar" else "depth_images"
 
     def measured() -> dict[str, Any]:

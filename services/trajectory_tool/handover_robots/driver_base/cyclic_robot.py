@@ -304,5 +304,5 @@ def _at_once(work: Callable[[], T]) -> Cycles[T]:
     yield
 
 
-def _distance_rad(one: Joints, other: Joints) -> float:
-    return max((abs(a - b) for a, b in zip(one, other, strict=True)), default=0.0)
+def _distance_rad(first: Joints, second: Joints) -> float:
+    return max((abs(a - b) for a, b in zip(first, second, strict=True)), default=0.0)

@@ -92,13 +92,13 @@ class ContactSpeed(ClosedModel):
     @classmethod
     def of(cls, entry: ContactEntry, table: ContactTable) -> Self:
         """Return the lowest speed of all regions. Raises `ValueError` for values that are missing."""
-        found = []
+        speeds = []
         for name in entry.regions:
             region = table.regions.get(name)
             if region is None:
                 raise ValueError(f'the table has no region "{name}"; it has {", ".join(table.regions)}')
-            found.append((speed_mps(entry, name, region), name))
-        slowest, name = min(found)
+            speeds.append((speed_mps(entry, name, region), name))
+        slowest, name = min(speeds)
         return cls(region=name, speed_mps=slowest, table=table)
 
 
@@ -106,12 +106,12 @@ def speed_mps(entry: ContactEntry, name: str, region: BodyRegion) -> float:
     """Return the highest speed of a contact with a region. Raises `ValueError` for a missing value."""
     robot_kg = entry.moving_mass_kg / 2 + entry.load_kg
     reduced_kg = 1 / (1 / robot_kg + 1 / region.mass_kg)
-    found = [_contact_mps(entry, name, region.transient, reduced_kg, region.stiffness_n_per_mm)]
+    speeds_mps = [_contact_mps(entry, name, region.transient, reduced_kg, region.stiffness_n_per_mm)]
     if entry.may_clamp:
         if region.clamped is None:
             raise ValueError(f'the region "{name}" has no limit for a clamped contact; enter "clamped"')
-        found.append(_contact_mps(entry, name, region.clamped, robot_kg, region.stiffness_n_per_mm))
-    return min(found)
+        speeds_mps.append(_contact_mps(entry, name, region.clamped, robot_kg, region.stiffness_n_per_mm))
+    return min(speeds_mps)
 
 
 def _contact_mps(

@@ -31,7 +31,7 @@ class Jog:
         wanted = self._still
         if not self._is_ending:
             share = min(pace, 1.0)
-            wanted = tuple(share * one for one in self._velocity())
+            wanted = tuple(share * speed for speed in self._velocity())
         self._setpoint = self._limiter.step(wanted, now_s)
         return self._setpoint
 

@@ -98,7 +98,7 @@ class WayToRest(Sequence[Setpoint]):
     def __getitem__(self, number: int | slice) -> Setpoint | list[Setpoint]:
         """Return a sample, or several."""
         if isinstance(number, slice):
-            return [self[one] for one in range(*number.indices(len(self)))]
+            return [self[index] for index in range(*number.indices(len(self)))]
         if number < 0:
             number += len(self)
         if number == 0:
@@ -223,8 +223,8 @@ class JointLimiter:
     def _next(self, velocity: Joints, dt_s: float) -> Setpoint:
         for share in SHARES:
             wanted = [
-                min(max(share * one, -limit), limit)
-                for one, limit in zip(velocity, self.limits.velocity, strict=True)
+                min(max(share * speed, -limit), limit)
+                for speed, limit in zip(velocity, self.limits.velocity, strict=True)
             ]
             candidate = _setpoint(self._to_velocity(self._last, wanted), dt_s)
             if self._can_stop(candidate):
@@ -301,7 +301,9 @@ class JointLimiter:
         profile = RuckigProfile(len(start.positions))
         for share in ACCELERATION_SHARES:
             inputs.current_acceleration = (
-                start.accelerations if share == 1.0 else [share * one for one in start.accelerations]
+                start.accelerations
+                if share == 1.0
+                else [share * acceleration for acceleration in start.accelerations]
             )
             try:
                 self._ruckig.calculate(inputs, profile)

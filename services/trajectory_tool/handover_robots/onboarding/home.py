@@ -61,7 +61,7 @@ def find_home(arm: Arm, seed: int) -> HomePosition:
     ways = (_turned_down(arm, start, middle, half) for start in (middle, *spread[:: SAMPLES // STARTS]))
     turned = [joints for way in ways for joints in way if arm.manipulability(joints) >= enough]
     down = sorted(turned, key=distance)
-    dexterous = [joints for joints, one in zip(tries, dexterity, strict=True) if one >= enough]
+    dexterous = [joints for joints, value in zip(tries, dexterity, strict=True) if value >= enough]
     for candidates, is_down in ((down, True), (dexterous, False), (tries, False)):
         for clearance_m in CLEARANCES_M:
             for joints in candidates:
@@ -110,7 +110,9 @@ def _tool_axis(arm: Arm, joints: Array) -> Array:
 def _what_touches(collisions: Collisions, tries: list[Array]) -> str:
     """Return which pairs touch in most positions."""
     touching = Counter(
-        (one.first, one.second) for joints in tries for one in collisions.contacts(joints, CLEARANCES_M[-1])
+        (contact.first, contact.second)
+        for joints in tries
+        for contact in collisions.contacts(joints, CLEARANCES_M[-1])
     )
     pairs = "; ".join(
         f"{first} and {second} in {100 * count / len(tries):.0f} % of the positions"

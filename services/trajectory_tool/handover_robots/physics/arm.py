@@ -164,8 +164,8 @@ class SimulatedArm:
         """Return for each finger the shapes that it touches."""
         with self._lock:
             touching: list[set[int]] = [set() for _ in self._finger_geoms]
-            for one, other in self._data.contact.geom.tolist():
-                for geom, against in ((one, other), (other, one)):
+            for first, second in self._data.contact.geom.tolist():
+                for geom, against in ((first, second), (second, first)):
                     for finger, geoms in zip(touching, self._finger_geoms, strict=True):
                         if geom in geoms:
                             finger.add(against)

@@ -76,11 +76,11 @@ class Cameras(Mapping[str, DepthCamera]):
     def calibrate(self, name: str, frame: Frame) -> None:
         """Store durably where a camera is. Raises `OSError`; the camera is then where it was before."""
         mount = CameraMount(frame, self._cameras[name].mount.in_hand)
-        known = self._calibrated | {name: mount}
+        mounts = self._calibrated | {name: mount}
         if self._file is not None:
-            written = {name: Pose.of(mount.frame).written() for name, mount in known.items()}
+            written = {name: Pose.of(mount.frame).written() for name, mount in mounts.items()}
             replace_durably(self._file, json.dumps(written, indent=1).encode())
-        self._calibrated = known
+        self._calibrated = mounts
 
     def _stored(self) -> dict[str, CameraMount]:
         if self._file is None:

@@ -60,7 +60,7 @@ class PhysicsRobot(CyclicRobot):
         super().__init__(
             self.arm.positions,
             limits,
-            limiter=limiter or JointLimiter(limits, [(each.lower, each.upper) for each in model.joints]),
+            limiter=limiter or JointLimiter(limits, [(joint.lower, joint.upper) for joint in model.joints]),
             control_hz=1 / STEP_S,
             clock=Clock(lambda: simulation.time_s),
         )

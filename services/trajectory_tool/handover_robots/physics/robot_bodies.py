@@ -149,7 +149,7 @@ def _add_link(spec: Any, body: Any, link: Any, prefix: str, bit: int, *, is_fing
         body.iquat = _quaternion(pose)
         body.fullinertia = [float(inertia.get(name)) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
         body.explicitinertial = True
-    capsules = {one.get("name") for one in link.findall("collision_checking/capsule")}
+    capsules = {capsule.get("name") for capsule in link.findall("collision_checking/capsule")}
     for number, collision in enumerate(link.findall("collision")):
         name = collision.get("name") or f"{link.get('name')}_{number}"
         shape = _shape(collision.find("geometry"), is_capsule=collision.get("name") in capsules)
@@ -253,12 +253,12 @@ def _add_drives(spec: Any, names: ArmNames, efforts: Mapping[str, float]) -> Non
 
 
 def _efforts(urdf: Any) -> Mapping[str, float]:
-    found = {}
+    efforts = {}
     for joint in urdf.findall("joint"):
         limit = joint.find("limit")
         if limit is not None:
-            found[joint.get("name")] = float(limit.get("effort") or 0.0)
-    return found
+            efforts[joint.get("name")] = float(limit.get("effort") or 0.0)
+    return efforts
 
 
 def _origin(element: Any) -> Pose:

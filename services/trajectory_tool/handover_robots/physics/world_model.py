@@ -102,10 +102,10 @@ def build(models: Mapping[str, RobotModel], scene: Scene, part_count: int) -> Wo
     for number, part in enumerate(parts):
         _add_part(spec, part, size, density).pos = list(parked_at(number))
     objects = {}
-    for one in objects_of(scene):
-        objects[one.name] = len(parts)
-        _add_object(spec, f"object:{one.name}", one).pos = list(parked_at(len(parts)))
-        parts = (*parts, f"object:{one.name}")
+    for loose in objects_of(scene):
+        objects[loose.name] = len(parts)
+        _add_object(spec, f"object:{loose.name}", loose).pos = list(parked_at(len(parts)))
+        parts = (*parts, f"object:{loose.name}")
     try:
         compiled = spec.compile()
     except ValueError as error:
@@ -168,15 +168,15 @@ def _bounds(
     """Return the corners of the box around the shapes of a body, or the last one, in a frame at the tip."""
     rotation = data.site_xmat[tip].reshape(3, 3) @ np.array(frame.rotation)
     origin = data.site_xpos[tip]
-    found = []
+    points = []
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     for geom in range(first, first + count):
         middle, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
         matrix = data.geom_xmat[geom].reshape(3, 3)
         for signs in product((-1, 1), repeat=3):
             corner = data.geom_xpos[geom] + matrix @ (middle + half * np.array(signs))
-            found.append(rotation.T @ (corner - origin))
-    corners = np.array(found)
+            points.append(rotation.T @ (corner - origin))
+    corners = np.array(points)
     if near_end:
         corners = max(corners.reshape(-1, 8, 3), key=lambda shape: float(shape[:, 2].max()))
     return corners.min(axis=0), corners.max(axis=0)

@@ -32,23 +32,23 @@ class Explanations:
 
     def unreachable(self, pose: Pose, near: Array) -> Message:
         """Return that the tool does not reach a pose, and the nearest that it reaches."""
-        found = self.inverse.nearest(pose, near)
-        if found.distance_m < 0.001:
+        nearest = self.inverse.nearest(pose, near)
+        if nearest.distance_m < 0.001:
             return message(
                 "robot.orientation_unreachable",
                 "the tool reaches ({position}) m, but not with this orientation; the nearest one is turned "
                 "by {angle} degrees: [{orientation}]",
                 position=_numbers(pose.position),
-                angle=f"{math.degrees(found.angle_rad):.0f}",
-                orientation=_numbers(found.pose.orientation),
+                angle=f"{math.degrees(nearest.angle_rad):.0f}",
+                orientation=_numbers(nearest.pose.orientation),
             )
         return message(
             "robot.pose_unreachable",
             "the tool cannot be at ({position}) m: the nearest it reaches is ({nearest}) m, "
             "{distance} m away",
             position=_numbers(pose.position),
-            nearest=_numbers(found.pose.position),
-            distance=f"{found.distance_m:.3f}",
+            nearest=_numbers(nearest.pose.position),
+            distance=f"{nearest.distance_m:.3f}",
         )
 
     def touching_at(self, pose: Pose, near: Array, touching: list[Array]) -> Message:
@@ -95,10 +95,10 @@ class Explanations:
             pair=pair,
         )
 
-    def obstructed(self, found: Obstructed, pose: Pose, start: Array) -> Message:
+    def obstructed(self, line: Obstructed, pose: Pose, start: Array) -> Message:
         """Return why the tool cannot move straight to a pose."""
-        reached = self.inverse.arm.tool_pose(found.joints)
-        if found.is_singular:
+        reached = self.inverse.arm.tool_pose(line.joints)
+        if line.is_singular:
             return message(
                 "robot.line_singular",
                 "the tool cannot move straight to ({position}) m: it passes a singularity at ({reached}) m; "

@@ -169,10 +169,10 @@ class Planner:
     def straight(self, start: Joints, pose: Pose, max_tool_speed_mps: float | None = None) -> Plan:
         """Return a straight motion of the tool to a pose."""
         begin = np.array(start)
-        found = tool_line(self.arm, self.inverse, begin, se3_of(pose))
-        if isinstance(found, Obstructed):
-            raise Unreachable(self._why.obstructed(found, pose, begin))
-        return self._along_tool_line(found, se3_of(pose), max_tool_speed_mps)
+        line = tool_line(self.arm, self.inverse, begin, se3_of(pose))
+        if isinstance(line, Obstructed):
+            raise Unreachable(self._why.obstructed(line, pose, begin))
+        return self._along_tool_line(line, se3_of(pose), max_tool_speed_mps)
 
     def approach(self, start: Joints, above: Pose, at: Pose) -> tuple[Plan, Plan]:
         """Return a motion to `above`, and the straight one from there to `at`.
@@ -206,10 +206,10 @@ class Planner:
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return joint positions near `near` with the tool at a pose, without a look at obstacles."""
         begin = np.array(near)
-        found = self.inverse.solve(pose, begin)
-        if found is None:
+        joints = self.inverse.solve(pose, begin)
+        if joints is None:
             raise Unreachable(self._why.unreachable(pose, begin))
-        return tuple(found.tolist())
+        return tuple(joints.tolist())
 
     def nearest_free(self, pose: Pose, near: Joints) -> Joints:
         """Return the free joint positions nearest to `near` with the tool at a pose."""
@@ -219,9 +219,9 @@ class Planner:
         """Return free joint positions with the tool at a pose, the nearest first; at least one."""
         for margin_m in self.options.margins_m:
             motions = Motions(self.collisions, margin_m)
-            found = self.inverse.several(pose, near, self.options.max_goals, motions.is_state_free)
-            if found:
-                return found
+            solutions = self.inverse.several(pose, near, self.options.max_goals, motions.is_state_free)
+            if solutions:
+                return solutions
         touching = self.inverse.several(pose, near, self.options.max_goals)
         if not touching:
             raise Unreachable(self._why.unreachable(pose, near))
@@ -272,14 +272,14 @@ class Planner:
 
     def _to_goals(self, start: Array, goals: list[Array], tilt: Tilt | None) -> Plan:
         largest_m = self._common_margin(start, goals)
-        margins_m = [one for one in self.options.margins_m if one <= largest_m]
+        margins_m = [allowed_m for allowed_m in self.options.margins_m if allowed_m <= largest_m]
         left_s = self.options.timeout_s
         for margin_m in margins_m:
             timeout_s = left_s if margin_m == margins_m[-1] else SHARE_OF_MARGIN * left_s
             left_s -= timeout_s
-            found = self._with_margin(start, goals, tilt, margin_m, timeout_s)
-            if found is not None:
-                return found
+            plan = self._with_margin(start, goals, tilt, margin_m, timeout_s)
+            if plan is not None:
+                return plan
         raise NoPath(
             self._why.blocked(Motions(self.collisions, largest_m), start, goals[0], self.options.timeout_s)
         )
@@ -293,8 +293,8 @@ class Planner:
             return self._plan(timing.line(start, start, self.limits), (start, start), margin_m)
         is_allowed = None if tilt is None else tilt.check(self.arm)
 
-        def is_free(one: Array, other: Array) -> bool:
-            return motions.is_free(one, other) and (is_allowed is None or is_allowed(one, other))
+        def is_free(begin: Array, end: Array) -> bool:
+            return motions.is_free(begin, end) and (is_allowed is None or is_allowed(begin, end))
 
         path = self._shortest(motions, start, goals, timeout_s, is_free=is_free, is_allowed=is_allowed)
         return None if path is None else self._timed(path, motions, tilt)
@@ -317,16 +317,16 @@ class Planner:
             if path is None:
                 break
             path = shorten(path, self._time_s, is_free, seed=options.seed + attempt)
-            needs_s = sum(self._time_s(one, other) for one, other in pairwise(path))
+            needs_s = sum(self._time_s(begin, end) for begin, end in pairwise(path))
             if needs_s < best_s:
                 best, best_s = path, needs_s
             if len(path) == 2 or time.monotonic() > ends:
                 break
         return best
 
-    def _time_s(self, one: Array, other: Array) -> float:
+    def _time_s(self, begin: Array, end: Array) -> float:
         """Return about how long a line takes at full speed."""
-        return float((np.abs(other - one) / np.array(self.limits.velocity)).max())
+        return float((np.abs(end - begin) / np.array(self.limits.velocity)).max())
 
     def _plan(self, trajectory: JointTrajectory, path: Sequence[Array], margin_m: float) -> Plan:
         """Return the motion, slowed as far as torques demand. Raises `NoPath` when gravity is too much."""
@@ -355,38 +355,38 @@ class Planner:
         for share in BLEND_SHARES:
             curve = timing.BlendedLines(path, self.limits, share)
             try:
-                found = timing.along(curve, self.limits)
+                trajectory = timing.along(curve, self.limits)
             except timing.NoTimingError:
                 continue
-            samples = found.positions(CHECK_STEP_S)
+            samples = trajectory.positions(CHECK_STEP_S)
             if checks.are_samples_free(samples) and (tilt is None or tilt.is_kept(self.arm, samples)):
-                return self._plan(retiming.faster(found, self.limits), path, motions.margin_m)
+                return self._plan(retiming.faster(trajectory, self.limits), path, motions.margin_m)
         return self._plan(timing.with_stops(path, self.limits), path, motions.margin_m)
 
-    def _along_tool_line(self, found: ToolLine, target: pin.SE3, max_tool_speed_mps: float | None) -> Plan:
+    def _along_tool_line(self, line: ToolLine, target: pin.SE3, max_tool_speed_mps: float | None) -> Plan:
         motions = Motions(self.collisions, self.options.contact_margin_m)
-        if len(found.at) < 2:
-            only = found.joints[0]
+        if len(line.at) < 2:
+            only = line.joints[0]
             return self._plan(timing.line(only, only, self.limits), (only, only), motions.margin_m)
-        if not motions.is_path_free(list(found.joints)):
-            touch = motions.first_contact(list(found.joints))
+        if not motions.is_path_free(list(line.joints)):
+            touch = motions.first_contact(list(line.joints))
             raise NoPath(
                 message(
                     "robot.line_blocked",
                     "the tool cannot move straight: {pair} on the way",
-                    pair=self._why.contact(found.joints[0] if touch is None else touch, motions.margin_m),
+                    pair=self._why.contact(line.joints[0] if touch is None else touch, motions.margin_m),
                 )
             )
-        columns = np.column_stack([found.joints, found.at])
-        curve = timing.Through(found.at, columns)
+        columns = np.column_stack([line.joints, line.at])
+        curve = timing.Through(line.at, columns)
         limits, speed = self.limits, max_tool_speed_mps or timing.UNLIMITED
         for _ in range(6):
             trajectory = timing.along(curve, limits, extra_velocity=(speed,))
-            if self._is_straight(trajectory, found.joints[0], target):
+            if self._is_straight(trajectory, line.joints[0], target):
                 break
             limits = replace(limits, velocity=tuple(0.7 * value for value in limits.velocity))
         self.check(trajectory, motions.margin_m / 2)
-        return self._plan(trajectory, (found.joints[0], found.joints[-1]), motions.margin_m)
+        return self._plan(trajectory, (line.joints[0], line.joints[-1]), motions.margin_m)
 
     def _is_straight(self, trajectory: JointTrajectory, start: Array, target: pin.SE3) -> bool:
         begin = self.arm.tool(start).translation

@@ -128,11 +128,11 @@ def load_robot(name: str, data_dir: Path, folder: Path) -> RobotModel:
         if (place / FILE).is_file():
             return read_folder(place)
     try:
-        found: RobotModel = ROBOTS.load(name)
+        model: RobotModel = ROBOTS.load(name)
     except UnknownExtension as unknown:
         if name in ROBOTS.names():
             raise
         raise UnknownExtension(
             f"{unknown}, or add a URDF: handover robot add FILE.urdf --name {name}"
         ) from None
-    return found
+    return model

@@ -133,16 +133,16 @@ class Zone:
 
     def is_near(self, chain: Sequence[Vector], margin_m: float) -> bool:
         """Return whether a line through points is within a margin of the zone; within 5 cm it may be."""
-        return any(self._is_near(one, other, margin_m) for one, other in pairwise(chain))
+        return any(self._is_near(start, end, margin_m) for start, end in pairwise(chain))
 
-    def _is_near(self, one: Vector, other: Vector, margin_m: float) -> bool:
-        half_m = math.dist(one, other) / 2
-        middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, (one[2] + other[2]) / 2)
+    def _is_near(self, start: Vector, end: Vector, margin_m: float) -> bool:
+        half_m = math.dist(start, end) / 2
+        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, (start[2] + end[2]) / 2)
         if self.distance_m(middle) > margin_m + half_m:
             return False
         if half_m <= NEAR_STEP_M:
             return True
-        return self._is_near(one, middle, margin_m) or self._is_near(middle, other, margin_m)
+        return self._is_near(start, middle, margin_m) or self._is_near(middle, end, margin_m)
 
     def contains(self, point: Vector) -> bool:
         """Return whether a point of the cell is in the zone."""
@@ -300,17 +300,17 @@ class Scene(ClosedModel):
 
     def things(self) -> tuple[Obstacle, ...]:
         """Return everything that stands in the cell."""
-        found = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
+        standing = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
         for name, fence in self.fences.items():
-            found += fence.obstacles(name)
-        found += [camera.obstacle(name) for name, camera in self.cameras.items()]
+            standing += fence.obstacles(name)
+        standing += [camera.obstacle(name) for name, camera in self.cameras.items()]
         for name, bin_ in self.bins.items():
             if bin_.walls is not None:
-                found += bin_.walls.obstacles(name)
+                standing += bin_.walls.obstacles(name)
         for name, fixture in self.fixtures.items():
             if fixture.body is not None:
-                found.append(fixture.body.obstacle(name, self.folder))
-        return tuple(found)
+                standing.append(fixture.body.obstacle(name, self.folder))
+        return tuple(standing)
 
     def all_zones(self) -> tuple[Zone, ...]:
         """Return the zones."""

@@ -31,10 +31,10 @@ async def search(unit: RobotUnit, bin_name: str, view: int) -> tuple[Lying | Non
         unit.to_stir.discard(bin_name)
     sightings = await vision.look(bin_name, view)
     chosen = await _first_reachable(unit, sightings)
-    ordered = sorted(sightings, key=lambda one: chosen is None or one is not chosen[0])
+    ordered = sorted(sightings, key=lambda sighting: chosen is None or sighting is not chosen[0])
     seen = [
-        (chosen[1].tool, chosen[1].grip) if chosen and one is chosen[0] else (one.part, None)
-        for one in ordered
+        (chosen[1].tool, chosen[1].grip) if chosen and sighting is chosen[0] else (sighting.part, None)
+        for sighting in ordered
     ]
     unit.contents = unit.contents.observed(bin_name, seen)
     if chosen is not None:
@@ -74,7 +74,7 @@ async def _first_reachable(
 def _why_none(bin_name: str, sightings: Sequence[Sighting]) -> str:
     if not sightings:
         return f"no part was seen in {bin_name}"
-    reasons = sorted(str(one.reason or "the arm does not reach its grasps") for one in sightings)
+    reasons = sorted(str(sighting.reason or "the arm does not reach its grasps") for sighting in sightings)
     counted = (f"{len(list(same))}: {reason}" for reason, same in itertools.groupby(reasons))
     return f"no part lies free in {bin_name}: of {len(sightings)} that are seen, {'; '.join(counted)}"
 

@@ -84,7 +84,7 @@ class Target(ClosedModel):
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
-        if sum(one is not None for one in (self.joints, self.named, self.pose)) != 1:
+        if sum(target is not None for target in (self.joints, self.named, self.pose)) != 1:
             raise ValueError(
                 'needs either "joints" (a position for each joint, in rad or m), "named" (a position of the '
                 'SRDF) or "pose", and not both'
@@ -202,8 +202,8 @@ def _explained(model: type[Home], operation: str, fault: Mapping[str, Any]) -> s
     if fault["type"] == "extra_forbidden":
         if len(fault["loc"]) > 1:
             return f'{operation} knows no parameter "{where}"'
-        known = ", ".join(field.alias or name for name, field in model.model_fields.items())
-        return f'{operation} knows no parameter "{where}"; it knows {known}'
+        parameters = ", ".join(field.alias or name for name, field in model.model_fields.items())
+        return f'{operation} knows no parameter "{where}"; it knows {parameters}'
     if not where:
         return f"{operation} {rule}"
     return f'parameter "{where}" of {operation}: {rule[:1].lower()}{rule[1:]}'

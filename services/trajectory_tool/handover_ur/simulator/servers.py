@@ -87,8 +87,8 @@ class RtdeServer:
         packages = PackageReader()
         try:
             while received := await reader.read(65_536):
-                for each in packages.feed(received):
-                    session.receive(each.kind, each.payload)
+                for package in packages.feed(received):
+                    session.receive(package.kind, package.payload)
                 self._received.set()
                 await writer.drain()
         except (ProtocolError, ConnectionError) as error:
@@ -160,9 +160,11 @@ class _Session:
         self._cycle += 1
         if not self._started or self._outputs is None or self._cycle % self._every:
             return None
-        known = {**_OUTPUTS, **_REGISTER_OUTPUTS}
+        outputs = {**_OUTPUTS, **_REGISTER_OUTPUTS}
         self.awaits_inputs = self._has_sent_inputs
-        return self._outputs.encode({name: known[name][1](self._controller) for name in self._outputs.names})
+        return self._outputs.encode(
+            {name: outputs[name][1](self._controller) for name in self._outputs.names}
+        )
 
     def receive(self, kind: int, payload: bytes) -> None:
         """Process a package of the client. Raises `ProtocolError`."""
@@ -197,8 +199,8 @@ class _Session:
             raise ProtocolError("the output recipe has no frequency")
         (frequency_hz,) = struct.unpack_from(">d", payload)
         names = rtde.parse_names(payload[8:])
-        known = {**_OUTPUTS, **_REGISTER_OUTPUTS}
-        types = [known[name][0] if name in known else "NOT_FOUND" for name in names]
+        outputs = {**_OUTPUTS, **_REGISTER_OUTPUTS}
+        types = [outputs[name][0] if name in outputs else "NOT_FOUND" for name in names]
         highest_hz = self._controller.frequency_hz
         if "NOT_FOUND" not in types and 1 <= frequency_hz <= highest_hz:
             self._outputs, self._every = Recipe(1, names, types), round(highest_hz / frequency_hz)
@@ -206,9 +208,9 @@ class _Session:
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
         names = rtde.parse_names(payload)
-        known = _REGISTER_INPUTS | _INPUTS
+        inputs = _REGISTER_INPUTS | _INPUTS
         types = [
-            "NOT_FOUND" if name not in known else "IN_USE" if name in self._owners else known[name]
+            "NOT_FOUND" if name not in inputs else "IN_USE" if name in self._owners else inputs[name]
             for name in names
         ]
         recipe_id = 0
@@ -337,10 +339,10 @@ class RobotiqServer:
             case _:
                 return "?"
 
-    def _set(self, given: Mapping[str, str]) -> str:
-        if not all(name in self.variables and value.isdigit() for name, value in given.items()):
+    def _set(self, assignments: Mapping[str, str]) -> str:
+        if not all(name in self.variables and value.isdigit() for name, value in assignments.items()):
             return "?"
-        self.variables.update({name: min(int(value), 255) for name, value in given.items()})
+        self.variables.update({name: min(int(value), 255) for name, value in assignments.items()})
         self.variables["PRE"] = self.variables["POS"]
         return "ack"
 

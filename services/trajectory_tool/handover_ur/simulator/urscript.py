@@ -140,12 +140,12 @@ class Program:
     def _block(self, depth: int) -> list[_Statement]:
         if depth > MAX_DEPTH:
             raise ScriptError(f"blocks are nested more than {MAX_DEPTH} deep")
-        found: list[_Statement] = []
+        statements: list[_Statement] = []
         while self._peek() not in {"end", "else:", ""} and not self._peek().startswith("elif "):
-            found.append(self._statement(depth))
-        if not found:
+            statements.append(self._statement(depth))
+        if not statements:
             raise ScriptError("a block is empty")
-        return found
+        return statements
 
     def _statement(self, depth: int) -> _Statement:
         number, text = self._next()
@@ -201,7 +201,7 @@ class Program:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 if name not in self._functions:
                     raise ValueError(f"there is no function {name}")
-                function, parts = self._functions[name], [self._evaluator(each) for each in arguments]
+                function, parts = self._functions[name], [self._evaluator(argument) for argument in arguments]
                 return lambda scope: function(*(part(scope) for part in parts))
             case _:
                 raise ValueError(f"{type(node).__name__} is not supported")
