@@ -279,7 +279,7 @@ def _foot(kinematics: Kinematics, link: str, corners: Array) -> FootState:
     """Return a foot with the force-torque sensor above it. Raises `UsageError` without one."""
     humanoid = kinematics.humanoid
     sole = kinematics.pose(link)
-    chain = next((each for each in humanoid.chains.values() if each.tip == link), None)
+    chain = next((leg for leg in humanoid.chains.values() if leg.tip == link), None)
     sensors = list(humanoid.sensors.force_torque.items())
     joint_id = kinematics.pin_model.getJointId(chain.joints[-1]) if chain else None
     for row, (_, sensor) in enumerate(sensors):

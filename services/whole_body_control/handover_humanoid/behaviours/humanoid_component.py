@@ -80,12 +80,12 @@ LIMIT_SLACK_RAD: Final = 0.01
 
 def behaviours_of(humanoid: Humanoid) -> tuple[Behaviour, ...]:
     """Return what a humanoid can do in simulation."""
-    found = [Behaviour.WALKING]
+    offered = [Behaviour.WALKING]
     if all(hand in humanoid.grips for hand in HANDS) and not stretched_legs(Kinematics(humanoid)):
-        found.append(Behaviour.ASSISTED_WALKING)
+        offered.append(Behaviour.ASSISTED_WALKING)
     if humanoid.grips:
-        found.append(Behaviour.JUGGLING)
-    return tuple(found)
+        offered.append(Behaviour.JUGGLING)
+    return tuple(offered)
 
 
 class HumanoidComponent:
@@ -141,12 +141,12 @@ class HumanoidComponent:
     @property
     def behaviours(self) -> tuple[Behaviour, ...]:
         """Return what this robot can do; walking without a velocity is standing, which each can."""
-        found = [Behaviour.WALKING]
+        offered = [Behaviour.WALKING]
         if self.assistance is not None and not self._is_stretched:
-            found.append(Behaviour.ASSISTED_WALKING)
+            offered.append(Behaviour.ASSISTED_WALKING)
         if self._throwing is not None:
-            found.append(Behaviour.JUGGLING)
-        return tuple(found)
+            offered.append(Behaviour.JUGGLING)
+        return tuple(offered)
 
     def follow(self, wish: Array | None, person: Array | None) -> None:
         """Accept the newest wish, and what a person does; None is one that is too old, or none."""
@@ -306,7 +306,9 @@ class HumanoidComponent:
         )
         still = np.zeros(BASE_VELOCITIES)
         kinematics.update(kinematics.neutral(sensors.positions), np.concatenate([still, sensors.velocities]))
-        foot = max((estimator.feet[contacts[side]] for side in SIDES), key=lambda each: each.share)
+        foot = max(
+            (estimator.feet[contacts[side]] for side in SIDES), key=lambda foot_estimate: foot_estimate.share
+        )
         to_sensor = kinematics.pose(self.humanoid.sensors.inertial[0]).rotation.T
         sensors.gyroscope[:] = to_sensor @ -kinematics.velocity(foot.link)[3:]
         sensors.accelerometer[:] = to_sensor @ (estimator.rotation.T @ -DOWNWARDS)
@@ -392,8 +394,8 @@ class HumanoidComponent:
         fastest = np.array([joint.max_velocity for joint in joints])
         is_timed = 0 < wanted.swing_s <= MAX_THROW_S and 0 < wanted.follow_s <= MAX_THROW_S
         is_within = all(
-            bool((each >= lower).all() and (each <= upper).all())
-            for each in (throw.start, release, throw.end)
+            bool((joints_at >= lower).all() and (joints_at <= upper).all())
+            for joints_at in (throw.start, release, throw.end)
         )
         return throw if is_timed and is_within and bool((np.abs(velocity) <= fastest).all()) else None
 
@@ -438,7 +440,7 @@ class HumanoidComponent:
             self._relaxed_s -= self.control_s
             if self._relaxed_s <= 0:
                 self._slack.update(dict.fromkeys(self._slack, 0.0))
-        for name, _, text in (each.rpartition(" by ") for each in self._active.last_step.relaxed):
+        for name, _, text in (relaxed.rpartition(" by ") for relaxed in self._active.last_step.relaxed):
             slack = float(text)
             if slack >= MIN_SLACK:
                 self._slack[name], self._relaxed_s = max(self._slack[name], slack), RELAXED_S

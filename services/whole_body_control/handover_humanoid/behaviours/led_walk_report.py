@@ -54,7 +54,7 @@ class StopResponse:
 def followed(record: LedRecord, limits: StepLimits) -> list[Followed | StopResponse]:
     """Return what the robot made of each part of the script that it lived through, but for turns on the
     spot."""
-    found: list[Followed | StopResponse] = []
+    responses: list[Followed | StopResponse] = []
     begun_s = float(record.time_s[0])
     for lead in record.script:
         part = (record.time_s >= begun_s - 1e-9) & (record.time_s < begun_s + lead.seconds - 1e-9)
@@ -63,10 +63,10 @@ def followed(record: LedRecord, limits: StepLimits) -> list[Followed | StopRespo
         if not len(since_s) or since_s[-1] < lead.seconds / 2:
             break
         if lead.direction is not None:
-            found.append(_followed(lead, record, part, since_s, limits))
+            responses.append(_followed(lead, record, part, since_s, limits))
         elif not lead.apart_m:
-            found.append(_stopped(lead, record, part, since_s))
-    return found
+            responses.append(_stopped(lead, record, part, since_s))
+    return responses
 
 
 def _followed(lead: Lead, record: LedRecord, part: Flags, since_s: Array, limits: StepLimits) -> Followed:

@@ -144,8 +144,8 @@ class LedWalk:
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
         self._command.positions[:] = start[7:]
         self._between = Interpolation(humanoid, start[7:], self.component.control_s, self.robot.period_s)
-        known = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
-        self._wish = np.array([known.get(name, 0.0) for name in WISH])
+        by_name = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
+        self._wish = np.array([by_name.get(name, 0.0) for name in WISH])
         self._truth = Kinematics(humanoid)
         self._height_m = float(start[2])
         self._body, self._body_velocity, self._drift = np.zeros(3), np.zeros(3), np.zeros(3)

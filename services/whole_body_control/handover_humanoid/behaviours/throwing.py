@@ -219,7 +219,7 @@ class ThrowingController:
     @property
     def constraint_names(self) -> frozenset[str]:
         """Return the names of the constraints."""
-        return frozenset(each.name for each in self._engine.stack.constraints)
+        return frozenset(constraint.name for constraint in self._engine.stack.constraints)
 
     def cancel(self) -> None:
         """Open no hand in this throw: what has begun is followed through, and the arm returns."""

@@ -184,18 +184,18 @@ class WalkingController:
         """
         pattern, estimator = self._next, self.estimator
         landing = pattern.landings.get(side)
-        feet = {each: estimator.feet[self.settings.contacts[each]] for each in SIDES}
+        feet = {side_of_foot: estimator.feet[self.settings.contacts[side_of_foot]] for side_of_foot in SIDES}
         if landing is None or not any(foot.share for foot in feet.values()):
             return np.full(3, np.nan)
-        found = np.zeros(3)
-        for each, foot in feet.items():
-            stands = self._planned_footprint(pattern.stance, each)
+        mean = np.zeros(3)
+        for side_of_foot, foot in feet.items():
+            stands = self._planned_footprint(pattern.stance, side_of_foot)
             pose = estimator.kinematics.pose(foot.link)
-            turned = Footprint.below(each, pose).yaw - stands.yaw
+            turned = Footprint.below(side_of_foot, pose).yaw - stands.yaw
             turned = float(np.arctan2(np.sin(turned), np.cos(turned)))
             place = pose.translation[:2] + turn(turned) @ (landing.place - stands.place)
-            found += foot.share * np.array([*place, landing.yaw + turned])
-        return found
+            mean += foot.share * np.array([*place, landing.yaw + turned])
+        return mean
 
     @property
     def fastest(self) -> Wish:
@@ -224,7 +224,9 @@ class WalkingController:
     @property
     def constraint_names(self) -> frozenset[str]:
         """Return the names of the constraints of all stacks."""
-        return frozenset(each.name for engine in self._engines.values() for each in engine.stack.constraints)
+        return frozenset(
+            constraint.name for engine in self._engines.values() for constraint in engine.stack.constraints
+        )
 
     def draw_joints(self, joints: Array, target: Array) -> None:
         """Draw the joints (n,) of these numbers to `target` (n,) in the posture."""

@@ -61,8 +61,8 @@ class JointCommand:
         gains = [joint.gains for joint in humanoid.joints]
         self.positions = np.zeros(len(gains))
         self.velocities, self.torques = np.zeros(len(gains)), np.zeros(len(gains))
-        self.stiffness = np.array([each.stiffness for each in gains])
-        self.damping = np.array([each.damping for each in gains])
+        self.stiffness = np.array([gain.stiffness for gain in gains])
+        self.damping = np.array([gain.damping for gain in gains])
 
 
 class Interpolation:

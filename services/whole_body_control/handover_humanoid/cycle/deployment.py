@@ -60,12 +60,12 @@ class Deployment(ClosedModel):
     @property
     def robot(self) -> Component:
         """Return the robot."""
-        return next(each for each in self.components.values() if each.kind in ROBOT_KINDS)
+        return next(component for component in self.components.values() if component.kind in ROBOT_KINDS)
 
     @property
     def controller(self) -> Component:
         """Return the component that controls the joints."""
-        return next(each for each in self.components.values() if each.kind == "walking")
+        return next(component for component in self.components.values() if component.kind == "walking")
 
 
 def read_deployment(file: Path) -> Deployment:

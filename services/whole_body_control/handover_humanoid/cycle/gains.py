@@ -32,7 +32,7 @@ class GainTransition:
         self.values = np.ones(2 * len(limits))
         """As `gain_fields` names them."""
         self._wanted = np.ones(2 * len(limits))
-        bounds = [bound for each in limits.values() for bound in (each.stiffness, each.damping)]
+        bounds = [bound for limit in limits.values() for bound in (limit.stiffness, limit.damping)]
         self._lowest, self._highest = np.array(bounds).reshape(-1, 2).T
         self._joints = [list(humanoid.tunable[chain]) for chain in limits]
 

@@ -72,7 +72,7 @@ class Wanted:
     def of(cls, values: Array) -> "Wanted":
         """Return the wish of the values of `WISH`."""
         ahead, left, yaw, behaviour, share, stop, cancel, number, hand = values[:9].tolist()
-        ahead, left, yaw = (min(max(each, -MAX_SPEED), MAX_SPEED) for each in (ahead, left, yaw))
+        ahead, left, yaw = (min(max(speed, -MAX_SPEED), MAX_SPEED) for speed in (ahead, left, yaw))
         flight_s, swing_s, follow_s = values[12:15].tolist()
         return cls(
             ahead,

@@ -134,8 +134,8 @@ class LinkDelay:
             self._newest, self._begun_s = (received_s, way_s), received_s
         elif way_s - self._expected(self._newest, received_s) < 0:
             self._newest = (received_s, way_s)
-        known = [each for each in (self._fastest, self._newest) if each is not None]
-        late_s = way_s - min(self._expected(each, received_s) for each in known)
+        pairs = [pair for pair in (self._fastest, self._newest) if pair is not None]
+        late_s = way_s - min(self._expected(pair, received_s) for pair in pairs)
         late_s /= max(1.0 - self._slope, MIN_RATE)  # while it was late, the clock of the robot went on slowly
         of_link_s = self.round_trip_s / 2 + waited_s
         return of_link_s, max(of_link_s, late_s)

@@ -43,18 +43,22 @@ class ProjectionEngine:
         kinematics.update(q)
         levels = []
         for level in self.stack.levels:
-            rows = [(each.rows(kinematics), each.weight**0.5) for each in level.tasks]
+            rows = [(task.rows(kinematics), task.weight**0.5) for task in level.tasks]
             levels.append(
                 (
-                    np.vstack([weight * each.jacobian for each, weight in rows]),
-                    np.concatenate([weight * each.velocity for each, weight in rows]),
+                    np.vstack([weight * row.jacobian for row, weight in rows]),
+                    np.concatenate([weight * row.velocity for row, weight in rows]),
                 )
             )
-        bounds = [each.bounds(kinematics, q, dt_s) for each in self.stack.constraints]
-        matrix = np.vstack([np.zeros((0, len(still))), *(each.matrix for each in bounds)])
-        lower = np.concatenate([np.zeros(0), *(each.lower for each in bounds)])
-        upper = np.concatenate([np.zeros(0), *(each.upper for each in bounds)])
-        parts = [*(each for level in levels for each in level), matrix, np.clip(lower, -NO_BOUND, NO_BOUND)]
+        bounds = [limit.bounds(kinematics, q, dt_s) for limit in self.stack.constraints]
+        matrix = np.vstack([np.zeros((0, len(still))), *(bound.matrix for bound in bounds)])
+        lower = np.concatenate([np.zeros(0), *(bound.lower for bound in bounds)])
+        upper = np.concatenate([np.zeros(0), *(bound.upper for bound in bounds)])
+        parts = [
+            *(stacked for level in levels for stacked in level),
+            matrix,
+            np.clip(lower, -NO_BOUND, NO_BOUND),
+        ]
         if not all(np.isfinite(part).all() for part in (*parts, np.clip(upper, -NO_BOUND, NO_BOUND))):
             return Step(q, still, {}, fault="a task or a constraint has values that are not finite")
         mobility: Array = np.asarray(np.linalg.inv(kinematics.mass_matrix()), dtype=np.float64)

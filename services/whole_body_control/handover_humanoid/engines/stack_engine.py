@@ -67,16 +67,16 @@ class _BoundRows:
 
     def write(self, bounds: Sequence[Bounds]) -> int:
         """Copy the rows, and return their number."""
-        count = sum([len(each.lower) for each in bounds])
+        count = sum([len(bound.lower) for bound in bounds])
         if count > len(self.lower):
             self.matrix = np.zeros((count, self.matrix.shape[1]))
             self.lower, self.upper = np.zeros(count), np.zeros(count)
         end = 0
-        for each in bounds:
-            part = slice(end, end + len(each.lower))
-            self.matrix[part] = each.matrix
-            np.maximum(each.lower, -NO_BOUND, out=self.lower[part])
-            np.minimum(each.upper, NO_BOUND, out=self.upper[part])
+        for bound in bounds:
+            part = slice(end, end + len(bound.lower))
+            self.matrix[part] = bound.matrix
+            np.maximum(bound.lower, -NO_BOUND, out=self.lower[part])
+            np.minimum(bound.upper, NO_BOUND, out=self.upper[part])
             end = part.stop
         return count
 
@@ -102,7 +102,7 @@ class StackEngine:
         self._kinematics.update(q)
         constraints = self.stack.constraints
         try:
-            bounds = [each.bounds(self._kinematics, q, dt_s) for each in constraints]
+            bounds = [constraint.bounds(self._kinematics, q, dt_s) for constraint in constraints]
             problem = self._problem(bounds)
             began_s = time.perf_counter()
             solution = self._solver.solve(problem)
@@ -113,7 +113,9 @@ class StackEngine:
         residuals = dict(zip(self._names, solution.residuals, strict=True))
         if not solution.is_relaxed:
             return Step(moved, solution.velocity, residuals, solve_s=solve_s)
-        owners = [(one.name, len(rows.lower)) for one, rows in zip(constraints, bounds, strict=True)]
+        owners = [
+            (constraint.name, len(rows.lower)) for constraint, rows in zip(constraints, bounds, strict=True)
+        ]
         relaxed = tuple(_relaxed(solution, owners))
         return Step(moved, solution.velocity, residuals, relaxed, solve_s=solve_s)
 

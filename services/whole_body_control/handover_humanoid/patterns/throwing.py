@@ -179,8 +179,8 @@ class ThrowPlanner:
             throws = [
                 throw
                 for first in self._first_guesses()
-                if (found := self._improved(target, flight_s, first, weight)) is not None
-                and (throw := self._gentlest(found)) is not None
+                if (released := self._improved(target, flight_s, first, weight)) is not None
+                and (throw := self._gentlest(released)) is not None
             ]
             if throws:
                 return min(throws, key=lambda throw: throw.usage)
@@ -218,7 +218,7 @@ class ThrowPlanner:
         """Return arm positions to start from: below the shoulder and above it, turned as the pose has it."""
         below, above = self._middle.copy(), self._middle.copy()
         above[0] -= 1.7
-        return [np.clip(each, self._lower, self._upper) for each in (below, above)]
+        return [np.clip(bound, self._lower, self._upper) for bound in (below, above)]
 
     def _improved(
         self, target: Array, flight_s: float | None, first: Array, weight: float
@@ -226,7 +226,7 @@ class ThrowPlanner:
         flight = flight_s or 0.4
         bounds = [*zip(self._lower, self._upper, strict=True)]
         bounds.append((flight, flight) if flight_s else (MIN_FLIGHT_S, MAX_FLIGHT_S))
-        found = minimize(
+        optimum = minimize(
             lambda x: self._cost(x, target) + weight * np.sum((x[:-1] - first) ** 2),
             np.append(first, flight),
             method="SLSQP",
@@ -234,15 +234,15 @@ class ThrowPlanner:
             constraints=[{"type": "ineq", "fun": lambda x: self._room(x, target)}],
             options={"maxiter": ROUNDS, "ftol": 1e-5},
         )
-        if not np.isfinite(found.x).all() or self._room(found.x, target).min() < -1e-3:
+        if not np.isfinite(optimum.x).all() or self._room(optimum.x, target).min() < -1e-3:
             return None
-        position, ball_velocity, velocity = self._release(found.x, target)
+        position, ball_velocity, velocity = self._release(optimum.x, target)
         shortest = min(self.limits.durations_s)
         return PlannedThrow(
             self.grip,
             target,
-            float(found.x[-1]),
-            found.x[:-1],
+            float(optimum.x[-1]),
+            optimum.x[:-1],
             velocity,
             position,
             ball_velocity,

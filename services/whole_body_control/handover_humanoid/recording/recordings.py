@@ -62,9 +62,9 @@ class Recordings:
         for row in rows:
             if row.ended_s is None:
                 self._complete(row)
-        known = {row.id for row in rows}
+        stored = {row.id for row in rows}
         for path in self._keep.folder.iterdir():
-            if path.name.partition(".")[0] not in known:
+            if path.name.partition(".")[0] not in stored:
                 path.unlink()  # its deletion was interrupted
 
     async def run(self) -> None:

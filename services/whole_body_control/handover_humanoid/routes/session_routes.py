@@ -135,7 +135,9 @@ def _add_reading(app: FastAPI, training: Training) -> None:
             await _require_seen(request, caller, wanted)
         humanoid = str(of_humanoid(request))
         listed = await asyncio.to_thread(store.newest, humanoid.rpartition(":")[2], wanted)
-        return [_view(one, training) for one in listed if _may_see(caller, one["person"], humanoid)]
+        return [
+            _view(session, training) for session in listed if _may_see(caller, session["person"], humanoid)
+        ]
 
     @app.get("/sessions/{session}", tags=["sessions"])
     async def one_session(session: str, caller: SignedIn, request: Request) -> SessionView:

@@ -61,9 +61,9 @@ class HumanoidTasks(Performer):
                     known=", ".join(_PARAMETERS),
                 )
             )
-        given = {name: value for name, value in job.parameters.items() if name not in _NOT_PARAMETERS}
+        wanted = {name: value for name, value in job.parameters.items() if name not in _NOT_PARAMETERS}
         try:
-            plan = plan_of(parameters.model_validate(given), self.settings, task=job.task.id)
+            plan = plan_of(parameters.model_validate(wanted), self.settings, task=job.task.id)
             session = await self._writer.begin(plan)
         except ValidationError as error:
             raise TaskFailed(fault_text(error, "parameters")) from None

@@ -238,9 +238,9 @@ class HumanoidControl:
         self.gains.by_chain = gains
         log.info("gains changed", humanoid=self.name)
 
-    def receive(self, given: PoseMessage | PullMessage) -> None:
+    def receive(self, contact: PoseMessage | PullMessage) -> None:
         """Take what a person does, and pass it on at once: a hand that leads is not late by a period."""
-        self.inputs.receive(given)
+        self.inputs.receive(contact)
         self.links.write_person()
 
     def update_limit(self) -> None:

@@ -123,17 +123,19 @@ class PersonInputs:
     poses: Poses = field(default_factory=Poses)
     """Reports each pose that is received."""
 
-    def receive(self, given: PoseMessage | PullMessage) -> None:
+    def receive(self, message: PoseMessage | PullMessage) -> None:
         """Take a message."""
         now_s = time.monotonic()
-        if isinstance(given, PoseMessage):
-            self.pose, self.pose_s = given, now_s
+        if isinstance(message, PoseMessage):
+            self.pose, self.pose_s = message, now_s
             robot = (self.values.get("base.x", 0.0), self.values.get("base.y", 0.0))
-            self.plausibility.see(now_s, _places(given), robot, is_moved=given.recentred)
+            self.plausibility.see(now_s, _places(message), robot, is_moved=message.recentred)
             self.poses.report()
         else:
-            self.pull, self.pull_s = given, now_s
-            self.plausibility.feel(now_s, [force for force in (given.left, given.right) if force is not None])
+            self.pull, self.pull_s = message, now_s
+            self.plausibility.feel(
+                now_s, [force for force in (message.left, message.right) if force is not None]
+            )
 
     def feel(self) -> None:
         """Take the forces at the hands that the robot measures."""
@@ -171,19 +173,19 @@ class PersonInputs:
         now_s = time.monotonic()
         if self.pose is None and self.pull is None:
             return None
-        known: dict[str, float] = {}
+        by_name: dict[str, float] = {}
         hands = self.hands(now_s)
         pulls = self.pull is not None and now_s - self.pull_s <= HELD_S and self.problem(now_s) is None
         for side in SIDES:
             hand = hands.get(OTHER[side])
             if self.pull is not None and pulls:
                 force = self.pull.left if side == "left" else self.pull.right
-                known.update(_pulled(side, force))
+                by_name.update(_pulled(side, force))
             elif hand is not None and hand.grip >= CLOSED_GRIP:
                 place = self._at_feet(hand.position)
-                known[f"{side}.held"] = 1.0
-                known.update({f"{side}.{axis}_m": value for axis, value in zip("xyz", place, strict=True)})
-        return [known.get(name, 0.0) for name in names]
+                by_name[f"{side}.held"] = 1.0
+                by_name.update({f"{side}.{axis}_m": value for axis, value in zip("xyz", place, strict=True)})
+        return [by_name.get(name, 0.0) for name in names]
 
     def _at_feet(self, place: Place) -> Place:
         """Return a place of the ground in the frame of the feet."""

@@ -107,7 +107,7 @@ class Motion:
     def walked(self) -> tuple[float, float, float]:
         """What the robot walks of the wish, as `velocity`: after the limit and within what it can step."""
         share = max(0.0, min(1.0, self.limit.fraction))
-        ahead, left, yaw = (share * each for each in self.velocity)
+        ahead, left, yaw = (share * speed for speed in self.velocity)
         if self._footsteps is None:
             return ahead, left, yaw
         steps = self._footsteps.walked(Wish(np.array([ahead, left]), yaw))
@@ -196,7 +196,7 @@ class Motion:
         share = max(0.0, min(1.0, self.limit.fraction))
         ahead, left, yaw = self.velocity
         is_stopped = self.stopped is not None or self.is_paused or share <= 0
-        known = {
+        by_name = {
             "ahead_mps": ahead,
             "left_mps": left,
             "yaw_radps": yaw,
@@ -211,7 +211,7 @@ class Motion:
             "stop": float(is_stopped),
             "cancel": float(is_stopped),
         }
-        return [known.get(name, 0.0) for name in names]
+        return [by_name.get(name, 0.0) for name in names]
 
 
 def _within(value: float, most: float) -> float:

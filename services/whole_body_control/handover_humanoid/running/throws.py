@@ -160,8 +160,9 @@ class Throws:
                 message("humanoid.throw_planned", "another throw is being planned; wait for it"),
             )
         self._motion.require_throwing(target)
-        known = int(self._values().get("throw_number", 0.0))  # of a cycle that an earlier service started
-        self._number = max(self._number, known) + 1
+        # Of a cycle that an earlier service started.
+        last_number = int(self._values().get("throw_number", 0.0))
+        self._number = max(self._number, last_number) + 1
         x, y, z = target
         self._newest = _Request(self._number, (x, y, z), hand)
         self._planning = asyncio.create_task(self._plan(self._newest))

@@ -97,15 +97,15 @@ def progress(sessions: Iterable[SessionFigures]) -> list[Week]:
     return [
         Week(
             week=f"{year}-W{week:02d}",
-            sessions=len(each),
-            throws=sum(session.throws for session in each),
-            caught=sum(session.caught for session in each),
-            score=sum(session.score for session in each),
-            exercised_s=sum(session.exercised_s for session in each),
-            best_level=max(session.level for session in each),
-            distance_m=sum(session.distance_m for session in each),
+            sessions=len(week_sessions),
+            throws=sum(session.throws for session in week_sessions),
+            caught=sum(session.caught for session in week_sessions),
+            score=sum(session.score for session in week_sessions),
+            exercised_s=sum(session.exercised_s for session in week_sessions),
+            best_level=max(session.level for session in week_sessions),
+            distance_m=sum(session.distance_m for session in week_sessions),
         )
-        for (year, week), each in sorted(by_week.items())
+        for (year, week), week_sessions in sorted(by_week.items())
     ]
 
 

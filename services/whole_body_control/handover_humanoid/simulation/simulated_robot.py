@@ -51,8 +51,8 @@ class SimulatedRobot:
         self.humanoid, self.modes = humanoid, humanoid.modes
         self.period_s = STEP_S
         servo = [joint.servo or joint.gains for joint in humanoid.joints]
-        self._servo_stiffness = np.array([each.stiffness for each in servo])
-        self._servo_damping = np.array([each.damping for each in servo])
+        self._servo_stiffness = np.array([gains.stiffness for gains in servo])
+        self._servo_damping = np.array([gains.damping for gains in servo])
         self._target, self._stiffness, self._zeros = np.zeros((3, len(servo)))
         self.model = build(humanoid) if model is None else model
         self._data = mujoco.MjData(self.model)

@@ -35,7 +35,7 @@ class _CompiledArrays:
         rows = int(self.ends[-1])
         longest = max(n, m, rows)
         self.rows, self.targets = np.empty((rows, n)), np.empty(rows)
-        self.spans = [slice(*each) for each in zip(self.ends[:-1], self.ends[1:], strict=True)]
+        self.spans = [slice(*ends) for ends in zip(self.ends[:-1], self.ends[1:], strict=True)]
         self.squares, self.equal_rows = np.zeros((5, n, n)), np.zeros((m, n))
         self.reduced = np.zeros((n, rows))
         self.vectors, self.whole = np.zeros((15, longest)), np.zeros((6, longest), dtype=np.int64)

@@ -34,7 +34,7 @@ class _HierarchyArrays:
         ends = np.cumsum([m, *counts])
         self.break_points = np.array([0, *ends], dtype=np.int32)
         self.starts = ends[:-1] - m
-        self.spans = [slice(*each) for each in pairwise(ends)]
+        self.spans = [slice(*ends_of_level) for ends_of_level in pairwise(ends)]
         self.bounds, self.levels = slice(0, m), slice(m, int(ends[-1]))
         self.rows = np.zeros((int(ends[-1]), n))
         self.lower, self.upper = np.zeros(len(self.rows)), np.zeros(len(self.rows))

@@ -147,8 +147,8 @@ class Session:
             **_camel(asdict(made)),
             "shareCaught": made.share_caught,
             "outcomes": [
-                {"atS": one.at_s, "level": one.level, **_camel(asdict(one.outcome))}
-                for one in exercise.throws
+                {"atS": throw.at_s, "level": throw.level, **_camel(asdict(throw.outcome))}
+                for throw in exercise.throws
             ],
         }
 
