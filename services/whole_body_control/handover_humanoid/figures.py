@@ -19,10 +19,10 @@ from handover_humanoid.behaviours.rehearsal import rehearse
 from handover_humanoid.behaviours.simulated_person import SCRIPTS, Lead, LedRecord, LedWalk
 from handover_humanoid.behaviours.simulated_throw import SimulatedThrow, ThrowRecord
 from handover_humanoid.behaviours.throwing import Practice, aimed_throw
-from handover_humanoid.behaviours.walking import SIDES
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.patterns.intention import IntentionName
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.patterns.throwing import ThrowPlanner
 from handover_humanoid.simulation.ball import build_with_ball
 from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE

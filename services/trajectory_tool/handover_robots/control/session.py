@@ -37,9 +37,10 @@ from handover_robots.metrics import CONTROL_LATENCY, CONTROL_STOP, CONTROL_STOP_
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose
+from handover_robots.scene.scene import REDUCED_SPEED_MPS
 
-MAX_TOOL_MPS: Final = 0.25
-"""The speed of the tool that a person commands at most (reduced speed, ISO 10218-1)."""
+MAX_TOOL_MPS: Final = REDUCED_SPEED_MPS
+"""The speed of the tool that a person commands at most."""
 MAX_TOOL_RPS: Final = 1.0
 MAX_JOINT_FRACTION: Final = 0.3
 """The fraction of the speed of a joint that a person commands at most."""

@@ -31,13 +31,11 @@ from handover_robots.metrics import ALLOWED_PACE, LIMIT_STOPS
 from handover_robots.model.joints import Joints
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.model.trajectory import Setpoint, rounded_pace
-from handover_robots.scene.scene import Zone
+from handover_robots.scene.scene import REDUCED_SPEED_MPS, Zone
 
 EVALUATE_EVERY_S = 0.04
 OVERDUE_S = 0.5
 SAVE_EVERY_S = 1.0
-REDUCED_MPS = 0.25
-"""The speed of the tool in reduced mode (ISO 10218-1)."""
 LINK_RADIUS_M = 0.12
 
 
@@ -116,7 +114,7 @@ class RobotLimits:
             limits += [Allowed(RULE, 0.0, reason=overdue)] if is_overdue else [self.state.allowed, self._zone]
         if record.mode == "reduced":
             reduced = message("limit.reduced_mode", "reduced mode")
-            limits.append(Allowed("mode", max_speed_mps=REDUCED_MPS, reason=reduced))
+            limits.append(Allowed("mode", max_speed_mps=REDUCED_SPEED_MPS, reason=reduced))
         limits += self._of_end_effector(record)
         limits += self.contact.allowed()
         if self.contact_speed is not None:
@@ -133,7 +131,7 @@ class RobotLimits:
             reason = message(
                 "limit.no_validated_speed", "{effector} has no validated speed", effector=mounted
             )
-            yield Allowed("endEffector", max_speed_mps=REDUCED_MPS, reason=reason)
+            yield Allowed("endEffector", max_speed_mps=REDUCED_SPEED_MPS, reason=reason)
             return
         speeds = safe_speeds.values() if mounted is None else [safe_speeds[mounted]]
         for speed in sorted(speeds, key=lambda safe_speed: safe_speed.speed_mps)[:1]:

@@ -26,6 +26,7 @@ from handover.control.speed_limits import (
 )
 from handover.messages import message
 from handover_datamodels.streams import PeopleReport
+from handover_robots.scene.scene import REDUCED_SPEED_MPS
 
 Point = tuple[float, float]
 Distance = Callable[[Point], float]
@@ -36,8 +37,6 @@ MIN_PACE = 0.05
 """A lower pace is a stop."""
 MAX_PERSON_MPS, JUMP_M = 5.0, 0.3
 """A person who moves faster than this, and farther than the noise of a sensor, has jumped."""
-WARNING_MPS = 0.25
-"""The speed of the tool while a warning field is infringed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +183,7 @@ class Separation:
         if any(report.protective_field for report in reports):
             pace, reason = 0.0, message("limit.protective_field", "the protective field is infringed")
         is_warned = any(report.warning_field for report in reports)
-        holds_warning = is_warned and speed_mps > WARNING_MPS
+        holds_warning = is_warned and speed_mps > REDUCED_SPEED_MPS
         if pace < MIN_PACE:
             self._is_stopped, self._clear_since_s = True, None
         elif self._is_stopped:
@@ -200,7 +199,7 @@ class Separation:
         allowed = Allowed(
             RULE,
             0.0 if self._is_stopped else pace,
-            WARNING_MPS if is_warned else math.inf,
+            REDUCED_SPEED_MPS if is_warned else math.inf,
             reason,
         )
         moving_mps = peak_mps * allowed.pace(peak_mps)

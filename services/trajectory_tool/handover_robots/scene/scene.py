@@ -101,7 +101,7 @@ class Thing(Placed):
 ZoneKind = Literal["keepOut", "reducedSpeed", "people"]
 
 REDUCED_SPEED_MPS = 0.25
-"""The speed of the tool in a zone of reduced speed that names none: that of the reduced mode of ISO 10218."""
+"""The speed of the tool in reduced mode (ISO 10218-1), and in a zone of reduced speed that names none."""
 NEAR_STEP_M = 0.05
 _TOOL_SPEEDS_MPS: dict[ZoneKind, float] = {"keepOut": 0.0, "people": math.inf}
 

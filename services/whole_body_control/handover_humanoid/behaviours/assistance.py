@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from handover_humanoid.balance.external_torques import SMOOTHING_S, ExternalTorques
-from handover_humanoid.behaviours.walking import SIDES, WalkingController
+from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.components.robot import RobotSensors
 from handover_humanoid.cycle.wish import PERSON
 from handover_humanoid.model.humanoid import Grip
@@ -34,7 +34,7 @@ from handover_humanoid.patterns.intention import (
 )
 from handover_humanoid.patterns.lead import HoldStiffness, LeadReference, hand_force
 from handover_humanoid.patterns.minimum_jerk import moved
-from handover_humanoid.patterns.regions import Side, turn
+from handover_humanoid.patterns.regions import SIDES, Side, turn
 
 POSE: Final = "hold_hands"
 TAKE_S: Final = 1.5

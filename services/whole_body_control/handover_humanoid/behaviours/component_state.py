@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
-from handover_humanoid.behaviours.walking import SIDES, WalkingController
+from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.cycle.gains import gain_fields
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array
+from handover_humanoid.patterns.regions import SIDES
 
 LANDED_M: Final = 0.03
 """A ball that is lower, or below the height of its target, has landed."""

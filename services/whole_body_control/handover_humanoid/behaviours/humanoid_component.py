@@ -43,7 +43,7 @@ from handover_humanoid.behaviours.component_state import (
     state_fields,
 )
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
-from handover_humanoid.behaviours.walking import SIDES, WalkingController
+from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
 from handover_humanoid.cycle.gains import GainTransition
 from handover_humanoid.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
@@ -60,7 +60,7 @@ from handover_humanoid.model.standing import HANDS, stretched_legs
 from handover_humanoid.patterns.footsteps import Wish
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
 from handover_humanoid.patterns.minimum_jerk import moved
-from handover_humanoid.patterns.regions import Side, turn
+from handover_humanoid.patterns.regions import SIDES, Side, turn
 from handover_humanoid.patterns.throwing import PlannedThrow
 from handover_humanoid.solvers.problem import Solver
 

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.behaviours.simulated_walk import FALLEN_SHARE
-from handover_humanoid.behaviours.walking import SIDES, WalkingState
+from handover_humanoid.behaviours.walking import WalkingState
 from handover_humanoid.components.robot import Interpolation, JointCommand, RobotSensors
 from handover_humanoid.cycle.wish import PERSON, WISH
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.patterns.footsteps import StepLimits
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
-from handover_humanoid.patterns.regions import Side, turn
+from handover_humanoid.patterns.regions import SIDES, Side, turn
 from handover_humanoid.simulation.ball import RobotWithBall
 from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE, SensorNoise
 from handover_humanoid.solvers.problem import Solver

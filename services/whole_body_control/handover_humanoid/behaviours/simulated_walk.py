@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_humanoid.behaviours.walking import SIDES, WalkingController, WalkingState
+from handover_humanoid.behaviours.walking import WalkingController, WalkingState
 from handover_humanoid.components.robot import Interpolation, JointCommand, RobotSensors
 from handover_humanoid.model.kinematics import Array
 from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 FALLEN_SHARE = 0.75

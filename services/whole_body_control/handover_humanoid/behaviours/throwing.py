@@ -24,7 +24,7 @@ from handover_humanoid.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, 
 from handover_humanoid.patterns.ballistics import landing_point
 from handover_humanoid.patterns.minimum_jerk import moved, rate
 from handover_humanoid.patterns.pendulum import Pendulum
-from handover_humanoid.patterns.regions import Footprint, Side, turn
+from handover_humanoid.patterns.regions import SIDES, Footprint, Side, turn
 from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.solvers.problem import Solver
 from handover_humanoid.tasks.base import Level
@@ -41,7 +41,6 @@ HAND, ARM = "hand", "arm"
 SMOOTHED = 3
 """The landing place at the release is that of a line through the last so many predictions."""
 TURNS = (False, False, False, True, True, True)
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class Phase(StrEnum):

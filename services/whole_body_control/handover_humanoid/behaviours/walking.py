@@ -34,7 +34,7 @@ from handover_humanoid.patterns.footsteps import (
 )
 from handover_humanoid.patterns.minimum_jerk import moved
 from handover_humanoid.patterns.pendulum import Pendulum, PendulumState
-from handover_humanoid.patterns.regions import Footprint, Side, turn
+from handover_humanoid.patterns.regions import SIDES, Footprint, Side, turn
 from handover_humanoid.patterns.walking import Pattern, WalkingPattern
 from handover_humanoid.patterns.zmp_control import PERIOD_S, ZmpControl
 from handover_humanoid.solvers.problem import Solver
@@ -49,7 +49,6 @@ ZMP_MARGIN_M = 0.01
 """How far inside of the soles the ZMP is planned."""
 FOOT_GAIN, MAX_OFFSET_M = 10.0, 0.02
 """How fast the target of a foot in the air makes up for what it missed, in 1/s, and by how much at most."""
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 
 from handover_humanoid.model.kinematics import Array
-from handover_humanoid.patterns.regions import Side
+from handover_humanoid.patterns.regions import SIDES, Side
 
 PLANNED_JOINTS: Final = 8
 """The most joints of an arm that throws."""
 MAX_SPEED: Final = 10.0
 """Of a velocity that is wanted, in m/s or rad/s; what the robot can do is far below."""
-SIDES: Final[tuple[Side, Side]] = ("left", "right")
 
 WISH: Final = (
     "ahead_mps",

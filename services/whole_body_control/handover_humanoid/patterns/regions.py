@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from handover_humanoid.model.kinematics import Array
 
 Side = Literal["left", "right"]
+SIDES: Final[tuple[Side, Side]] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from handover.messages import with_code
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.running.inputs import PersonInputs
 from handover_humanoid.running.motion import Motion
 
@@ -14,7 +15,6 @@ MODES: Final = ("following", "standing", "holding", "stopped", "down")
 PHASES: Final = ("standing", "double", "single")
 BEHAVIOURS: Final = ("walking", "assistedWalking", "juggling")
 CAUSES: Final = ("computing", "preempted", "woken late")
-SIDES: Final = ("left", "right")
 RESIDUAL, SLACK, SOLVER, GAIN = "residual.", "slack.", "solver_us.", "gain."
 BALL_PHASES: Final = (None, "held", "flying", "landed", "lost")
 _PLACES: Final = 5

@@ -7,10 +7,8 @@ from datetime import datetime
 
 import numpy as np
 
-from handover_humanoid.patterns.regions import Side
+from handover_humanoid.patterns.regions import SIDES, Side
 from handover_humanoid.sessions.exercise import Exercise, SessionThrow
-
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

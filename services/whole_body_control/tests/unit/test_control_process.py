@@ -22,7 +22,8 @@ from handover_humanoid.control_process import control_loop
 from handover_humanoid.cycle.deployment import Deployment, read_deployment
 from handover_humanoid.cycle.loop import MAX_FAULTS, Mode
 from handover_humanoid.cycle.ports import PortReader, PortWriter
-from handover_humanoid.cycle.wish import SIDES, WISH
+from handover_humanoid.cycle.wish import WISH
+from handover_humanoid.patterns.regions import SIDES
 from services.whole_body_control.tests.unit.cycle import Cycle
 from tests.kit.waiting import Bound, scaled
 

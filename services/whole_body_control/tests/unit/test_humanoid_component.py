@@ -8,12 +8,11 @@ import pytest
 
 from handover_humanoid.behaviours.component_state import PHASES, BallPhase, Behaviour, Fault
 from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
-from handover_humanoid.behaviours.walking import SIDES
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.cycle.loop import Mode
 from handover_humanoid.cycle.wish import WISH
 from handover_humanoid.model.kinematics import Kinematics
-from handover_humanoid.patterns.regions import Footprint, Side
+from handover_humanoid.patterns.regions import SIDES, Footprint, Side
 from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.robots import humanoid
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
