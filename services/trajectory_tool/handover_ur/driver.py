@@ -17,6 +17,7 @@ from fastapi import FastAPI
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.cyclic_robot import CyclicRobot
@@ -141,6 +142,7 @@ class UniversalRobot(CyclicRobot):
             raise self._fault(report) or _ended(report)
         return _joint_state(report)
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Command a setpoint. Raises `RobotFault` once the controller has stopped the motion."""
         report = self.exchange.report()

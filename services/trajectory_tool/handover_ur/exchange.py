@@ -24,6 +24,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Self
 
 from handover.errors import HandoverError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_ur import rtde
 from handover_ur.rtde import PackageReader, PackageType, ProtocolError, Recipe
 from handover_ur.shared_memory import (
@@ -154,6 +155,7 @@ class Connection:
                     return package.payload
                 self._note(package)
 
+    @runs_in_cycle
     def _receive(self, timeout_s: float) -> list[rtde.Package]:
         self._socket.settimeout(max(timeout_s, 0.001))
         try:
@@ -166,10 +168,12 @@ class Connection:
             raise LinkError("the controller has closed the connection")
         return self._packages.feed(received)
 
+    @runs_in_cycle
     def _note(self, package: rtde.Package) -> None:
         if package.kind == PackageType.TEXT_MESSAGE:
             self.last_text = rtde.parse_text_message(package.payload).text
 
+    @runs_in_cycle
     def _send(self, data: bytes) -> None:
         try:
             self._socket.sendall(data)
@@ -180,6 +184,7 @@ class Connection:
         """Return the descriptor, for `select`."""
         return self._socket.fileno()
 
+    @runs_in_cycle
     def latest(self) -> tuple[rtde.Values | None, int]:
         """Return the latest values that have arrived, and how many packages with values."""
         data = []
@@ -190,6 +195,7 @@ class Connection:
                 self._note(package)
         return (self.outputs.decode(data[-1].payload) if data else None), len(data)
 
+    @runs_in_cycle
     def send(self, heartbeat: int, mode: ExchangeMode, targets: tuple[float, ...], command: Command) -> None:
         """Write the input registers and the tool outputs."""
         values: rtde.Values = dict(zip(TARGETS, targets, strict=True))
@@ -255,6 +261,7 @@ class Exchange:
         readable, _, _ = select.select([sys.stdin], [], [], within_s)
         return bool(readable) and not _read_wakes()
 
+    @runs_in_cycle
     def _exchange(self, connection: Connection) -> bool:
         """Run cycles; return True when standard input has closed. Raises `LinkError` or `ProtocolError`."""
         silence_s = self._parameters.silence_s
@@ -289,6 +296,7 @@ class Exchange:
             if values is not None and values[state] not in {ProgramState.READY, ProgramState.SERVOING}:
                 return
 
+    @runs_in_cycle
     def _cycle(self, connection: Connection, values: rtde.Values, cycles: int) -> None:
         now_s = time.monotonic()
         report = self._report = self._reported(values, now_s, cycles)
@@ -299,6 +307,7 @@ class Exchange:
         self._report = replace(self._report, interruption=self._interruption, lag_rad=lag_rad)
         self._memory.write_report(self._report)
 
+    @runs_in_cycle
     def _send_again(self, connection: Connection) -> None:
         """Send the targets of this cycle for a newer setpoint."""
         command = self._memory.read_command()
@@ -308,6 +317,7 @@ class Exchange:
             targets = self._tracker.step_again(setpoint, age_s, self._cycle_s)
             connection.send(self._next_heartbeat(), ExchangeMode.SERVO, targets, command)
 
+    @runs_in_cycle
     def _decide(
         self, report: Report, command: Command, target_q: object, now_s: float, cycles: int
     ) -> tuple[ExchangeMode, tuple[float, ...]]:
@@ -333,10 +343,12 @@ class Exchange:
         self._cycle_at_s, self._cycle_s = at_s, cycle_s * cycles
         return ExchangeMode.SERVO, self._tracker.step(setpoint, at_s - command.stamp_s, self._cycle_s)
 
+    @runs_in_cycle
     def _next_heartbeat(self) -> int:
         self._heartbeat = self._heartbeat % MAX_HEARTBEAT + 1
         return self._heartbeat
 
+    @runs_in_cycle
     def _reported(self, values: rtde.Values, now_s: float, cycles: int) -> Report:
         number: dict[str, float] = {}
         vector: dict[str, tuple[float, ...]] = {}

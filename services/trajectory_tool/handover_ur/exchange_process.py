@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.runtime.python_processes import module_command
 from handover.telemetry import get_logger
 from handover_robots.model.trajectory import Limits, Setpoint
@@ -72,6 +73,7 @@ class ExchangeProcess:
                     self._last_report = replace(self._last_report, is_connected=False, reason=str(error))
             return self._last_report
 
+    @runs_in_cycle
     def servo(self, setpoint: Setpoint, program_id: int) -> None:
         """Command a setpoint to the program; thread-safe."""
         self._write(

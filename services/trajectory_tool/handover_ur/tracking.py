@@ -8,6 +8,8 @@ the setpoint within the limits of velocity and acceleration; no input causes a s
 import math
 from collections.abc import Sequence
 
+from handover.runtime.control_cycle import runs_in_cycle
+
 EXTRAPOLATION_S = 0.010
 """A setpoint is extrapolated no further; without another, the joints then come to rest there."""
 CATCH_UP, CATCH_UP_RAD_S = 0.05, 0.02
@@ -25,6 +27,7 @@ class CycleClock:
     def __init__(self) -> None:
         self._time_s: float | None = None
 
+    @runs_in_cycle
     def next_s(self, now_s: float, cycles: int, cycle_s: float) -> float:
         """Return the time of this cycle, `cycles` after the last one; `now_s` is the local clock."""
         expected_s = now_s if self._time_s is None else self._time_s + cycles * cycle_s
@@ -47,12 +50,14 @@ class TargetTracker:
         self.lag_rad = 0.0
         """How far a joint is behind its setpoint, at most."""
 
+    @runs_in_cycle
     def start(self, positions: Sequence[float]) -> None:
         """Begin at rest at `positions`."""
         self.positions = list(positions)
         self.velocities = [0.0] * len(self.positions)
         self.lag_rad = 0.0
 
+    @runs_in_cycle
     def step_again(
         self,
         setpoint: tuple[Sequence[float], Sequence[float], Sequence[float]],
@@ -63,6 +68,7 @@ class TargetTracker:
         self.positions, self.velocities = list(self._before[0]), list(self._before[1])
         return self.step(setpoint, age_s, cycle_s)
 
+    @runs_in_cycle
     def step(
         self,
         setpoint: tuple[Sequence[float], Sequence[float], Sequence[float]],
@@ -88,6 +94,7 @@ class TargetTracker:
         self.lag_rad = lag_rad
         return tuple(self.positions)
 
+    @runs_in_cycle
     def _brake(self, cycle_s: float) -> None:
         """Come to rest without returning to the setpoint; all joints slow down in proportion."""
         moving = [
@@ -103,6 +110,7 @@ class TargetTracker:
         ]
         self.lag_rad = 0.0
 
+    @runs_in_cycle
     def _step_joint(self, joint: int, goal: float, forward: float, cycle_s: float) -> None:
         limit, max_rad_s2 = self._max_rad_s[joint], self._max_rad_s2[joint]
         change = max_rad_s2 * cycle_s

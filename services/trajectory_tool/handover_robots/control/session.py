@@ -18,6 +18,7 @@ import numpy as np
 from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.errors import HandoverError
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_datamodels.streams import HumanInput
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.intent import IntentPrediction
@@ -281,6 +282,7 @@ class ControlSession:
             CONTROL_STOP_BEGIN.observe(self.stop.begin_s)
             CONTROL_STOP.observe(self.stop.rest_s)
 
+    @runs_in_cycle
     def _velocity(self) -> Joints:
         """Return the velocities of the joints for this cycle; called in the control thread."""
         now_s = self._now()
@@ -304,6 +306,7 @@ class ControlSession:
             self._record(self._recording, human_input, self._kinematics.tool_pose(joints), twist, velocities)
         return velocities
 
+    @runs_in_cycle
     def _record(
         self, recording: Recording, human_input: HumanInput, here: Pose, twist: Array, velocities: Joints
     ) -> None:
@@ -325,6 +328,7 @@ class ControlSession:
             )
         )
 
+    @runs_in_cycle
     def _twist(self, human_input: HumanInput, joints: Joints, dt_s: float) -> Array:
         human = np.array([*human_input.linear, *human_input.angular])
         if human_input.frame == "tool":

@@ -27,6 +27,7 @@ from fastapi import FastAPI
 from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.subscriptions.record import SubscriptionRecord
 from handover.telemetry import get_logger
 from handover_datamodels.arm_stream import JOINT_VELOCITIES
@@ -135,6 +136,7 @@ class RosRobot(CyclicRobot):
             raise self._unknown(f"they have not been reported for {age_s:.1f} s")
         return joints
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Command the velocities of a setpoint; used by `servo`."""
         self._way.advance(self.clock.now_s(), setpoint.positions)
@@ -227,6 +229,7 @@ class RosRobot(CyclicRobot):
             await self._rest()
         return arrived
 
+    @runs_in_cycle
     def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Send a motion as goals; after a fault, bring the arm to rest, then raise it."""
         self._way = Way(self.options.max_delay_s)
@@ -243,6 +246,7 @@ class RosRobot(CyclicRobot):
                     self.link.velocity(self._velocities(Setpoint.at_rest(self.setpoint.positions)))
             raise
 
+    @runs_in_cycle
     def _follow_goals(self, motion: Motion, pace: Pace, began_s: float) -> None:
         plan: GoalPlan | None = None
         held, sent_s, cycle, due_s = 1.0, -math.inf, 0, began_s
@@ -274,6 +278,7 @@ class RosRobot(CyclicRobot):
             due_s = self._next_cycle(due_s)
             self.clock.wait_s(max(due_s - self.clock.now_s(), 0.0))
 
+    @runs_in_cycle
     def _send(
         self, motion: Motion, before: GoalPlan | None, pace: float, place: GridPlace
     ) -> GoalPlan | None:
@@ -305,6 +310,7 @@ class RosRobot(CyclicRobot):
             return GoalPlan(place.cycle, setpoints, goal, setpoints[0].positions)
         return self._replace(before, setpoints, place)
 
+    @runs_in_cycle
     def _replace(self, before: GoalPlan, setpoints: list[Setpoint], place: GridPlace) -> GoalPlan:
         """Send a goal that takes the place of the one before."""
         self.require_lease()
@@ -312,6 +318,7 @@ class RosRobot(CyclicRobot):
         goal = self.link.follow(points(setpoints, self._cycle_s, late_s))
         return GoalPlan(place.cycle, setpoints, goal, before.began_at)
 
+    @runs_in_cycle
     def _brake(self, before: GoalPlan, place: GridPlace) -> None:
         """Stop with the brake motion of the limiter, since the rest of the motion is not permitted."""
         self.limiter.resume(before.at(place.cycle), place.motion_s)
@@ -323,12 +330,14 @@ class RosRobot(CyclicRobot):
             self.clock.wait_s(self._cycle_s)
             cycle = plan.first + int((self.clock.now_s() - place.due_s) / self._cycle_s)
 
+    @runs_in_cycle
     def _await_acceptance(self, plan: GoalPlan) -> None:
         """Wait until the controller follows the first goal. Raises `RobotFault`."""
         while not self.link.is_accepted(plan.goal):
             self._has_ended(plan, plan.first)
             self.clock.wait_s(self._cycle_s)
 
+    @runs_in_cycle
     def _has_ended(self, plan: GoalPlan, cycle: int) -> bool:
         """Return whether the controller has reached the end of a goal. Raises `RobotFault`."""
         self.measured()
@@ -353,6 +362,7 @@ class RosRobot(CyclicRobot):
             )
         return end is not None and cycle >= plan.last
 
+    @runs_in_cycle
     def _require_following(self, plan: GoalPlan, cycle: int) -> None:
         """Stop an arm that has left its goal, so that the next goal does not make it jump."""
         measured = self.measured().positions
@@ -369,6 +379,7 @@ class RosRobot(CyclicRobot):
             )
         )
 
+    @runs_in_cycle
     def _velocities(self, setpoint: Setpoint) -> Joints:
         if self.options.velocity_type == JOINT_VELOCITIES:
             return setpoint.velocities

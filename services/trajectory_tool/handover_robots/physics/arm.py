@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Frame
 from handover_robots.model.trajectory import Setpoint
@@ -118,6 +119,7 @@ class SimulatedArm:
             torque = self._data.sensor(self.names.torque_id).data.tolist()
         return Wrench((force[0], force[1], force[2]), (torque[0], torque[1], torque[2]))
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Set what the servo follows from now on."""
         with self._lock:

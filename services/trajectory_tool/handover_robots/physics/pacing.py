@@ -18,6 +18,7 @@ from threading import Condition, Thread
 from typing import Any, TypeVar
 
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.metrics import SIMULATED_SECONDS, SIMULATION_CPU_SECONDS
@@ -129,6 +130,7 @@ class PacedSimulation:
             else:
                 self._catch_up()
 
+    @runs_in_cycle
     def _cycle(self, works: list[tuple[str, _PacedWork]]) -> None:
         """Resume the work that is due, and simulate a step if a robot waits for it."""
         now_s = self.simulation.time_s
@@ -142,6 +144,7 @@ class PacedSimulation:
             self.on_step()
             self._keep_pace(is_paced=any(work.is_paced for work in waiting))
 
+    @runs_in_cycle
     def _has_ended(self, robot: str, work: _PacedWork) -> bool:
         """Resume work until it waits again; return whether it has ended."""
         try:
@@ -156,11 +159,13 @@ class PacedSimulation:
             return False
         return True
 
+    @runs_in_cycle
     def _forget(self, robot: str) -> None:
         with self._changed:
             self._works[robot].popleft()
             self._changed.notify_all()
 
+    @runs_in_cycle
     def _simulate(self, seconds: float) -> None:
         began, began_s = time.thread_time(), self.simulation.time_s
         self.simulation.step_for(seconds)

@@ -14,6 +14,7 @@ from concurrent.futures import Future
 from typing import Self, TypeVar
 
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.driver_base.cyclic_robot import CyclicRobot
@@ -118,6 +119,7 @@ class PhysicsRobot(CyclicRobot):
         """Run `cycles` in the thread of the world, after what the robot does there."""
         return self.world.paced.submit(self.name, cycles)
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Give the servo a setpoint. Raises `RobotFault` once the arm was blocked."""
         blocked = self.arm.blocked
@@ -197,6 +199,7 @@ class PhysicsRobot(CyclicRobot):
 
         return apply
 
+    @runs_in_cycle
     def _move_fingers(self, target: float, then_wait_s: float = 0.0) -> Cycles[None]:
         if self.vision is not None:
             self.vision.forget_images()

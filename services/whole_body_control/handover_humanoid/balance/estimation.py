@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.robot import RobotSensors
 from handover_humanoid.model.kinematics import (
     BASE_POSITIONS,
@@ -140,6 +141,7 @@ class StateEstimator:
         """Return the orientation (3, 3) of the base."""
         return np.asarray(self._rotation)
 
+    @runs_in_cycle
     def update(self, sensors: RobotSensors, dt_s: float) -> None:
         """Compute the state of `dt_s` after the last one."""
         self.q[BASE_POSITIONS:] = sensors.positions

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
 from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.cycle.gains import gain_fields
@@ -67,6 +68,7 @@ class Ball:
         self.place, self.landed = np.full(3, np.nan), np.full(3, np.nan)
         self.target, self.predicted = np.full(3, np.nan), np.full(3, np.nan)
 
+    @runs_in_cycle
     def follow(self, from_root: Callable[[], Array], rotation: Array, root: Array) -> None:
         """Follow the ball, whose place from the root, at `root` (3,) with `rotation` (3, 3), is measured."""
         if self.phase is BallPhase.NONE:

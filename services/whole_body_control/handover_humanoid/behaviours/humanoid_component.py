@@ -28,6 +28,7 @@ from typing import Final
 import numpy as np
 import pinocchio as pin
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.behaviours.assistance import AssistedWalking, Hands
 from handover_humanoid.behaviours.component_state import (
     PHASES,
@@ -148,6 +149,7 @@ class HumanoidComponent:
             offered.append(Behaviour.JUGGLING)
         return tuple(offered)
 
+    @runs_in_cycle
     def follow(self, wish: Array | None, person: Array | None) -> None:
         """Accept the newest wish, and what a person does; None is one that is too old, or none."""
         self._is_commanded = wish is not None
@@ -155,10 +157,12 @@ class HumanoidComponent:
             self._wanted = Wanted.of(wish)
         self._person = np.zeros(len(PERSON)) if person is None else person
 
+    @runs_in_cycle
     def tune(self, gains: Array | None) -> None:
         """Accept the shares of the gains that people want; None changes nothing."""
         self._shares.want(gains)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
         is_blind = self._bridge(sensors, command)
@@ -179,6 +183,7 @@ class HumanoidComponent:
         self._judge(NOT_FINITE if is_blind else fault)
         return fault
 
+    @runs_in_cycle
     def write_state(self, state: Array) -> None:
         """Write the values of `fields`. Places are in m, and velocities in m/s, on the ground of the
         estimate."""
@@ -237,6 +242,7 @@ class HumanoidComponent:
         """Whether this robot has the wanted behaviour; it stands while another one is wanted."""
         return self._wanted.behaviour in self.behaviours
 
+    @runs_in_cycle
     def _switch(self) -> None:
         """Change the behaviour, when the robot is at rest on both feet."""
         wanted = self._wanted.behaviour
@@ -266,6 +272,7 @@ class HumanoidComponent:
         moved[3:7] = turned.coeffs()
         return moved
 
+    @runs_in_cycle
     def _feel(self) -> None:
         """Let the person pull at the hands of the simulated robot."""
         if self._world is None or self.assistance is None:
@@ -281,6 +288,7 @@ class HumanoidComponent:
             ground = np.array([*(to_ground @ force[:2]), force[2]])
             self._world.pull(self.assistance.link(side), rotation.T @ ground)
 
+    @runs_in_cycle
     def _bridge(self, sensors: RobotSensors, command: JointCommand) -> bool:
         """Replace values that are not valid while a step is to be finished; return whether it is."""
         if sensors.is_finite:
@@ -313,6 +321,7 @@ class HumanoidComponent:
         sensors.gyroscope[:] = to_sensor @ -kinematics.velocity(foot.link)[3:]
         sensors.accelerometer[:] = to_sensor @ (estimator.rotation.T @ -DOWNWARDS)
 
+    @runs_in_cycle
     def _walk(self, sensors: RobotSensors, command: JointCommand, *, is_to_stand: bool = False) -> str:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
@@ -334,6 +343,7 @@ class HumanoidComponent:
             self.assistance.carry(command.torques)
         return state.fault
 
+    @runs_in_cycle
     def _throw(self, sensors: RobotSensors, command: JointCommand) -> str:
         throwing, wanted, ball = self._throwing, self._wanted, self._ball
         if throwing is None or self._world is None:  # `_switch` has looked
@@ -352,6 +362,7 @@ class HumanoidComponent:
             self._throw_phase = float(THROW_PHASES.index(state.phase))
         return state.fault
 
+    @runs_in_cycle
     def _begin_throw(self) -> None:
         """Put the ball into the hand and begin, if the plan can be carried out."""
         wanted, throwing, world = self._wanted, self._throwing, self._world
@@ -399,6 +410,7 @@ class HumanoidComponent:
         )
         return throw if is_timed and is_within and bool((np.abs(velocity) <= fastest).all()) else None
 
+    @runs_in_cycle
     def _soften(self, command: JointCommand) -> None:
         """Move the gains of the joints towards those of the behaviour."""
         wanted: float | Array = 1.0
@@ -413,6 +425,7 @@ class HumanoidComponent:
         command.damping[:] = self._damping * np.sqrt(self._firmness) * self._shares.damping
         command.is_led = self.behaviour is Behaviour.ASSISTED_WALKING
 
+    @runs_in_cycle
     def _take_over(self, sensors: RobotSensors, command: JointCommand) -> None:
         """Lead the drives from what they do to the command."""
         first = self._at_first
@@ -434,6 +447,7 @@ class HumanoidComponent:
         microseconds = self._active.last_step.solve_s * 1e6
         self._solver_counts[int(np.searchsorted(SOLVER_BOUNDS_US, microseconds))] += 1
 
+    @runs_in_cycle
     def _note_slack(self) -> None:
         """Note which constraints this period relaxed; forget it when none has been for `RELAXED_S`."""
         if self._relaxed_s > 0:
@@ -454,6 +468,7 @@ class HumanoidComponent:
         velocity = (wanted.ahead_mps, wanted.left_mps, wanted.yaw_radps)
         return is_led or (wanted.behaviour == Behaviour.WALKING and any(velocity))
 
+    @runs_in_cycle
     def _judge(self, fault: str) -> None:
         """Say what is wrong, and notice a fall."""
         self.is_down = bool(self.walking.estimator.rotation[2, 2] < np.cos(FALLEN_TILT_RAD))

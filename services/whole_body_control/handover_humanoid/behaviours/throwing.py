@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.balance.contact_forces import FeedForward, shares
 from handover_humanoid.balance.estimation import StateEstimator
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors
@@ -240,6 +241,7 @@ class ThrowingController:
         stack = stack / self._swing / self._posture << self._limits
         self._engine = self._engine_of(self._kinematics, stack)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> ThrowingState:
         """Compute the command of the next `control_s`; holds the last one for values that are not finite."""
         if not sensors.is_finite:
@@ -276,6 +278,7 @@ class ThrowingController:
         stack = self._soles() / self._com / self._waist / self._posture << self._limits
         self._engine = self._engine_of(self._kinematics, stack)
 
+    @runs_in_cycle
     def _follow(self) -> Phase:
         """Set the targets of hand and arm for the end of this period, and return the phase."""
         throw = self._throw
@@ -337,6 +340,7 @@ class ThrowingController:
         velocity[:2] = turned @ velocity[:2]
         return place, velocity
 
+    @runs_in_cycle
     def _send(self, command: JointCommand) -> None:
         estimator, omega = self.estimator, self._pendulum.omega
         reference = self._com.target + self._com.velocity / omega

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.balance.contact_forces import FeedForward, shares
 from handover_humanoid.balance.estimation import StateEstimator
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors
@@ -231,11 +232,13 @@ class WalkingController:
         """Draw the joints (n,) of these numbers to `target` (n,) in the posture."""
         self._posture.target[joints] = target
 
+    @runs_in_cycle
     def observe(self, sensors: RobotSensors) -> None:
         """Estimate the state while something else controls the standing robot."""
         if sensors.is_finite:
             self.estimator.update(sensors, self.settings.control_s)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> WalkingState:
         """Compute the command of the next `control_s`.
 
@@ -289,6 +292,7 @@ class WalkingController:
         self._acceleration = np.zeros(self._kinematics.n_velocities)
         self.last_step = Step(self._q, self._velocity, {})
 
+    @runs_in_cycle
     def _move(self, pattern: Pattern, reference: PendulumState, dt_s: float) -> str:
         """Advance the joint references; return what is wrong."""
         stance = pattern.stance
@@ -340,6 +344,7 @@ class WalkingController:
         )
         task.velocity = np.concatenate([(places[1] - places[0]) / dt_s, np.zeros(3)])
 
+    @runs_in_cycle
     def _send(self, command: JointCommand, shift: Array, feet: dict[Side, Footprint]) -> None:
         self._kinematics.update(self._q)
         needed = self._feed_forward.needed(self._velocity, self._acceleration, np.array([*shift, 0.0]))

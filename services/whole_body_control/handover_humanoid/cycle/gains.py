@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array
 
@@ -36,11 +37,13 @@ class GainTransition:
         self._lowest, self._highest = np.array(bounds).reshape(-1, 2).T
         self._joints = [list(humanoid.tunable[chain]) for chain in limits]
 
+    @runs_in_cycle
     def want(self, values: Array | None) -> None:
         """Take the values of the port; None changes nothing."""
         if values is not None and len(values) == len(self._wanted):
             np.clip(values, self._lowest, self._highest, out=self._wanted)
 
+    @runs_in_cycle
     def step(self, dt_s: float) -> None:
         """Move towards what is wanted."""
         if np.array_equal(self.values, self._wanted):

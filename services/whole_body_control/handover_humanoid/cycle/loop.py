@@ -18,6 +18,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.modes import ModeConversion, require_mode
 from handover_humanoid.components.robot import Interpolation, JointCommand, Robot, RobotSensors
 from handover_humanoid.cycle.ports import PortReader, PortWriter
@@ -68,18 +69,22 @@ class Controller(Protocol):
     is_down: bool
     """Whether the robot has fallen."""
 
+    @runs_in_cycle
     def follow(self, wish: Array | None, person: Array | None) -> None:
         """Accept the values of `WISH` and `PERSON`; None for those that are too old, or not finite."""
         ...
 
+    @runs_in_cycle
     def tune(self, gains: Array | None) -> None:
         """Accept the values of the port `gains`; None for values that were not written, or are not finite."""
         ...
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
         ...
 
+    @runs_in_cycle
     def write_state(self, state: Array) -> None:
         """Write the state, as `fields` says."""
         ...
@@ -142,6 +147,7 @@ class ControlLoop(Generic[R, C]):
         """Follow no wish from now on."""
         self._is_ending = True
 
+    @runs_in_cycle
     def cycle(self) -> None:
         """Run one cycle, and wait for the next."""
         if self._between.is_due:
@@ -153,6 +159,7 @@ class ControlLoop(Generic[R, C]):
         else:
             self.timing.cycles += 1
 
+    @runs_in_cycle
     def _control_period(self) -> None:
         age_s = self._read_wish()
         self.robot.read(self._sensors)
@@ -167,6 +174,7 @@ class ControlLoop(Generic[R, C]):
         self.controller.write_state(state[status + len(FIGURES) :])
         self._ports.state.write(state)
 
+    @runs_in_cycle
     def _read_wish(self) -> float:
         ports = self._ports
         wish, age_s = _newest(ports.wish)
@@ -178,6 +186,7 @@ class ControlLoop(Generic[R, C]):
             self.mode = Mode.STANDING if wish is None else Mode.FOLLOWING
         return age_s
 
+    @runs_in_cycle
     def _control(self) -> None:
         """Compute a command; after too many faults, or an error, rest."""
         try:
@@ -197,6 +206,7 @@ class ControlLoop(Generic[R, C]):
         if self._faults >= MAX_FAULTS:
             self._stop(fault, HoldReason.FAULTS)
 
+    @runs_in_cycle
     def _send(self) -> None:
         try:
             if self._modes.needs_sensors:
@@ -206,11 +216,13 @@ class ControlLoop(Generic[R, C]):
             if not self.mode.is_final:  # else the first reason stays, and the state is written on
                 self._stop(f"the robot refused a command: {error!r}", HoldReason.REFUSED)
 
+    @runs_in_cycle
     def _stop(self, fault: str, hold: HoldReason, mode: Mode = Mode.HOLDING) -> None:
         self.mode, self.fault, self.hold = mode, fault, hold
         self._between.rest()
 
 
+@runs_in_cycle
 def _newest(port: PortReader) -> tuple[Array | None, float]:
     """Return the values of a port, None for those that are too old or not finite, and their age in s."""
     is_read = port.read()
@@ -219,6 +231,7 @@ def _newest(port: PortReader) -> tuple[Array | None, float]:
     return (port.values if is_valid else None), age_s
 
 
+@runs_in_cycle
 def _last(port: PortReader) -> Array | None:
     """Return the values of a port of any age, None for those that are not finite or not written yet."""
     is_valid = port.read() and port.time_ns > 0 and bool(np.isfinite(port.values).all())

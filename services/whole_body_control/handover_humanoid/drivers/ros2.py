@@ -34,6 +34,7 @@ from websockets.asyncio.client import ClientConnection
 from handover.control.limit_link import exchange, keep_connected
 from handover.errors import UsageError
 from handover.formats.validation import ClosedModel
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_datamodels.humanoid_stream import (
@@ -195,6 +196,7 @@ class Ros2Robot:
         state, received_s, (age_s, _) = self._state
         return state if time.monotonic() - received_s + age_s <= SENSOR_TIMEOUT_S else None
 
+    @runs_in_cycle
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements; NaN where they are too old, or missing."""
         measured = self.fresh
@@ -209,6 +211,7 @@ class Ros2Robot:
         sensors.gyroscope[:], sensors.accelerometer[:] = measured.gyroscope, measured.accelerometer
         sensors.wrenches[:] = measured.wrenches
 
+    @runs_in_cycle
     def write(self, command: JointCommand) -> None:
         """Keep a command, to be sent. Raises `ValueError`; see `Robot.write`."""
         if command.mode not in self.modes:

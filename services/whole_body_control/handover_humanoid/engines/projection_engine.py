@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.engines.stack_engine import DAMPING, Step
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.tasks.base import NO_BOUND, Stack
@@ -36,6 +37,7 @@ class ProjectionEngine:
         self._kinematics, self.stack, self._damping = kinematics, stack, damping
         self._names = [level.name for level in stack.levels]
 
+    @runs_in_cycle
     def step(self, q: Array, dt_s: float) -> Step:
         """Return the next configuration after `dt_s`."""
         kinematics = self._kinematics

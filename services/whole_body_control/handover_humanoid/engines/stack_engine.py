@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.solvers.compiled import fastest_solver
 from handover_humanoid.solvers.problem import Problem, Solution, Solver, Unsolvable
@@ -97,6 +98,7 @@ class StackEngine:
         self._rows = _Rows(stack, kinematics.n_velocities)
         self._bounds = _BoundRows(kinematics.n_velocities)
 
+    @runs_in_cycle
     def step(self, q: Array, dt_s: float) -> Step:
         """Return the next configuration after `dt_s`."""
         self._kinematics.update(q)

@@ -12,6 +12,7 @@ import numpy as np
 
 from handover.distribution import install_command
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_humanoid.solvers.cascade import Cascade, needed_slack
 from handover_humanoid.solvers.hierarchical import Hierarchical
@@ -57,6 +58,7 @@ class Compiled:
         """How many problems the reference had to solve since rounding errors led in a circle."""
         self._compile()
 
+    @runs_in_cycle
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         memory = self._fill(problem)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import daqp
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.kinematics import Array
 from handover_humanoid.solvers.problem import (
     Problem,
@@ -101,6 +102,7 @@ class Hierarchical:
     def __init__(self) -> None:
         self._memory: dict[tuple[int, int, tuple[int, ...]], _HierarchyArrays] = {}
 
+    @runs_in_cycle
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         shape = require_shapes(problem)
