@@ -16,7 +16,7 @@ from handover_humanoid.patterns.regions import SIDES, Footprint, Side
 from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.robots import humanoid
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
-from services.whole_body_control.tests.unit.cycle import Cycle
+from services.whole_body_control.tests.unit.running_cycle import Cycle
 
 COMAN = humanoid("coman")
 TARGET = np.array([0.8, 0.1, 0.5])

@@ -25,7 +25,7 @@ from handover_humanoid.running.humanoid_control import FAULTS, HOLDS
 from handover_humanoid.running.inputs import PersonInputs, WishMessage
 from handover_humanoid.running.live import LiveDocument
 from handover_humanoid.running.motion import Motion
-from services.whole_body_control.tests.unit.cycle import Cycle
+from services.whole_body_control.tests.unit.running_cycle import Cycle
 
 STANDING = {"speed_share": 1.0, "behaviour": float(Behaviour.WALKING)}
 WALKING = {**STANDING, "ahead_mps": 0.1}

@@ -24,7 +24,7 @@ from handover_humanoid.cycle.loop import MAX_FAULTS, Mode
 from handover_humanoid.cycle.ports import PortReader, PortWriter
 from handover_humanoid.cycle.wish import WISH
 from handover_humanoid.patterns.regions import SIDES
-from services.whole_body_control.tests.unit.cycle import Cycle
+from services.whole_body_control.tests.unit.running_cycle import Cycle
 from tests.kit.waiting import Bound, scaled
 
 DEPLOYMENT = """
