@@ -19,16 +19,18 @@ import numpy as np
 
 from benchmarks.steal_time import report_steal_time
 from handover.performer import TaskFailed
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.cell_file import Base, CellPlan, RobotEntry
 from handover_robots.model.poses import NO_TURN, Frame
 from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.physics.parts import Parts
 from handover_robots.physics.robot import PhysicsRobot
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
-from handover_robots.physics.world_model import STEP_S, build
+from handover_robots.physics.world_model import build
 from handover_robots.robots.ur10 import FOLDER, ROBOT
-from handover_robots.scene.scene import Scene, load
+from handover_robots.scene.reading import load
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
 from handover_robots.tasks.work import Work
@@ -88,7 +90,7 @@ async def measure_drivers(scene: Scene, folder: Path) -> None:
     }
     settings = TrajectorySettings(data_dir=folder, simulation_pace=0)
     plan = CellPlan(robots, scene.model_dump(mode="json"), FOLDER)
-    async with Cell(settings, plan=plan) as cell:
+    async with RobotCell(settings, plan=plan) as cell:
         world = next(iter(cell.units.values())).robot.world  # type: ignore[attr-defined]
         targets = (tuple(turn + away for turn in ROBOT.home[:1]) + ROBOT.home[1:] for away in (0.5, 0.0) * 5)
         began, began_s = time.process_time(), world.simulation.time_s
@@ -139,7 +141,7 @@ class Picking:
         settings = TrajectorySettings(
             data_dir=folder, robot="physics", simulation_pace=0, scan_seed=seed, robot_speed=1.0
         )
-        self.cell = Cell(settings)
+        self.cell = RobotCell(settings)
         self.unit = self.cell.only
         robot = self.unit.robot
         assert isinstance(robot, PhysicsRobot)

@@ -23,11 +23,11 @@ import psutil
 from benchmarks.steal_time import report_steal_time
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene.scene import load
+from handover_robots.scene.reading import load
 from handover_robots.settings import TrajectorySettings
-from handover_robots.universal_robots.driver import UniversalRobot
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.simulator import Ports, Simulator
+from handover_ur.driver import UniversalRobot
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.simulator import Ports, Simulator
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 HOST = "127.0.0.1"

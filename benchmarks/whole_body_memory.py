@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.whole_body_walking import DEPLOYMENT
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.cycle.ports import PortReader, PortWriter
-from handover_humanoid.cycle.wish import PERSON, SIDES, WISH
+from handover_humanoid.cycle.wish import PERSON, WISH
+from handover_humanoid.patterns.regions import SIDES
 
 PART_S, WRITE_S = 60.0, 0.05
 ROUND = (None, Behaviour.WALKING, Behaviour.ASSISTED_WALKING, Behaviour.JUGGLING)

@@ -8,7 +8,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from handover_datamodels.robot_messages import Name, RobotMessage, StreamRefusal
+from handover_datamodels.robot_messages import Name, StreamRefusal
+from handover_datamodels.streams import StreamMessage
 
 MAX_JOINTS: Final = 32
 MAX_POINTS: Final = 500
@@ -18,7 +19,7 @@ JOINT_VELOCITIES: Final = "std_msgs/msg/Float64MultiArray"
 Values = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
-class VelocityOutput(RobotMessage):
+class VelocityOutput(StreamMessage):
     """A topic for velocities: of the joints, or of the tool in the frame `frame` (a twist)."""
 
     topic: Name
@@ -28,7 +29,7 @@ class VelocityOutput(RobotMessage):
     """After so long without a command the bridge commands a velocity of 0."""
 
 
-class ArmSetup(RobotMessage):
+class ArmSetup(StreamMessage):
     """The first message: the names of the joints, and the interfaces of the arm."""
 
     type: Literal["setup"] = "setup"
@@ -38,7 +39,7 @@ class ArmSetup(RobotMessage):
     velocity: VelocityOutput | None = None
 
 
-class TrajectoryPoint(RobotMessage):
+class TrajectoryPoint(StreamMessage):
     """A point of a trajectory, `time_s` after the receipt of the goal."""
 
     time_s: FiniteFloat = Field(ge=0)
@@ -47,7 +48,7 @@ class TrajectoryPoint(RobotMessage):
     accelerations: Values
 
 
-class ArmGoal(RobotMessage):
+class ArmGoal(StreamMessage):
     """A trajectory to follow; it takes the place of the one before. The last point is at rest."""
 
     type: Literal["goal"] = "goal"
@@ -55,20 +56,20 @@ class ArmGoal(RobotMessage):
     points: Annotated[tuple[TrajectoryPoint, ...], Field(min_length=1, max_length=MAX_POINTS)]
 
 
-class ArmCancel(RobotMessage):
+class ArmCancel(StreamMessage):
     """Stop: the goal is cancelled."""
 
     type: Literal["cancel"] = "cancel"
 
 
-class ArmVelocity(RobotMessage):
+class ArmVelocity(StreamMessage):
     """Velocities of the joints in rad/s, or the twist of the tool (m/s, rad/s)."""
 
     type: Literal["velocity"] = "velocity"
     values: Values
 
 
-class ArmJoints(RobotMessage):
+class ArmJoints(StreamMessage):
     """The joints as the arm reports them, in its order; `stamp` in s since 1970."""
 
     type: Literal["joints"] = "joints"
@@ -79,14 +80,14 @@ class ArmJoints(RobotMessage):
     efforts: tuple[float, ...] = ()
 
 
-class GoalAccepted(RobotMessage):
+class GoalAccepted(StreamMessage):
     """The controller follows a goal from now on."""
 
     type: Literal["accepted"] = "accepted"
     id: int
 
 
-class GoalEnd(RobotMessage):
+class GoalEnd(StreamMessage):
     """The end of a goal, with the reason of one that did not succeed."""
 
     type: Literal["ended"] = "ended"

@@ -13,7 +13,8 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, FiniteFloat, TypeAdapter
 
 from handover_datamodels.humanoid_stream import MAX_HUMANOID_JOINTS, Values
-from handover_datamodels.robot_messages import Name, RobotMessage, StreamRefusal, Vector
+from handover_datamodels.robot_messages import Name, StreamRefusal, Vector
+from handover_datamodels.streams import StreamMessage
 
 MAX_STATUS: Final = 32
 
@@ -21,7 +22,7 @@ Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 """x, y, z, w."""
 
 
-class LinkSetup(RobotMessage):
+class LinkSetup(StreamMessage):
     """The first message: the names of the joints and the topics.
 
     `wish` is a `geometry_msgs/msg/TwistStamped`: velocities ahead and to the left in m/s, and about the
@@ -38,7 +39,7 @@ class LinkSetup(RobotMessage):
     status: Name
 
 
-class LinkState(RobotMessage):
+class LinkState(StreamMessage):
     """The state of the robot at `stamp`: joints in rad, the base in m on the ground of its odometry.
 
     `velocity` are those that it wants of its centre of mass, ahead, left and up in m/s. `level` is 0 while
@@ -56,7 +57,7 @@ class LinkState(RobotMessage):
     status: Annotated[dict[str, str], Field(max_length=MAX_STATUS)] = Field(default_factory=dict)
 
 
-class LinkWish(RobotMessage):
+class LinkWish(StreamMessage):
     """What a node of the graph wants; it waited `age_s` in the bridge."""
 
     type: Literal["wish"] = "wish"

@@ -9,7 +9,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from handover_datamodels.robot_messages import Name, RobotMessage, StreamRefusal, Vector
+from handover_datamodels.robot_messages import Name, StreamRefusal, Vector
+from handover_datamodels.streams import StreamMessage
 
 MAX_HUMANOID_JOINTS: Final = 64
 MAX_WRENCHES: Final = 8
@@ -18,7 +19,7 @@ Values = Annotated[tuple[FiniteFloat, ...], Field(max_length=MAX_HUMANOID_JOINTS
 Wrench = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class HumanoidSetup(RobotMessage):
+class HumanoidSetup(StreamMessage):
     """The first message: the names of the joints, and the topics of the robot.
 
     `joint_states` and `joint_commands` are `sensor_msgs/msg/JointState`: a command has the positions, the
@@ -37,7 +38,7 @@ class HumanoidSetup(RobotMessage):
     """After so long without a command the bridge commands the last positions at rest."""
 
 
-class HumanoidCommand(RobotMessage):
+class HumanoidCommand(StreamMessage):
     """What the joints do, in the order of the setup. `sent_s` is a clock of the driver, which is echoed."""
 
     type: Literal["command"] = "command"
@@ -47,7 +48,7 @@ class HumanoidCommand(RobotMessage):
     efforts: Values = ()
 
 
-class HumanoidGains(RobotMessage):
+class HumanoidGains(StreamMessage):
     """The gains of joint impedance from now on, in N m/rad and N m s/rad."""
 
     type: Literal["gains"] = "gains"
@@ -55,7 +56,7 @@ class HumanoidGains(RobotMessage):
     damping: Values
 
 
-class HumanoidState(RobotMessage):
+class HumanoidState(StreamMessage):
     """What the robot measures; joints in the order of the setup.
 
     `stamp` is the time of the joints by the clock of the robot in s, `age_s` how long ago the oldest part was
@@ -75,7 +76,7 @@ class HumanoidState(RobotMessage):
     held_s: FiniteFloat = 0.0
 
 
-class HumanoidProblem(RobotMessage):
+class HumanoidProblem(StreamMessage):
     """What is missing, such as a topic that nobody publishes, or joints that are not reported."""
 
     type: Literal["problem"] = "problem"

@@ -20,11 +20,13 @@ SOURCE_PATTERN = r"^[A-Za-z0-9_.:-]{1,64}$"
 Speed = Annotated[FiniteFloat, Field(ge=-10, le=10)]
 
 
-class _Message(BaseModel):
+class StreamMessage(BaseModel):
+    """One JSON text of a WebSocket, in camelCase without unknown members."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
 
 
-class SpeedLimitReport(_Message):
+class SpeedLimitReport(StreamMessage):
     """One message of the stream: how fast a robot may move.
 
     `stamp` is in s since 1970 and increases with each report of a source. `period` is the time to the next
@@ -53,7 +55,7 @@ class SpeedLimitReport(_Message):
         return max(STALE_S, STALE_PERIODS * self.period)
 
 
-class SeenPerson(_Message):
+class SeenPerson(StreamMessage):
     """A person at a place in m, in the frame of the cell.
 
     The id is constant while the sensor follows them. They are within `radius` m of the place. `age` is how
@@ -72,7 +74,7 @@ class SeenPerson(_Message):
         return self.x, self.y
 
 
-class PeopleReport(_Message):
+class PeopleReport(StreamMessage):
     """One message of the stream: everybody whom a sensor sees, and the fields of a safety scanner.
 
     An empty `people` says that nobody is there. `stamp` is in s since 1970 and increases; `period` is the
@@ -92,7 +94,7 @@ class PeopleReport(_Message):
         return max(PEOPLE_STALE_S, STALE_PERIODS * self.period)
 
 
-class _FromScene(_Message):
+class _FromScene(StreamMessage):
     """A measurement of the sensor `source` of the scene; `stamp` and `period` as for the places of people."""
 
     source: Annotated[str, Field(pattern=SOURCE_PATTERN)]
@@ -125,7 +127,7 @@ class DepthReport(_FromScene):
     depth: Annotated[str, Field(min_length=4, max_length=4 * MAX_DEPTH_SIDE * MAX_DEPTH_SIDE)]
 
 
-class HumanInput(_Message):
+class HumanInput(StreamMessage):
     """One message of an input device: how a person wants a robot to move, 20 times a second or more.
 
     The type is `input` over a WebSocket and `human_input` over TCP.

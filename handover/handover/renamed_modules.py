@@ -134,6 +134,7 @@ MOVED: Final = {
     "handover_robots.robot_model": "handover_robots.robots.urdf",
     "handover_robots.simulated_robot": "handover_robots.drivers.simulated_robot",
     "handover_robots.trajectory": "handover_robots.model.trajectory",
+    "handover_robots.universal_robots": "handover_ur",
     "handover_robots.vision": "handover_robots.scene.vision",
 }
 """The modules that other packages import, by their old names in the new packages."""

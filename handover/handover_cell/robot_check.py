@@ -14,7 +14,7 @@ from handover_bpmn.model import Activity, Definition, Node, Scope, Value
 from handover_bpmn.notation.faults import BadBpmn
 from handover_bpmn.notation.file import read_bpmn
 from handover_robots.settings import TrajectorySettings
-from handover_robots.tasks.dry_run import DryRun, Nearest
+from handover_robots.tasks.dry_run import DryRun, NearestPair
 from handover_robots.tasks.operations import OPERATIONS
 
 
@@ -29,7 +29,7 @@ class CheckedActivity:
     duration_s: float = 0.0
     faults: tuple[str, ...] = ()
     skipped: str | None = None
-    nearest: Nearest | None = None
+    nearest: NearestPair | None = None
 
 
 def check_process(

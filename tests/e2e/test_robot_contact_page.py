@@ -9,7 +9,7 @@ import yaml
 from playwright.sync_api import expect
 
 from handover_datamodels.times import iso
-from handover_robots.universal_robots.simulator.controller import SimulatedController
+from handover_ur.simulator.controller import SimulatedController
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController, running_controller

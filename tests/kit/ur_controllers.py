@@ -6,8 +6,8 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.simulator import Ports, Simulator
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.simulator import Ports, Simulator
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Protocol
 
-from pydantic import AfterValidator, AwareDatetime, BeforeValidator
+from pydantic import AfterValidator, AwareDatetime, BaseModel, BeforeValidator, ConfigDict
 
 from handover.formats.strict_json import TIME_TEXT
 
@@ -26,6 +26,12 @@ MAX_CHARS: Final = 1_000
 """Of a line, since a place has names that a client chose."""
 _PREFIXES: Final = ("Value error, ", "Assertion failed, ")
 """What pydantic writes before the text of an error that a validator of ours raised."""
+
+
+class ClosedModel(BaseModel):
+    """A frozen model without further fields: of a file that people write, of the options of a driver."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Faulty(Protocol):

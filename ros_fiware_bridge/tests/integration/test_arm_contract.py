@@ -18,7 +18,8 @@ from handover_datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, Arm
 from handover_datamodels.robot_messages import StreamRefusal
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_contract import RobotContract, context_of
-from handover_robots.drivers.ros_robot import RosRobot, twist
+from handover_robots.drivers.ros_goals import twist
+from handover_robots.drivers.ros_robot import RosRobot
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joints import Joints
 from handover_robots.model.trajectory import Setpoint

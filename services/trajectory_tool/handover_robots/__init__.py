@@ -7,7 +7,7 @@ From the top; a folder imports only those below it (`pyproject.toml` has the con
     tasks, control        what robots do for Tasks, and what people do with them by hand
     cell                  the robots of a cell, with all that they share
     drivers               our drivers, and the registry of all
-    physics, universal_robots   drivers with a world or a protocol of their own
+    physics               a driver with a simulated world
     driver_base           the interface of drivers, and the base of those with control cycles
     people, onboarding    sensors of people; new robots from URDFs
     limits, perception    what limits a motion; parts in depth images

@@ -43,7 +43,7 @@ INTERRUPTED = 0.2
 
 def context_of(model: RobotModel, data_dir: Path, **changes: Any) -> RobotContext:
     """Return what a robot of a cell without things is made from; `changes` are other attributes of it."""
-    known: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "settings": TrajectorySettings.load(data_dir=data_dir),
         "robot_id": "robot-1",
         "options": {},
@@ -54,9 +54,9 @@ def context_of(model: RobotModel, data_dir: Path, **changes: Any) -> RobotContex
         "gripper_closed": False,
         "gripper_s": 0.01,
         "is_between_fingers": lambda _: True,
-        "limiter": JointLimiter(model.limits, [(each.lower, each.upper) for each in model.joints]),
+        "limiter": JointLimiter(model.limits, [(joint.lower, joint.upper) for joint in model.joints]),
     }
-    return RobotContext(**{**known, **changes})
+    return RobotContext(**{**attributes, **changes})
 
 
 async def until(condition: Callable[[], bool], why: str = "the condition does not hold") -> None:

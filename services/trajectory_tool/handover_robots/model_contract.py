@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from lxml import etree
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.device import description
 from handover_robots.model.joints import Joints
 from handover_robots.model.obstacles import World
@@ -106,7 +106,9 @@ class ModelContract:
             assert pair <= links, pair
 
     def test_the_fingers_move_within_their_limits(self, model: RobotModel) -> None:
-        joints = {one.get("name"): one for one in etree.fromstring(model.urdf.encode()).findall("joint")}
+        joints = {
+            joint.get("name"): joint for joint in etree.fromstring(model.urdf.encode()).findall("joint")
+        }
         for finger in model.fingers:
             limit = joints[finger.joint].find("limit")
             assert limit is not None
@@ -136,11 +138,11 @@ class ModelContract:
         inverse, reached = Inverse(planner.arm), 0
         for joints in self.positions(model, self.samples):
             pose = model.tool_pose(joints)
-            found = inverse.solve(pose, _array(model.home))
-            if found is None:
+            solution = inverse.solve(pose, _array(model.home))
+            if solution is None:
                 continue
-            assert planner.arm.is_within(found)
-            assert model.tool_pose(tuple(found.tolist())).distance_m(pose) < TOLERANCE_M
+            assert planner.arm.is_within(solution)
+            assert model.tool_pose(tuple(solution.tolist())).distance_m(pose) < TOLERANCE_M
             reached += 1
         assert reached >= self.min_reached * self.samples
 
@@ -152,11 +154,11 @@ class ModelContract:
 
         report = measure_shapes(model, str(self._meshes(model)), 10 * self.samples, SEED)
         assert not report.unmapped
-        outside = {one.link: one.outside_mm for one in report.links if one.outside_mm > 0}
+        outside = {link.link: link.outside_mm for link in report.links if link.outside_mm > 0}
         assert not outside, f"mm of meshes outside of the shapes: {outside}"
-        refused = [one for one in report.comparison.pairs if one.falsely_refused > MAX_FALSELY_REFUSED]
+        refused = [pair for pair in report.comparison.pairs if pair.falsely_refused > MAX_FALSELY_REFUSED]
         assert not refused, f"pairs whose shapes refuse what is free by the meshes: {refused}"
-        allowed = [one for one in report.comparison.pairs if one.falsely_allowed > 0]
+        allowed = [pair for pair in report.comparison.pairs if pair.falsely_allowed > 0]
         assert not allowed, f"pairs whose meshes touch where the shapes are free: {allowed}"
 
     def _meshes(self, model: RobotModel) -> Path:
@@ -178,7 +180,10 @@ class ModelContract:
         touching: Counter[frozenset[str]] = Counter()
         for joints in self.positions(model, 5 * self.samples):
             touching.update(
-                {frozenset((one.first, one.second)) for one in everything.contacts(_array(joints))}
+                {
+                    frozenset((contact.first, contact.second))
+                    for contact in everything.contacts(_array(joints))
+                }
             )
         sometimes = {pair for pair, count in touching.items() if 0 < count < 5 * self.samples}
         hidden = sorted(map(sorted, sometimes & model.disabled_pairs - _neighbours(model)))
@@ -189,7 +194,7 @@ class ModelContract:
     ) -> None:
         """It is what `GET /robots/{robot}/description` returns."""
         settings = TrajectorySettings.load(data_dir=tmp_path, robot_model=self.robot, robot="simulated")
-        described = json.loads(json.dumps(description(Cell(settings).only), allow_nan=False))
+        described = json.loads(json.dumps(description(RobotCell(settings).only), allow_nan=False))
         assert [joint["name"] for joint in described["joints"]] == list(model.joint_names)
         assert described["home"] == list(model.home)
         drawn = etree.fromstring(described["urdf"].encode())
@@ -217,7 +222,7 @@ def _neighbours(model: RobotModel) -> frozenset[frozenset[str]]:
     joined = [
         frozenset((joint.find("parent").get("link"), joint.find("child").get("link"))) for joint in joints
     ]
-    across = {one ^ other for one, other in combinations(joined, 2) if len(one & other) == 1}
+    across = {first ^ second for first, second in combinations(joined, 2) if len(first & second) == 1}
     return frozenset(joined) | across
 
 
@@ -231,8 +236,8 @@ def _bound(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
 
 
-def _dot(one: tuple[float, ...], other: tuple[float, ...]) -> float:
-    return sum(a * b for a, b in zip(one, other, strict=True))
+def _dot(first: tuple[float, ...], second: tuple[float, ...]) -> float:
+    return sum(a * b for a, b in zip(first, second, strict=True))
 
 
 def _require_rotation(frame: Frame) -> None:

@@ -20,7 +20,7 @@ class TrajectorySettings(TrajectoryAddress, BridgeAddress, Settings):
     robot: str = Field(
         "simulated",
         description="the robot driver, where no cell file names robots: simulated, physics, ros (an arm "
-        "behind the ROS bridge), ur (Universal Robots), or a driver that another package registers",
+        "behind the ROS bridge), or one that a package registers: ur (Universal Robots) is ours",
     )
     robot_model: str = Field(
         "ur10",

@@ -30,11 +30,11 @@ from handover_humanoid.running.device import HumanoidDevice
 from handover_humanoid.running.device_tasks import HumanoidTasks
 from handover_humanoid.running.humanoid_control import HumanoidControl
 from handover_humanoid.running.ros_link import RosLink
-from handover_humanoid.running.session_store import SessionStore
-from handover_humanoid.running.session_writer import SessionWriter
-from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.sessions.signals import PatientSignals
+from handover_humanoid.running.sessions.store import SessionStore
+from handover_humanoid.running.sessions.training import Training
+from handover_humanoid.running.sessions.writer import SessionWriter
 from handover_humanoid.running.store import Store
-from handover_humanoid.running.training import Training
 from handover_humanoid.settings import WholeBodySettings
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 from handover.errors import UsageError
 from handover.telemetry import get_logger
-from handover_humanoid.behaviours.humanoid_component import PHASES, HumanoidComponent
+from handover_humanoid.behaviours.component_state import PHASES
+from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.behaviours.walking import WalkingSettings
 from handover_humanoid.components.robot import Robot
 from handover_humanoid.cycle.deployment import Deployment, read_deployment

@@ -19,10 +19,10 @@ from handover_humanoid.behaviours.rehearsal import rehearse
 from handover_humanoid.behaviours.simulated_person import SCRIPTS, Lead, LedRecord, LedWalk
 from handover_humanoid.behaviours.simulated_throw import SimulatedThrow, ThrowRecord
 from handover_humanoid.behaviours.throwing import Practice, aimed_throw
-from handover_humanoid.behaviours.walking import SIDES
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.patterns.intention import IntentionName
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.patterns.throwing import ThrowPlanner
 from handover_humanoid.simulation.ball import build_with_ball
 from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE
@@ -63,7 +63,7 @@ def draw_throws(humanoid: Humanoid, file: Path, seed: int = 1, throws: int = THR
     Targets are at 0.8 m and a height of 0.5 m in random directions; each hand has rehearsed before.
     """
     games = {hand: _throw(humanoid, hand, seed, throws) for hand in humanoid.grips}
-    times_us = 1e6 * np.concatenate([each.solve_s for _, records in games.values() for each in records])
+    times_us = 1e6 * np.concatenate([record.solve_s for _, records in games.values() for record in records])
     errors = {
         hand: np.array([record.landed - target for target, record in zip(targets, records, strict=True)])
         for hand, (targets, records) in games.items()
@@ -74,7 +74,7 @@ def draw_throws(humanoid: Humanoid, file: Path, seed: int = 1, throws: int = THR
         _draw_landings(left, errors)
         _draw_times(right, times_us)
         figure.savefig(file, dpi=DPI)
-    lengths = [np.linalg.norm(each, axis=1) for each in errors.values()]
+    lengths = [np.linalg.norm(error, axis=1) for error in errors.values()]
     return ThrowFigures(1e3 * np.concatenate(lengths), times_us)
 
 
@@ -200,9 +200,9 @@ def _draw_ground(axes: Axes, record: LedRecord, sole: Array) -> None:
 
 def _draw_direction(axes: Axes, record: LedRecord) -> None:
     speed = np.hypot(*record.velocity.T)
-    found = np.arctan2(record.velocity[:, 1], record.velocity[:, 0])
-    found[speed < 0.01] = np.nan
-    drawn = ((record.intention, "plan", 4.0, "the person"), (found, "zmp", 0.9, "what the robot read"))
+    read_rad = np.arctan2(record.velocity[:, 1], record.velocity[:, 0])
+    read_rad[speed < 0.01] = np.nan
+    drawn = ((record.intention, "plan", 4.0, "the person"), (read_rad, "zmp", 0.9, "what the robot read"))
     for angle, colour, width, name in drawn:
         degrees = (np.degrees(angle) + 135.0) % 360.0 - 135.0  # back is 180, without a jump near it
         axes.plot(_seconds(record), degrees, color=COLOURS[colour], linewidth=width, label=name)

@@ -23,7 +23,7 @@ from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import ROLE_PERMISSIONS, Grant, Permission, Role
 from handover.services import all_services, service_named
 from handover.serving.leadership import OnlyLeading
-from handover_humanoid.running.session_store import SessionStore
+from handover_humanoid.running.sessions.store import SessionStore
 from handover_humanoid.settings import WholeBodySettings
 from handover_processes.app import make_app
 from services.task_orchestrator.tests.integration.rest import settings_in

@@ -25,11 +25,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from handover_robots.case_study.seen import SeenObject, Target
+from handover_robots.case_study.seen import FingerTarget, SeenObject
 from handover_robots.model.poses import Frame, Pose, Vector
 
 Message = dict[str, Any]
-Phase = Callable[[Frame, Target, bool, float], dict[str, Any]]
+Phase = Callable[[Frame, FingerTarget, bool, float], dict[str, Any]]
 """Returns the message for what is seen: the tool, the object, whether it is held; and the time."""
 
 EVERY_S: Final = 0.02
@@ -149,7 +149,7 @@ class Person:
         self.attempts = 0
         self.outcome: str | None = None
         self._thing, self._box, self._mix, self._random = thing, box, mix, random
-        self._seen: deque[tuple[float, Frame, Target, bool]] = deque()
+        self._seen: deque[tuple[float, Frame, FingerTarget, bool]] = deque()
         self._control = DeadManControl()
         self._stops = 0
         self._phase: Phase = self._to_above
@@ -204,7 +204,7 @@ class Person:
         depth = DEPTH_M + DEPTH_SHARE * distance_m
         return np.array(tips) + self._error * (lateral, lateral, depth)
 
-    def _to_above(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _to_above(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         believed = self._believed(tool, target.tips)
         way = np.add(believed, (0.0, 0.0, ABOVE_M)) - tool.position
         turn = self._turn(tool, target)
@@ -215,7 +215,7 @@ class Person:
             self._begin(self._down, now_s)
         return self._steer(way, turn, now_s)
 
-    def _down(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _down(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         way = self._believed(tool, target.tips) - tool.position
         distance_m = float(np.linalg.norm(way))
         if distance_m < self._best_m - 0.002:
@@ -226,24 +226,24 @@ class Person:
             self._begin(self._close, now_s)
         return self._steer(way, self._turn(tool, target), now_s)
 
-    def _close(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _close(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         self._lift_from_m = tool.position[2]
         rest = self._steer(np.zeros(3), 0.0, now_s, mix=0.0)
         return {**rest, "gripper": "close"} if now_s > self._since_s + DECIDE_S else rest
 
-    def _lift(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _lift(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         left_m = self._lift_from_m + LIFT_M - tool.position[2]
         if left_m < 0.01 or now_s > self._since_s + STALLED_S:
             self._begin(self._carry if is_held else self._open, now_s)
         return self._steer(np.array([0.0, 0.0, left_m + 0.02]), 0.0, now_s, mix=0.0)
 
-    def _open(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _open(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         if now_s < self._since_s + DECIDE_S:
             return self._steer(np.zeros(3), 0.0, now_s, mix=0.0)
         self._aim()
         return {**self._steer(np.zeros(3), 0.0, now_s, mix=0.0), "gripper": "open"}
 
-    def _carry(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:
+    def _carry(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:
         if not is_held:
             self._begin(self._open, now_s)
         way = np.subtract(self._box, tool.position)
@@ -255,15 +255,15 @@ class Person:
             self._begin(self._let_go, now_s)
         return self._steer(way, 0.0, now_s)
 
-    def _let_go(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _let_go(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         rest = self._steer(np.zeros(3), 0.0, now_s, mix=0.0)
         return {**rest, "gripper": "open"} if now_s > self._since_s + DECIDE_S else rest
 
-    def _leave(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _leave(self, tool: Frame, target: FingerTarget, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
         self.outcome = "released"
         return self._steer(np.zeros(3), 0.0, now_s, mix=0.0)
 
-    def _turn(self, tool: Frame, target: Target) -> float:
+    def _turn(self, tool: Frame, target: FingerTarget) -> float:
         """Return by how much the tool seems to have to turn about z; both directions of closing are alike."""
         if target.closing_rad is None:
             return 0.0

@@ -44,7 +44,7 @@ def cell(outcomes: Sequence[Outcome]) -> str:
     """Return the mean time and the share of successes."""
     if not outcomes:
         return "-"
-    return f"{mean(one.time_s for one in outcomes):5.1f} s {_share(outcomes):4.0%}"
+    return f"{mean(outcome.time_s for outcome in outcomes):5.1f} s {_share(outcomes):4.0%}"
 
 
 def text(outcomes: Sequence[Outcome]) -> str:
@@ -53,17 +53,17 @@ def text(outcomes: Sequence[Outcome]) -> str:
         f"{'':<13} {'paper':^25} | {'measured here':^38}",
         f"{'':<13} {'without':>12} {'with':>12} | " + " ".join(f"{mode:>13}" for mode in Mode),
     ]
-    things = [name for name in TABLE_1 if any(one.thing == name for one in outcomes)]
+    things = [name for name in TABLE_1 if any(outcome.thing == name for outcome in outcomes)]
     for name, published in [*((name, TABLE_1[name]) for name in things), ("mean", PUBLISHED_MEAN)]:
-        own = [one for one in outcomes if name in ("mean", one.thing)]
-        columns = (cell([one for one in own if one.mode is mode]) for mode in Mode)
+        own = [outcome for outcome in outcomes if name in ("mean", outcome.thing)]
+        columns = (cell([outcome for outcome in own if outcome.mode is mode]) for mode in Mode)
         lines.append(
             f"{name:<13} {published.without_s:5.1f} s {published.without:5.1%}"
             f" {published.with_s:5.1f} s {published.with_:5.1%} | "
-            + " ".join(f"{one:>13}" for one in columns)
+            + " ".join(f"{column:>13}" for column in columns)
         )
-    seeds = sorted({one.seed for one in outcomes})
-    cpu_s, time_s = sum(one.cpu_s for one in outcomes), sum(one.time_s for one in outcomes)
+    seeds = sorted({outcome.seed for outcome in outcomes})
+    cpu_s, time_s = sum(outcome.cpu_s for outcome in outcomes), sum(outcome.time_s for outcome in outcomes)
     lines += [
         "",
         f"seeds {', '.join(map(str, seeds))}; {len(outcomes)} trials, {time_s:.0f} s simulated in "
@@ -76,28 +76,34 @@ def text(outcomes: Sequence[Outcome]) -> str:
 def write(outcomes: Sequence[Outcome], folder: Path) -> None:
     """Write `trials.csv` and `results.json` into a folder. Raises `OSError`."""
     folder.mkdir(parents=True, exist_ok=True)
-    rows = [asdict(one) for one in outcomes]
+    rows = [asdict(outcome) for outcome in outcomes]
     with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(Outcome)])
+        writer = csv.DictWriter(file, [field.name for field in fields(Outcome)])
         writer.writeheader()
         writer.writerows(rows)
     summary: dict[str, Any] = {
         "note": NOTE,
         "paper": {name: asdict(published) for name, published in {**TABLE_1, "mean": PUBLISHED_MEAN}.items()},
-        "measured": {str(mode): _means([one for one in outcomes if one.mode is mode]) for mode in Mode},
+        "measured": {
+            str(mode): _means([outcome for outcome in outcomes if outcome.mode is mode]) for mode in Mode
+        },
         "trials": rows,
     }
     (folder / "results.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
 
 
 def _share(outcomes: Sequence[Outcome]) -> float:
-    return sum(one.is_success for one in outcomes) / len(outcomes)
+    return sum(outcome.is_success for outcome in outcomes) / len(outcomes)
 
 
 def _means(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
     """Return number, share of successes and mean time of the trials of each object, and of all."""
     return {
-        name: {"trials": len(own), "success": _share(own), "meanTimeS": mean(one.time_s for one in own)}
+        name: {
+            "trials": len(own),
+            "success": _share(own),
+            "meanTimeS": mean(outcome.time_s for outcome in own),
+        }
         for name in (*TABLE_1, "mean")
-        if (own := [one for one in outcomes if name in ("mean", one.thing)])
+        if (own := [outcome for outcome in outcomes if name in ("mean", outcome.thing)])
     }

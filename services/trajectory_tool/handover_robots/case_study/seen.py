@@ -27,7 +27,7 @@ INSIDE_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class FingerTarget:
     """Where the tips of the fingers should be, and the direction of closing (rad about z); None: any."""
 
     tips: Vector
@@ -73,7 +73,7 @@ class SeenObject:
             rows = offered.frame().rotation
             self._spot = _spot_at((x, y), math.atan2(rows[1][1], rows[0][1]), boxes)  # fingers close along y
 
-    def target(self) -> Target:
+    def target(self) -> FingerTarget:
         """Return where the fingers should grip: around the middle, or at the chosen place of cloth."""
         boxes = self._simulation.part_boxes(self._part)
         positions = np.array([pose.position for pose, _ in boxes])
@@ -85,24 +85,26 @@ class SeenObject:
         x, y, z = self.middle()
         if len(boxes) > 1:  # long: across it
             way = positions[-1] - positions[0]
-            return Target((x, y, z - 0.004), math.atan2(way[1], way[0]) + math.pi / 2, bottom)
+            return FingerTarget((x, y, z - 0.004), math.atan2(way[1], way[0]) + math.pi / 2, bottom)
         pose, size = boxes[0]
         if len(set(size)) == 1 and self.name != "cube":
-            return Target((x, y, z - 0.004), None, bottom)
+            return FingerTarget((x, y, z - 0.004), None, bottom)
         axes = np.array(pose.frame().rotation)
         flat = min(range(3), key=lambda axis: abs(float(axes[2, axis])))
-        return Target((x, y, z - 0.004), math.atan2(axes[1, flat], axes[0, flat]), bottom)
+        return FingerTarget((x, y, z - 0.004), math.atan2(axes[1, flat], axes[0, flat]), bottom)
 
     def _pinch(self, boxes: Sequence[tuple[Pose, Vector]]) -> _Spot:
         """Choose a place where the fingers find room on both sides of cloth; else its highest patch."""
         points = np.vstack([_surface(pose, size) for pose, size in boxes])
         pinch = best_pinch(points, self._fingers)
         if pinch is None:
-            patch = max(range(len(boxes)), key=lambda one: boxes[one][0].position[2] + _reach(*boxes[one]))
+            patch = max(
+                range(len(boxes)), key=lambda number: boxes[number][0].position[2] + _reach(*boxes[number])
+            )
             return _Spot(patch, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
         return _spot_at(pinch.place, pinch.closing_rad, boxes)
 
-    def _at_spot(self, spot: _Spot, boxes: Sequence[tuple[Pose, Vector]], bottom_m: float) -> Target:
+    def _at_spot(self, spot: _Spot, boxes: Sequence[tuple[Pose, Vector]], bottom_m: float) -> FingerTarget:
         frame = boxes[spot.patch][0].frame()
         x, y, _ = (frame @ Frame(NO_TURN, spot.place)).position
         closing = np.array(frame.rotation) @ spot.closing
@@ -112,7 +114,7 @@ class SeenObject:
             if math.dist(pose.position[:2], (x, y)) < PATCH_NEAR_M + max(size) / 2
         ]
         end = min(near, default=bottom_m) + END_ABOVE_M
-        return Target(
+        return FingerTarget(
             (x, y, end + self._fingers.frame.position[2]), math.atan2(closing[1], closing[0]), bottom_m
         )
 
@@ -150,7 +152,7 @@ def _reach(pose: Pose, size: Vector) -> float:
 def _surface(pose: Pose, size: Vector) -> Array:
     """Return points over a box: N x 3, in the cell."""
     along = np.linspace(-0.5, 0.5, SAMPLES)
-    x, y = (each.ravel() for each in np.meshgrid(along * size[0], along * size[1]))
+    x, y = (coordinates.ravel() for coordinates in np.meshgrid(along * size[0], along * size[1]))
     frame = pose.frame()
     local = np.stack([x, y, np.zeros_like(x)], axis=1)
     return np.asarray(local @ np.array(frame.rotation).T + np.array(frame.position))
@@ -158,7 +160,7 @@ def _surface(pose: Pose, size: Vector) -> Array:
 
 def _spot_at(place: tuple[float, float], closing_rad: float, boxes: Sequence[tuple[Pose, Vector]]) -> _Spot:
     """Return the spot of the patch that is nearest to a place, with its direction of closing."""
-    patch = min(range(len(boxes)), key=lambda one: math.dist(boxes[one][0].position[:2], place))
+    patch = min(range(len(boxes)), key=lambda number: math.dist(boxes[number][0].position[:2], place))
     pose = boxes[patch][0]
     back = pose.frame().inverse()
     at = (back @ Frame(NO_TURN, (*place, pose.position[2]))).position

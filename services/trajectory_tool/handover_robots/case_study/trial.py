@@ -29,7 +29,7 @@ from handover.performer import TaskFailed
 from handover_datamodels.streams import HumanInput
 from handover_robots.case_study.operators import EVERY_S, Operator, Person, Supervisor, view_of
 from handover_robots.case_study.seen import SeenObject
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.cell_file import CellPlan, RobotEntry
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.recording import Recording
@@ -37,7 +37,8 @@ from handover_robots.control.session import ControlSession
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.physics.robot import PhysicsRobot
-from handover_robots.physics.world_model import STEP_S, fingers_of
+from handover_robots.physics.robot_bodies import STEP_S
+from handover_robots.physics.world_model import fingers_of
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
 from handover_robots.tasks.work import Work
@@ -113,7 +114,7 @@ class Trial:
             )
             entry = RobotEntry(model="panda", driver="physics", speed=settings.robot_speed)
             plan = CellPlan({ROBOT: entry}, self._scene(), self._folder)
-            async with Cell(settings, plan=plan) as cell:
+            async with RobotCell(settings, plan=plan) as cell:
                 return await self._perform(cell.only)
 
     def _scene(self) -> dict[str, Any]:
@@ -229,10 +230,10 @@ class Trial:
         else:
             message = operator.next(view_of(shown), now_s)
         self._sequence += 1
-        given = HumanInput.model_validate_json(orjson.dumps({"seq": self._sequence, **message}))
-        session.receive(given)
-        if given.gripper is not None and not session.acting:
-            self._gripper = given.gripper
+        human_input = HumanInput.model_validate_json(orjson.dumps({"seq": self._sequence, **message}))
+        session.receive(human_input)
+        if human_input.gripper is not None and not session.acting:
+            self._gripper = human_input.gripper
             session.acting = True  # the motion comes to rest, then the gripper acts
         if shown["moves"]:
             self._mixes.append(session.shared.mix)

@@ -27,7 +27,8 @@ from handover_robots.people.measured import SceneSensors
 from handover_robots.planning import is_available
 from handover_robots.robots.folder import load_robot
 from handover_robots.scene.contents import Contents, initial
-from handover_robots.scene.scene import Scene, load, read_scene
+from handover_robots.scene.reading import load, read_scene
+from handover_robots.scene.scene import Scene
 from handover_robots.scene.scene_file import ChangedScene, SceneFile
 from handover_robots.scene.vision import Camera
 from handover_robots.settings import TrajectorySettings
@@ -38,7 +39,7 @@ VIEW_ONLY = frozenset({"digest", "revision", "parts", "trueParts", "shapes"})
 """What GET adds to a scene; a client may send it back."""
 
 
-class Cell:
+class RobotCell:
     """All robots of a cell; an asynchronous context manager while they are switched on.
 
     Robots behind ROS are reached through `broker`. `plan` is by default that of the settings; `folder` has
@@ -181,14 +182,14 @@ class Cell:
 
     async def contacts(self) -> list[str]:
         """Return what each robot touches where it stands now."""
-        found = []
+        touching = []
         for name, unit in self.units.items():
             if not unit.planning.avoids_obstacles:
                 continue
             why = await unit.planning.plan(lambda planner, unit=unit: planner.why_not_free(unit.joints))  # type: ignore[misc]
             if why is not None:
-                found.append(f"{name}: {why}")
-        return found
+                touching.append(f"{name}: {why}")
+        return touching
 
     async def remember(self) -> None:
         """Store the state of the cell durably. Raises `OSError`."""
@@ -205,7 +206,7 @@ def _require_own_meshes(scene: Scene) -> None:
     """Refuse meshes outside of the folder of the scene: a client must not read other files."""
     things = [
         *scene.obstacles.items(),
-        *((name, one.body) for name, one in scene.fixtures.items() if one.body),
+        *((name, fixture.body) for name, fixture in scene.fixtures.items() if fixture.body),
     ]
     for name, thing in things:
         mesh = thing.mesh

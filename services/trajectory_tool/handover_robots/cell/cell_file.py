@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
 from handover_robots.limits.contact_table import ContactEntry
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose
@@ -44,11 +45,7 @@ MAX_FILE_BYTES = 1024 * 1024
 MAX_ROBOTS = 64
 
 
-class _Written(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Base(_Written):
+class Base(ClosedModel):
     """Where a robot stands in the frame of the cell: turned by `yaw_deg`, or by a quaternion (x, y, z, w)."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
@@ -74,7 +71,7 @@ class Base(_Written):
         return Pose(self.position, (0.0, 0.0, math.sin(half), math.cos(half)))
 
 
-class RobotLimits(_Written):
+class LimitOverrides(ClosedModel):
     """Limits in place of those of the model, one value for each joint from the base to the flange."""
 
     velocity: PerJoint | None = None
@@ -82,7 +79,7 @@ class RobotLimits(_Written):
     jerk: PerJoint | None = None
 
 
-class RobotEntry(_Written):
+class RobotEntry(ClosedModel):
     """One robot of a cell; `speed` is the maximum fraction of its joint limits."""
 
     model: Annotated[str, Field(min_length=1)] = "ur10"
@@ -90,7 +87,7 @@ class RobotEntry(_Written):
     driver: str = "simulated"
     settings: dict[str, Any] = Field(default_factory=dict)
     speed: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.6
-    limits: RobotLimits = RobotLimits()
+    limits: LimitOverrides = LimitOverrides()
     home: tuple[FiniteFloat, ...] | None = None
     end_effector: Annotated[str, Field(min_length=1, max_length=200)] | None = None
     """The mounted end effector, whose validated speed holds."""
@@ -102,11 +99,11 @@ class RobotEntry(_Written):
 
     def limits_of(self, name: str, model: RobotModel) -> Limits:
         """Return the limits of motion. Raises `UsageError` for another number of values than joints."""
-        own, given = model.limits, self.limits
+        own, overrides = model.limits, self.limits
         return Limits(
-            _per_joint(name, "velocity", given.velocity, own.velocity),
-            _per_joint(name, "acceleration", given.acceleration, own.acceleration),
-            _per_joint(name, "jerk", given.jerk, own.jerk),
+            _per_joint(name, "velocity", overrides.velocity, own.velocity),
+            _per_joint(name, "acceleration", overrides.acceleration, own.acceleration),
+            _per_joint(name, "jerk", overrides.jerk, own.jerk),
         )
 
     def mounted(self, model: RobotModel) -> RobotModel:
@@ -115,7 +112,7 @@ class RobotEntry(_Written):
         return model if base == Base().pose else model.mounted(base.frame())
 
 
-class _CellFile(_Written):
+class _CellFile(ClosedModel):
     name: str = "cell"
     robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=MAX_ROBOTS)]
     scene: Path | dict[str, Any] | None = None
@@ -165,15 +162,15 @@ def _read(path: Path) -> _CellFile:
         raise UsageError("\n".join(lines)) from None
 
 
-def _per_joint(robot: str, limit: str, given: Joints | None, own: Joints) -> Joints:
-    if given is None:
+def _per_joint(robot: str, limit: str, overrides: Joints | None, own: Joints) -> Joints:
+    if overrides is None:
         return own
-    if len(given) != len(own):
+    if len(overrides) != len(own):
         raise UsageError(
-            f"robots.{robot}.limits.{limit} has {len(given)} values, and the robot has {len(own)} joints; "
-            "give one value for each joint"
+            f"robots.{robot}.limits.{limit} has {len(overrides)} values, and the robot has {len(own)} "
+            "joints; give one value for each joint"
         )
-    return given
+    return overrides
 
 
 def _place(location: tuple[Any, ...]) -> str:

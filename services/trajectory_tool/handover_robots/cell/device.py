@@ -4,14 +4,12 @@ The Device is written when the state of the robot changes, with the joints at th
 The specification is written at the start: joints with their limits, home, gripper and the URL of the URDF.
 """
 
-from datetime import UTC, datetime
 from typing import Any, Self
 
 from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.files.content_digest import with_digest
+from handover.control.robot_entities import robot_device, robot_specification
 from handover_datamodels.entities import DeviceState
-from handover_datamodels.times import iso
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.metrics import DEVICE_WRITES_REJECTED
 from handover_robots.model.poses import Pose
@@ -47,25 +45,14 @@ class RobotDevice:
         self._writer.put(self.id, lambda: self._broker.upsert([entity]))
 
     def _entity(self) -> dict[str, Any]:
-        unit, now = self._unit, iso(datetime.now(UTC))
+        unit = self._unit
         value = {
             "joints": [round(angle, 4) for angle in unit.joints],
             "pose": unit.tool_pose.written(),
             "gripper": "closed" if unit.robot.gripper_closed else "open",
             "holds": unit.held or "nothing",
         }
-        return {
-            "id": self.id,
-            "type": "Device",
-            "category": {"type": "Property", "value": ["robot"]},
-            "controlledProperty": {"type": "Property", "value": ["pose"]},
-            "deviceState": {"type": "Property", "value": self.state.value, "observedAt": now},
-            "value": {"type": "Property", "value": value, "observedAt": now},
-            "isSpecifiedBy": {
-                "type": "Property",
-                "value": [{"type": "Relationship", "object": self.specification_id}],
-            },
-        }
+        return robot_device(self.id, self.specification_id, self.state, value)
 
     def _specification(self) -> dict[str, Any]:
         model = self._unit.model
@@ -80,14 +67,7 @@ class RobotDevice:
             "gripper": bool(model.fingers),
             "urdf": self._urdf_url,
         }
-        entity = {
-            "id": self.specification_id,
-            "type": "ResourceSpecification",
-            "name": {"type": "Property", "value": model.name},
-            "resourceType": {"type": "Property", "value": "robot"},
-            "parameters": {"type": "Property", "value": parameters},
-        }
-        return with_digest(entity)
+        return robot_specification(self.specification_id, model.name, parameters)
 
 
 def described_joints(unit: RobotUnit) -> list[dict[str, Any]]:

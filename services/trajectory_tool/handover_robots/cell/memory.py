@@ -92,21 +92,23 @@ class MemoryFile:
             memory = _FORM.validate_json(written)
         except ValidationError:
             memory = None
-        if memory is None or any(len(one.joints) != len(one.joint_names) for one in memory.robots.values()):
+        if memory is None or any(
+            len(robot.joints) != len(robot.joint_names) for robot in memory.robots.values()
+        ):
             raise UsageError(
                 f"the state of the cell, {self.path}, is damaged; delete it to start with the initial cell"
             )
         if memory.scene != scene:
             log.warning("scene changed, the cell starts with its initial contents", file=str(self.path))
             return None
-        known = {
-            name: one
-            for name, one in memory.robots.items()
-            if name in robots and one.joint_names == tuple(robots[name])
+        robots_known = {
+            name: robot
+            for name, robot in memory.robots.items()
+            if name in robots and robot.joint_names == tuple(robots[name])
         }
-        for name in robots.keys() - known.keys():
+        for name in robots.keys() - robots_known.keys():
             log.info("no stored state of the robot, it starts at home", robot=name)
-        return Memory(memory.scene, memory.contents, known)
+        return Memory(memory.scene, memory.contents, robots_known)
 
     def save(self, memory: Memory) -> None:
         """Write the memory atomically and durably. Raises `OSError`."""

@@ -142,11 +142,11 @@ class MotionPlanning:
 
     def neighbours(self) -> tuple[Obstacle, ...]:
         """Return the volumes of the other robots; call it while `space.lock` is held."""
-        found: list[Obstacle] = []
+        volumes: list[Obstacle] = []
         for name, other in self.space.planners.items():
             if name != self._name:
-                found += other.occupied()
-        return tuple(found)
+                volumes += other.occupied()
+        return tuple(volumes)
 
     def occupied(self) -> tuple[Obstacle, ...]:
         """Return the volume of this robot: reserved by its motion, or that of its links at rest."""

@@ -306,9 +306,9 @@ class RobotUnit:
 
     def look_into(self, bin_name: str) -> Lying | None:
         """Return the part that the camera detects in a bin; None without one."""
-        found = self.camera.look([lying.part for lying in self.parts_in(bin_name)])
-        self.seen = found or self.seen
-        return self.contents.find(found) if found else None
+        part = self.camera.look([lying.part for lying in self.parts_in(bin_name)])
+        self.seen = part or self.seen
+        return self.contents.find(part) if part else None
 
     async def found_empty(self, bin_name: str) -> None:
         """Handle an empty bin; a bin that people fill is full afterwards."""

@@ -18,7 +18,7 @@ from handover_robots.settings import TrajectorySettings
 
 
 class SharedCell(Protocol):
-    """A `Cell` as its robots use it."""
+    """A `RobotCell` as its robots use it."""
 
     settings: TrajectorySettings
     folder: Path

@@ -38,12 +38,12 @@ def case_study(  # noqa: PLR0917 - options of a command
     things = _chosen("object", objects, list(report.TABLE_1))
     columns = [Mode(mode) for mode in _chosen("mode", modes, list(Mode))]
     outcomes = []
-    for one in study.perform_all(things, columns, range(seed, seed + trials), out, jobs):
-        outcomes.append(one)
-        state = "ok" if one.is_success else "FAILED"
+    for outcome in study.perform_all(things, columns, range(seed, seed + trials), out, jobs):
+        outcomes.append(outcome)
+        state = "ok" if outcome.is_success else "FAILED"
         print(
-            f"{state:<7} {one.thing:<13} {one.mode:<14} seed {one.seed}: {one.time_s:6.1f} s, "
-            f"attempts {one.attempts}, {one.ended}",
+            f"{state:<7} {outcome.thing:<13} {outcome.mode:<14} seed {outcome.seed}: "
+            f"{outcome.time_s:6.1f} s, attempts {outcome.attempts}, {outcome.ended}",
             flush=True,
         )
         if out is not None:
@@ -52,11 +52,11 @@ def case_study(  # noqa: PLR0917 - options of a command
     print(report.text(outcomes))
 
 
-def _chosen(kind: str, given: str | None, known: list[str]) -> list[str]:
-    if given is None:
-        return known
-    names = [name.strip() for name in given.split(",")]
+def _chosen(kind: str, wanted: str | None, all_names: list[str]) -> list[str]:
+    if wanted is None:
+        return all_names
+    names = [name.strip() for name in wanted.split(",")]
     for name in names:
-        if name not in known:
-            raise UsageError(f'there is no {kind} "{name}"; there is {", ".join(known)}')
+        if name not in all_names:
+            raise UsageError(f'there is no {kind} "{name}"; there is {", ".join(all_names)}')
     return names

@@ -87,14 +87,14 @@ def measure_stop(
 
     The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
     """
-    from handover_robots.cell.cell import Cell  # noqa: PLC0415
+    from handover_robots.cell.cell import RobotCell  # noqa: PLC0415
     from handover_robots.settings import TrajectorySettings  # noqa: PLC0415
     from handover_robots.tasks.stop_measurement import measure_stop as measure  # noqa: PLC0415
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
 
     async def run() -> None:
-        async with Cell(settings) as robots:
+        async with RobotCell(settings) as robots:
             for name, unit in robots.units.items():
                 target = (unit.home[0] + turn, *unit.home[1:])
                 stop = await measure(unit, target, speed)
@@ -131,12 +131,12 @@ async def _send_measured(base: str, name: str, places: list[str], seconds: float
             written = (await client.get(f"{base}/cell/scene")).raise_for_status().json()
     except httpx.HTTPError as error:
         raise no_answer(TOOL, base, error) from None
-    scene = Scene.model_validate({key: each for key, each in written.items() if key not in VIEW_ONLY})
+    scene = Scene.model_validate({key: member for key, member in written.items() if key not in VIEW_ONLY})
     if name not in scene.people_sensors:
-        known = ", ".join(scene.people_sensors) or "none"
-        raise UsageError(f'the scene has no sensor "{name}"; it has {known}; add it to people_sensors')
+        sensors = ", ".join(scene.people_sensors) or "none"
+        raise UsageError(f'the scene has no sensor "{name}"; it has {sensors}; add it to people_sensors')
     simulated = SimulatedSensor(scene, name)
-    people = [(each["x"], each["y"]) for each in (_person(1, place) for place in places)]
+    people = [(person["x"], person["y"]) for person in (_person(1, place) for place in places)]
     stream = "scans" if simulated.sensor.kind == "lidar" else "depth_images"
 
     def measured() -> dict[str, Any]:

@@ -12,7 +12,6 @@ from handover.errors import UsageError
 from handover.settings import Settings
 from handover_robots.command_line import case_study
 from handover_robots.command_line import limits as robot_limits
-from handover_robots.command_line import simulation as robot_simulation
 from handover_robots.command_line.shapes import print_comparison, print_shapes
 from handover_robots.command_line.task import perform
 
@@ -22,7 +21,6 @@ app.command("speed-limit")(robot_limits.speed_limit)
 app.command("people")(robot_limits.people)
 app.command("measure-stop")(robot_limits.measure_stop)
 app.command("case-study")(case_study.case_study)
-app.command("simulate-ur")(robot_simulation.simulate_ur)
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

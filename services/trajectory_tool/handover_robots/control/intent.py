@@ -59,10 +59,10 @@ class IntentPrediction:
 
     def best(self) -> tuple[str, float] | None:
         """Return the most probable goal and the confidence in it: 0 if all are equal, 1 if it is certain."""
-        found = self.probabilities()
-        if not found:
+        by_goal = self.probabilities()
+        if not by_goal:
             return None
-        name = max(found, key=lambda each: found[each])
-        uniform = 1 / len(found)
-        confidence = 1.0 if len(found) == 1 else (found[name] - uniform) / (1 - uniform)
+        name = max(by_goal, key=lambda goal: by_goal[goal])
+        uniform = 1 / len(by_goal)
+        confidence = 1.0 if len(by_goal) == 1 else (by_goal[name] - uniform) / (1 - uniform)
         return name, max(confidence, 0.0)

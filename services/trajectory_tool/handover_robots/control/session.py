@@ -18,6 +18,7 @@ import numpy as np
 from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.errors import HandoverError
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_datamodels.streams import HumanInput
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.control.intent import IntentPrediction
@@ -37,9 +38,10 @@ from handover_robots.metrics import CONTROL_LATENCY, CONTROL_STOP, CONTROL_STOP_
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose
+from handover_robots.scene.scene import REDUCED_SPEED_MPS
 
-MAX_TOOL_MPS: Final = 0.25
-"""The speed of the tool that a person commands at most (reduced speed, ISO 10218-1)."""
+MAX_TOOL_MPS: Final = REDUCED_SPEED_MPS
+"""The speed of the tool that a person commands at most."""
 MAX_TOOL_RPS: Final = 1.0
 MAX_JOINT_FRACTION: Final = 0.3
 """The fraction of the speed of a joint that a person commands at most."""
@@ -67,7 +69,7 @@ class SharedState:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredStop:
+class StopTimes:
     """The last stop: from its cause to its begin in the control loop, and to the rest of the robot, in s.
 
     The cause is the arrival of a release, or the moment at which the last input had become too old.
@@ -113,7 +115,7 @@ class ControlSession:
         self._stop_begin: tuple[float, float] | None = None
         """Cause and begin of the present stop."""
         self._released_s = 0.0
-        self.stop: MeasuredStop | None = None
+        self.stop: StopTimes | None = None
         self._kinematics = unit.kinematics
         self._limits = [MAX_JOINT_FRACTION * limit for limit in unit.limits.velocity]
         self._now = now
@@ -166,21 +168,21 @@ class ControlSession:
         self.end()
         await self._locks.aclose()
 
-    def receive(self, given: HumanInput) -> None:
+    def receive(self, human_input: HumanInput) -> None:
         """Take an input. Raises `RobotFault` for joints that the robot does not have."""
-        if given.joints is not None and len(given.joints) != len(self.unit.model.joints):
+        if human_input.joints is not None and len(human_input.joints) != len(self.unit.model.joints):
             raise RobotFault(
-                f"joints has {len(given.joints)} values, and {self.unit.name} has "
+                f"joints has {len(human_input.joints)} values, and {self.unit.name} has "
                 f"{len(self.unit.model.joints)} joints"
             )
         now_s = self._now()
-        if self._input.held and not given.held:
+        if self._input.held and not human_input.held:
             self._released_s = now_s
-        self._input = given
-        if given.gamma is not None:
-            self._gamma = given.gamma
+        self._input = human_input
+        if human_input.gamma is not None:
+            self._gamma = human_input.gamma
         self._received_s = now_s
-        self._dead_man.receive(now_s, is_held=given.held)
+        self._dead_man.receive(now_s, is_held=human_input.held)
         self._arrived.set()
 
     def silence_s(self) -> float:
@@ -255,8 +257,11 @@ class ControlSession:
             self.fault = f"the state of the cell cannot be stored: {error.strerror}; free disk space"
 
     def _is_wanted(self) -> bool:
-        given = self._input
-        is_moving = any((*given.linear, *given.angular, *(given.joints or ()))) or given.mix > 0
+        human_input = self._input
+        is_moving = (
+            any((*human_input.linear, *human_input.angular, *(human_input.joints or ())))
+            or human_input.mix > 0
+        )
         return is_moving and not self.acting and self._dead_man.permits(self._now())
 
     def _is_over(self) -> bool:
@@ -273,10 +278,11 @@ class ControlSession:
             return
         cause_s, begin_s = self._stop_begin
         if cause_s <= begin_s:  # otherwise the control was pressed again meanwhile
-            self.stop = MeasuredStop(begin_s - cause_s, self._now() - cause_s)
+            self.stop = StopTimes(begin_s - cause_s, self._now() - cause_s)
             CONTROL_STOP_BEGIN.observe(self.stop.begin_s)
             CONTROL_STOP.observe(self.stop.rest_s)
 
+    @runs_in_cycle
     def _velocity(self) -> Joints:
         """Return the velocities of the joints for this cycle; called in the control thread."""
         now_s = self._now()
@@ -285,50 +291,52 @@ class ControlSession:
             self._moved_s = now_s
             self.latency_s = now_s - self._received_s
             CONTROL_LATENCY.observe(self.latency_s)
-        given, limits = self._input, self._limits
+        human_input, limits = self._input, self._limits
         joints = self.unit.robot.commanded()
-        if given.joints is not None:
+        if human_input.joints is not None:
             self.shared, self._human, self._robot, twist = SharedState(), _REST, _REST, _REST
-            velocities = tuple(scaled(np.array(given.joints) * self._gamma, limits).tolist())
+            velocities = tuple(scaled(np.array(human_input.joints) * self._gamma, limits).tolist())
         else:
-            twist = self._twist(given, joints, dt_s)
+            twist = self._twist(human_input, joints, dt_s)
             velocities = (0.0,) * len(joints)
             if twist.any():
                 jacobian = self._kinematics.jacobian(joints)
                 velocities = tuple(joint_velocities(jacobian, twist, limits).tolist())
         if self._recording is not None:
-            self._record(self._recording, given, self._kinematics.tool_pose(joints), twist, velocities)
+            self._record(self._recording, human_input, self._kinematics.tool_pose(joints), twist, velocities)
         return velocities
 
+    @runs_in_cycle
     def _record(
-        self, recording: Recording, given: HumanInput, here: Pose, twist: Array, velocities: Joints
+        self, recording: Recording, human_input: HumanInput, here: Pose, twist: Array, velocities: Joints
     ) -> None:
         shared, since_s = self.shared, time.time() - self._now()
         recording.add(
             (
                 round(since_s + self._last_cycle_s, 6),
                 round(since_s + self._received_s, 6),
-                given.seq,
+                human_input.seq,
                 round(shared.mix, 4),
-                given.mix,
-                int(given.arbitration),
+                human_input.mix,
+                int(human_input.arbitration),
                 self._gamma,
                 shared.goal or "",
                 "" if shared.distance_m is None else round(shared.distance_m, 5),
-                *(round(float(one), 6) for one in (*self._human, *self._robot, *twist)),
-                *(round(one, 6) for one in (*here.position, *here.orientation)),
-                *(round(one, 6) for one in velocities),
+                *(round(float(number), 6) for number in (*self._human, *self._robot, *twist)),
+                *(round(number, 6) for number in (*here.position, *here.orientation)),
+                *(round(velocity, 6) for velocity in velocities),
             )
         )
 
-    def _twist(self, given: HumanInput, joints: Joints, dt_s: float) -> Array:
-        human = np.array([*given.linear, *given.angular])
-        if given.frame == "tool":
+    @runs_in_cycle
+    def _twist(self, human_input: HumanInput, joints: Joints, dt_s: float) -> Array:
+        human = np.array([*human_input.linear, *human_input.angular])
+        if human_input.frame == "tool":
             human = in_base(human, self._kinematics.tool_pose(joints).frame().rotation)
         human[:3] = scaled(human[:3], _TOOL_LIMITS_MPS)
         human[3:] = scaled(human[3:], _TOOL_LIMITS_RPS)
         self._human, self._robot = human, _REST
-        if given.mix <= 0 or not self._goals:
+        if human_input.mix <= 0 or not self._goals:
             self.shared = SharedState()
             return self._gamma * human
         here = self._kinematics.tool_pose(joints)
@@ -340,9 +348,9 @@ class ControlSession:
         goal = self._goals[name]
         robot = self._robot = approach(here, goal, ApproachSpeeds())
         effort = float(np.linalg.norm(human[:3])) / MAX_TOOL_MPS
-        asked = given.mix
-        if given.arbitration:
-            asked = arbitrated(given.mix, confidence, here.distance_m(goal), effort)
+        asked = human_input.mix
+        if human_input.arbitration:
+            asked = arbitrated(human_input.mix, confidence, here.distance_m(goal), effort)
         if self.shared.goal not in (None, name):
             self._mixer = Mixer()  # a change of mind begins with the person alone
         mix = self._mixer.step(asked, dt_s, is_away=steers_away(self._steering, here, goal))
@@ -354,12 +362,12 @@ class ControlSession:
         unit = self.unit
         if unit.held is None:
             return {lying.part: lying.pose for lying in unit.contents.lying}
-        found: dict[str, Pose] = {}
+        goals: dict[str, Pose] = {}
         for name in unit.scene.fixtures:
             nest = unit.contents.free_nest(unit.scene, name)
             if nest is not None:
-                found[name] = nest
-        return found
+                goals[name] = nest
+        return goals
 
     def view(self) -> dict[str, Any]:
         """Return the present state for the page of the person who controls."""
@@ -390,4 +398,4 @@ class ControlSession:
 
 
 def _rounded(twist: Array) -> list[float]:
-    return [round(float(one), 4) for one in twist]
+    return [round(float(component), 4) for component in twist]

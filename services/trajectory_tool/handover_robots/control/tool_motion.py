@@ -62,7 +62,7 @@ def _undamped(jacobian: Array, twist: Array) -> Array | None:
 def scaled(velocities: Array, limits: Sequence[float]) -> Array:
     """Return the velocities, slowed down together until none exceeds its limit."""
     values = velocities.tolist()  # NumPy takes longer for so few numbers
-    excess = max((abs(one) / limit for one, limit in zip(values, limits, strict=True)), default=1.0)
+    excess = max((abs(value) / limit for value, limit in zip(values, limits, strict=True)), default=1.0)
     return velocities / excess if excess > 1.0 else velocities
 
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from threading import Condition, Thread
 from typing import Any, TypeVar
 
+from handover.runtime.control_cycle import runs_in_cycle
+
 T = TypeVar("T")
 
 Cycles = Generator[float, None, T]
@@ -26,7 +28,7 @@ IDLE_S = 5.0
 
 
 @dataclass(slots=True)
-class _Work:
+class _CyclicWork:
     cycles: Cycles[Any]
     done: "Future[Any]"
 
@@ -36,7 +38,7 @@ class ControlThread:
 
     def __init__(self) -> None:
         self._changed = Condition()
-        self._works: dict[str, deque[_Work]] = {}
+        self._works: dict[str, deque[_CyclicWork]] = {}
         self._due: list[tuple[float, int, str]] = []
         """The next time of each robot with work, as a heap."""
         self._numbers = itertools.count()
@@ -47,7 +49,7 @@ class ControlThread:
         done: Future[T] = Future()
         with self._changed:
             works = self._works.setdefault(robot, deque())
-            works.append(_Work(cycles, done))
+            works.append(_CyclicWork(cycles, done))
             if len(works) == 1:
                 self._schedule(robot, time.monotonic())
             if self._thread is None:
@@ -61,9 +63,11 @@ class ControlThread:
         with self._changed:
             self._changed.wait_for(lambda: not self._works.get(robot))
 
+    @runs_in_cycle
     def _schedule(self, robot: str, due_s: float) -> None:
         heapq.heappush(self._due, (due_s, next(self._numbers), robot))
 
+    @runs_in_cycle
     def _run(self) -> None:
         while (robot := self._next()) is not None:
             work = self._works[robot][0]
@@ -79,6 +83,7 @@ class ControlThread:
                 with self._changed:
                     self._schedule(robot, due_s)
 
+    @runs_in_cycle
     def _next(self) -> str | None:
         """Wait until work is due, and return its robot; None when there was none for some time."""
         with self._changed:
@@ -92,6 +97,7 @@ class ControlThread:
                 else:
                     return heapq.heappop(self._due)[2]
 
+    @runs_in_cycle
     def _finish(self, robot: str) -> None:
         with self._changed:
             works = self._works[robot]

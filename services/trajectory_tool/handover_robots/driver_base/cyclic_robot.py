@@ -19,6 +19,7 @@ from threading import Event
 from typing import Protocol, Self, TypeVar
 
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.tasks.device_lease import Authority
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.control_thread import ControlThread, Cycles
@@ -86,6 +87,7 @@ class CyclicRobot(Robot):
         self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
 
     @abstractmethod
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Command a setpoint; called in the control thread in each cycle of a motion. Raises `RobotFault`."""
 
@@ -204,6 +206,7 @@ class CyclicRobot(Robot):
             return self._thread.submit(self._name, cycles)
         return self._control.submit(self._run_cycles, cycles)
 
+    @runs_in_cycle
     def _run_cycles(self, cycles: Cycles[T]) -> T:
         while True:
             try:
@@ -235,6 +238,7 @@ class CyclicRobot(Robot):
         finally:
             self._stopping = None
 
+    @runs_in_cycle
     def _drive(self, make: Callable[[Joints, float], Motion], pace: Pace) -> Cycles[bool]:
         start = self._start()
         self.setpoint = Setpoint.at_rest(start)
@@ -252,17 +256,20 @@ class CyclicRobot(Robot):
             MOTION_SECONDS.inc(self.clock.now_s() - started_s)
         return not motion.stopping
 
+    @runs_in_cycle
     def require_lease(self) -> None:
         """Raise `LeaseEnded` unless the lease of the present motion is held; called before each command."""
         if self._authority is not None and not self._authority.is_valid():
             raise LeaseEnded("the lease of the robot has ended during the motion")
 
+    @runs_in_cycle
     def _start(self) -> Joints:
         """Return where a motion starts: at the last setpoint, unless the arm has been moved since."""
         measured = self.measured().positions
         commanded = self.setpoint.positions
         return commanded if _distance_rad(measured, commanded) <= START_TOLERANCE_RAD else measured
 
+    @runs_in_cycle
     def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Command the setpoints of a motion; after a fault of the limiter, come to rest, then raise it."""
         due_s = now_s
@@ -288,6 +295,7 @@ class CyclicRobot(Robot):
             yield due_s
             now_s = self.clock.now_s()
 
+    @runs_in_cycle
     def _next_cycle(self, due_s: float) -> float:
         """Return when the next cycle is due; late cycles are counted and skipped."""
         due_s += self._cycle_s
@@ -298,11 +306,12 @@ class CyclicRobot(Robot):
         return due_s
 
 
+@runs_in_cycle
 def _at_once(work: Callable[[], T]) -> Cycles[T]:
     """Return work without waiting as cycles."""
     return work()
     yield
 
 
-def _distance_rad(one: Joints, other: Joints) -> float:
-    return max((abs(a - b) for a, b in zip(one, other, strict=True)), default=0.0)
+def _distance_rad(first: Joints, second: Joints) -> float:
+    return max((abs(a - b) for a, b in zip(first, second, strict=True)), default=0.0)

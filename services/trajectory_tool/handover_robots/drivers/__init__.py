@@ -19,6 +19,5 @@ DRIVERS = ExtensionPoint(
         "simulated": "handover_robots.drivers.simulated_robot:SimulatedRobot.from_context",
         "physics": "handover_robots.physics.robot:PhysicsRobot.from_context",
         "ros": "handover_robots.drivers.ros_robot:RosRobot.from_context",
-        "ur": "handover_robots.universal_robots.driver:UniversalRobot.from_context",
     },
 )

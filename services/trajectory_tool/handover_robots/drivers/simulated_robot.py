@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Self
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.control_thread import ControlThread, Cycles
 from handover_robots.driver_base.cyclic_robot import CyclicRobot
@@ -64,6 +65,7 @@ class SimulatedRobot(CyclicRobot):
             thread=thread,
         )
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Keep the setpoint, at which the joints are."""
         if self._positions is not None:
@@ -74,6 +76,7 @@ class SimulatedRobot(CyclicRobot):
         setpoint = self.setpoint
         return JointState(time.time(), setpoint.positions, setpoint.velocities)
 
+    @runs_in_cycle
     def _act(self) -> Cycles[None]:
         yield self.clock.now_s() + self._gripper_s
 

@@ -17,15 +17,13 @@ from typing import Annotated, Self
 import yaml
 from pydantic import (
     AwareDatetime,
-    BaseModel,
-    ConfigDict,
     Field,
     FiniteFloat,
     ValidationError,
 )
 
 from handover.errors import UsageError
-from handover.formats.validation import fault_lines
+from handover.formats.validation import ClosedModel, fault_lines
 from handover.messages import message
 
 MAX_FILE_BYTES = 256 * 1024
@@ -34,18 +32,14 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Written(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ContactLimit(_Written):
+class ContactLimit(ClosedModel):
     """What one kind of contact may reach."""
 
     force_n: Positive
     pressure_n_per_cm2: Positive | None = None
 
 
-class BodyRegion(_Written):
+class BodyRegion(ClosedModel):
     """A body region: its mass, stiffness, and limits for a free contact and for a clamped one."""
 
     mass_kg: Positive
@@ -54,7 +48,7 @@ class BodyRegion(_Written):
     clamped: ContactLimit | None = None
 
 
-class ContactTable(_Written):
+class ContactTable(ClosedModel):
     """The limits by body region, where they come from, and who confirmed them for the cell."""
 
     source: Text
@@ -63,7 +57,7 @@ class ContactTable(_Written):
     regions: Annotated[dict[Text, BodyRegion], Field(min_length=1, max_length=100)]
 
 
-class ContactEntry(_Written):
+class ContactEntry(ClosedModel):
     """How people may be touched by one robot: which regions, by which mass, and with which area.
 
     `moving_mass_kg` is that of the moving parts of the robot, `load_kg` that of the tool and the part.
@@ -78,7 +72,7 @@ class ContactEntry(_Written):
     may_clamp: bool = False
 
 
-class ContactSpeed(_Written):
+class ContactSpeed(ClosedModel):
     """The permitted speed of contacts of one robot, and the region that determines it."""
 
     region: str
@@ -98,13 +92,13 @@ class ContactSpeed(_Written):
     @classmethod
     def of(cls, entry: ContactEntry, table: ContactTable) -> Self:
         """Return the lowest speed of all regions. Raises `ValueError` for values that are missing."""
-        found = []
+        speeds = []
         for name in entry.regions:
             region = table.regions.get(name)
             if region is None:
                 raise ValueError(f'the table has no region "{name}"; it has {", ".join(table.regions)}')
-            found.append((speed_mps(entry, name, region), name))
-        slowest, name = min(found)
+            speeds.append((speed_mps(entry, name, region), name))
+        slowest, name = min(speeds)
         return cls(region=name, speed_mps=slowest, table=table)
 
 
@@ -112,12 +106,12 @@ def speed_mps(entry: ContactEntry, name: str, region: BodyRegion) -> float:
     """Return the highest speed of a contact with a region. Raises `ValueError` for a missing value."""
     robot_kg = entry.moving_mass_kg / 2 + entry.load_kg
     reduced_kg = 1 / (1 / robot_kg + 1 / region.mass_kg)
-    found = [_contact_mps(entry, name, region.transient, reduced_kg, region.stiffness_n_per_mm)]
+    speeds_mps = [_contact_mps(entry, name, region.transient, reduced_kg, region.stiffness_n_per_mm)]
     if entry.may_clamp:
         if region.clamped is None:
             raise ValueError(f'the region "{name}" has no limit for a clamped contact; enter "clamped"')
-        found.append(_contact_mps(entry, name, region.clamped, robot_kg, region.stiffness_n_per_mm))
-    return min(found)
+        speeds_mps.append(_contact_mps(entry, name, region.clamped, robot_kg, region.stiffness_n_per_mm))
+    return min(speeds_mps)
 
 
 def _contact_mps(

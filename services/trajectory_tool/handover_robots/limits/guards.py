@@ -210,7 +210,7 @@ class TorqueGuard:
         if self._torques.unchecked is not None:
             return True
         allowed = max(TORQUE_RESERVE, self._at_start)
-        return all(self._highest(each) <= allowed for each in stop[::2])
+        return all(self._highest(setpoint) <= allowed for setpoint in stop[::2])
 
     def note(self, setpoint: Setpoint) -> None:
         """Do nothing."""
@@ -276,7 +276,7 @@ class ToolSpeedGuard:
             return True
         if self._last is not None and not self._is_slow(self._last, max_mps, zones):
             return False
-        return all(self._is_slow(each, max_mps * RESERVE, zones, RESERVE) for each in stop)
+        return all(self._is_slow(setpoint, max_mps * RESERVE, zones, RESERVE) for setpoint in stop)
 
     def _is_slow(
         self, setpoint: Setpoint, max_mps: float, zones: Sequence[Zone], reserve: float = 1.0
@@ -330,8 +330,8 @@ class PeakSpeeds:
     def _fastest_mps(self, setpoint: Setpoint) -> float:
         if self._arm is not None:
             return float(self._arm.fastest_mps(np.array(setpoint.positions), np.array(setpoint.velocities)))
-        here, there = (self._model.chain(each) for each in (setpoint.positions, _soon(setpoint)))
-        ways_m = (math.dist(one, other) for one, other in zip(here, there, strict=True))
+        here, there = (self._model.chain(positions) for positions in (setpoint.positions, _soon(setpoint)))
+        ways_m = (math.dist(before, after) for before, after in zip(here, there, strict=True))
         return max(*ways_m, 0.0) / FORWARD_S
 
     def _tool_speed_mps(self, setpoint: Setpoint) -> float:

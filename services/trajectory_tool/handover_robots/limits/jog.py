@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.limits.limiter import Limiter
 from handover_robots.model.joints import Joints, Velocity
 from handover_robots.model.trajectory import Setpoint
@@ -24,6 +25,7 @@ class Jog:
         self._still = (0.0,) * len(start)
         self._setpoint = Setpoint.at_rest(start)
 
+    @runs_in_cycle
     def at(self, now_s: float, *, pace: float = 1.0) -> Setpoint:
         """Return the setpoint of this cycle; a pace of 0 ends the motion."""
         self.stopping = self.stopping or not pace > 0
@@ -31,7 +33,7 @@ class Jog:
         wanted = self._still
         if not self._is_ending:
             share = min(pace, 1.0)
-            wanted = tuple(share * one for one in self._velocity())
+            wanted = tuple(share * speed for speed in self._velocity())
         self._setpoint = self._limiter.step(wanted, now_s)
         return self._setpoint
 
@@ -39,6 +41,7 @@ class Jog:
         """Return 0: the end of the motion is not known."""
         return 0.0
 
+    @runs_in_cycle
     def is_over(self, now_s: float) -> bool:  # noqa: ARG002
         """Return whether the joints are at rest after the end of the motion."""
         return self._is_ending and self._setpoint.is_at_rest

@@ -20,6 +20,7 @@ from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchr
 from ruckig import Trajectory as RuckigProfile
 
 from handover.messages import message, text_of
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.limits.guards import Guard
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joints import Joints
@@ -98,7 +99,7 @@ class WayToRest(Sequence[Setpoint]):
     def __getitem__(self, number: int | slice) -> Setpoint | list[Setpoint]:
         """Return a sample, or several."""
         if isinstance(number, slice):
-            return [self[one] for one in range(*number.indices(len(self)))]
+            return [self[index] for index in range(*number.indices(len(self)))]
         if number < 0:
             number += len(self)
         if number == 0:
@@ -177,6 +178,7 @@ class JointLimiter:
         for guard in self.guards:
             guard.start(joints)
 
+    @runs_in_cycle
     def resume(self, setpoint: Setpoint, now_s: float) -> None:
         """Continue from a setpoint that was permitted before, at its time."""
         self.start(setpoint.positions, now_s)
@@ -191,6 +193,7 @@ class JointLimiter:
             place = tuple(here + share * way for here, way in zip(start, ways, strict=True))
             self._ask_guards(Setpoint.at_rest(place), None)
 
+    @runs_in_cycle
     def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
         """Return the setpoint. Raises `RobotFault` for one that violates a limit."""
         reason = self._violation(setpoint, now_s)
@@ -202,6 +205,7 @@ class JointLimiter:
         self._permit(setpoint, now_s)
         return setpoint
 
+    @runs_in_cycle
     def _ask_guards(self, setpoint: Setpoint, reason: str | None) -> None:
         """Raise `RobotFault` for a reason, or for that of a guard."""
         for guard in self.guards:
@@ -215,22 +219,25 @@ class JointLimiter:
                 )
             )
 
+    @runs_in_cycle
     def step(self, velocity: Joints, now_s: float) -> Setpoint:
         """Return the next setpoint towards joint velocities, within all limits."""
         self._stepped = self._next(velocity, max(now_s - self._last_s, 0.0))
         return self._stepped
 
+    @runs_in_cycle
     def _next(self, velocity: Joints, dt_s: float) -> Setpoint:
         for share in SHARES:
             wanted = [
-                min(max(share * one, -limit), limit)
-                for one, limit in zip(velocity, self.limits.velocity, strict=True)
+                min(max(share * speed, -limit), limit)
+                for speed, limit in zip(velocity, self.limits.velocity, strict=True)
             ]
             candidate = _setpoint(self._to_velocity(self._last, wanted), dt_s)
             if self._can_stop(candidate):
                 return candidate
         return _setpoint(self._to_velocity(self._last), dt_s)
 
+    @runs_in_cycle
     def brake(self, now_s: float) -> Setpoint:
         """Return the setpoint of the stop from the last permitted setpoint."""
         if self._braking is None:
@@ -239,9 +246,11 @@ class JointLimiter:
         self._last, self._last_s = _setpoint(profile, now_s - since_s), now_s
         return self._last
 
+    @runs_in_cycle
     def _permit(self, setpoint: Setpoint, now_s: float) -> None:
         self._last, self._last_s, self._is_first = setpoint, now_s, False
 
+    @runs_in_cycle
     def _violation(self, setpoint: Setpoint, now_s: float) -> str | None:
         """Return which limit a setpoint violates; None for none."""
         last, dt_s = self._last, max(now_s - self._last_s, 0.0) * TOLERANCE
@@ -275,6 +284,7 @@ class JointLimiter:
                 return f"joint {number + 1} would be at {position:.4f}, outside {lower:.4f} to {upper:.4f}"
         return None
 
+    @runs_in_cycle
     def _can_stop(self, setpoint: Setpoint) -> bool:
         """Return whether the stop from a setpoint is within the limits."""
         for velocity, acceleration, (fastest, _, jerk) in zip(
@@ -292,6 +302,7 @@ class JointLimiter:
                 return False
         return all(guard.permits_stop(stop) for guard in self.guards)
 
+    @runs_in_cycle
     def _to_velocity(self, start: Setpoint, velocity: Sequence[float] | None = None) -> Any:
         """Return the quickest motion of each joint to a velocity; to rest by default. Raises `RobotFault`."""
         inputs = self._inputs
@@ -301,7 +312,9 @@ class JointLimiter:
         profile = RuckigProfile(len(start.positions))
         for share in ACCELERATION_SHARES:
             inputs.current_acceleration = (
-                start.accelerations if share == 1.0 else [share * one for one in start.accelerations]
+                start.accelerations
+                if share == 1.0
+                else [share * acceleration for acceleration in start.accelerations]
             )
             try:
                 self._ruckig.calculate(inputs, profile)

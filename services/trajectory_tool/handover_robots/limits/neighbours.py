@@ -82,15 +82,15 @@ class MovingRobots:
 
     def is_prepared(self) -> bool:
         """Return whether the models of all robots are built."""
-        return all(one.capsules is not None for one in self._robots.values())
+        return all(robot.capsules is not None for robot in self._robots.values())
 
     def prepare(self) -> None:
         """Build the models."""
         from handover_robots.planning.capsules import LinkCapsules  # noqa: PLC0415 - extra
 
-        for one in self._robots.values():
+        for robot in self._robots.values():
             with self._lock:
-                one.capsules = one.capsules or LinkCapsules(one.model)
+                robot.capsules = robot.capsules or LinkCapsules(robot.model)
 
     def start(self, name: str, joints: Joints) -> None:
         """Begin a motion of a robot at rest; take the others where they are."""
@@ -132,13 +132,13 @@ class MovingRobots:
         if float((volume.radii - here.radii).max()) > SHORT_M:
             return False
         here_m = self._distance_m(robot, here)
-        distances_m = [self._distance_m(robot, _at_rest(robot, one.positions)) for one in stop]
+        distances_m = [self._distance_m(robot, _at_rest(robot, setpoint.positions)) for setpoint in stop]
         least_m = min(here_m, CLEARANCE_M) - SAME_DISTANCE_M
         return min(distances_m) >= least_m and distances_m[-1] > here_m
 
     def _distance_m(self, robot: _Robot, volume: Volume) -> float:
         others = (self._robots[name].volume for name in robot.neighbours)
-        return min((volume.distance_m(one) for one in others if one is not None), default=math.inf)
+        return min((volume.distance_m(other) for other in others if other is not None), default=math.inf)
 
     def _meet(self, name: str, other: str) -> bool:
         first, second = _capsules(self._robots[name]), _capsules(self._robots[other])

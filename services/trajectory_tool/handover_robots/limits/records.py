@@ -67,7 +67,7 @@ class LimitRecords:
         self._write_alert()
 
     def _write_alert(self) -> None:
-        stopping = [each for each in self._limits.allowed() if each.needs_reset]
+        stopping = [allowed for allowed in self._limits.allowed() if allowed.needs_reset]
         lost = self._limits.state.lost
         has_alert = bool(stopping or lost)
         if has_alert == self._has_alert or (not has_alert and self._has_alert is None):
@@ -77,7 +77,7 @@ class LimitRecords:
         if not has_alert:
             self._writer.put(key, lambda: clear_alert(self._broker, self._settings, key=key))
             return
-        reason = "; ".join([*(f"{each.rule}: {each.reason}" for each in stopping), *lost])
+        reason = "; ".join([*(f"{allowed.rule}: {allowed.reason}" for allowed in stopping), *lost])
         description = message(
             "robot.stopped_by_limit",
             "{robot} is stopped and does not continue by itself: {reason}",

@@ -31,13 +31,11 @@ from handover_robots.metrics import ALLOWED_PACE, LIMIT_STOPS
 from handover_robots.model.joints import Joints
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.model.trajectory import Setpoint, rounded_pace
-from handover_robots.scene.scene import Zone
+from handover_robots.scene.scene import REDUCED_SPEED_MPS, Zone
 
 EVALUATE_EVERY_S = 0.04
 OVERDUE_S = 0.5
 SAVE_EVERY_S = 1.0
-REDUCED_MPS = 0.25
-"""The speed of the tool in reduced mode (ISO 10218-1)."""
 LINK_RADIUS_M = 0.12
 
 
@@ -92,9 +90,9 @@ class RobotLimits:
 
     def set_zones(self, zones: Iterable[Zone]) -> None:
         """Change the zones."""
-        known = tuple(zones)
-        self._zones = tuple(zone for zone in known if zone.kind == "reducedSpeed")
-        self._people_zones = tuple(zone for zone in known if zone.kind == "people")
+        all_zones = tuple(zones)
+        self._zones = tuple(zone for zone in all_zones if zone.kind == "reducedSpeed")
+        self._people_zones = tuple(zone for zone in all_zones if zone.kind == "people")
         self._zone = Allowed("zone")
 
     @property
@@ -104,39 +102,39 @@ class RobotLimits:
 
     def pace(self) -> float:
         """Return the allowed fraction of the speed of the present motion; thread-safe."""
-        return min((each.pace(self.peak_mps) for each in self.allowed()), default=1.0)
+        return min((rule.pace(self.peak_mps) for rule in self.allowed()), default=1.0)
 
     def allowed(self) -> tuple[Allowed, ...]:
         """Return what each rule allows now; thread-safe."""
         now_s, record = self._now(), self.record
-        found = [*self.body.allowed(now_s)]
+        limits = [*self.body.allowed(now_s)]
         if self.separation.sources or self._zones:
             is_overdue = now_s - self._evaluated_s > OVERDUE_S
             overdue = message("limit.distance_overdue", "the distance was not evaluated in time")
-            found += [Allowed(RULE, 0.0, reason=overdue)] if is_overdue else [self.state.allowed, self._zone]
+            limits += [Allowed(RULE, 0.0, reason=overdue)] if is_overdue else [self.state.allowed, self._zone]
         if record.mode == "reduced":
             reduced = message("limit.reduced_mode", "reduced mode")
-            found.append(Allowed("mode", max_speed_mps=REDUCED_MPS, reason=reduced))
-        found += self._of_end_effector(record)
-        found += self.contact.allowed()
+            limits.append(Allowed("mode", max_speed_mps=REDUCED_SPEED_MPS, reason=reduced))
+        limits += self._of_end_effector(record)
+        limits += self.contact.allowed()
         if self.contact_speed is not None:
             max_mps, peak_mps = self.contact_speed.speed_mps, self._links_peak_mps
             fraction = max_mps / peak_mps if peak_mps > max_mps else 1.0
             everywhere_mps = math.inf if self._people_zones else max_mps
-            found.append(Allowed("contact", fraction, everywhere_mps, self.contact_speed.reason))
-        return tuple(found)
+            limits.append(Allowed("contact", fraction, everywhere_mps, self.contact_speed.reason))
+        return tuple(limits)
 
     def _of_end_effector(self, record: RobotRecord) -> Iterator[Allowed]:
         """Yield the validated speed: of the mounted end effector, or the lowest of all."""
-        known, mounted = record.safe_speeds, self.end_effector
-        if mounted is not None and mounted not in known:
+        safe_speeds, mounted = record.safe_speeds, self.end_effector
+        if mounted is not None and mounted not in safe_speeds:
             reason = message(
                 "limit.no_validated_speed", "{effector} has no validated speed", effector=mounted
             )
-            yield Allowed("endEffector", max_speed_mps=REDUCED_MPS, reason=reason)
+            yield Allowed("endEffector", max_speed_mps=REDUCED_SPEED_MPS, reason=reason)
             return
-        speeds = known.values() if mounted is None else [known[mounted]]
-        for speed in sorted(speeds, key=lambda each: each.speed_mps)[:1]:
+        speeds = safe_speeds.values() if mounted is None else [safe_speeds[mounted]]
+        for speed in sorted(speeds, key=lambda safe_speed: safe_speed.speed_mps)[:1]:
             yield Allowed(
                 "endEffector",
                 max_speed_mps=speed.speed_mps,
@@ -151,8 +149,8 @@ class RobotLimits:
     def lowest(self) -> Allowed | None:
         """Return the rule that holds; None if none lowers the speed."""
         peak_mps = self.peak_mps if self._is_moving else math.inf
-        limiting = [each for each in self.allowed() if each.fraction < 1 or each.max_speed_mps < peak_mps]
-        return min(limiting, key=lambda each: (each.fraction, each.max_speed_mps), default=None)
+        limiting = [rule for rule in self.allowed() if rule.fraction < 1 or rule.max_speed_mps < peak_mps]
+        return min(limiting, key=lambda rule: (rule.fraction, rule.max_speed_mps), default=None)
 
     @property
     def zones(self) -> tuple[Zone, ...]:
@@ -160,11 +158,11 @@ class RobotLimits:
         if self.contact_speed is None:
             return self._zones
         speed_mps = self.contact_speed.speed_mps
-        return (*self._zones, *(replace(each, max_tool_speed_mps=speed_mps) for each in self._people_zones))
+        return (*self._zones, *(replace(zone, max_tool_speed_mps=speed_mps) for zone in self._people_zones))
 
     def tool_limit_mps(self) -> float:
         """Return the speed of the tool that the rules allow, for commanded velocities; thread-safe."""
-        return min((each.max_speed_mps for each in self.allowed()), default=math.inf)
+        return min((rule.max_speed_mps for rule in self.allowed()), default=math.inf)
 
     def begin_motion(self, at: Callable[[float], Setpoint], duration_s: float) -> None:
         """Note the highest speed of the tool in the motion that begins, and the force at its start."""
@@ -264,8 +262,8 @@ class RobotLimits:
                 f"removed {source}",
                 name,
                 reason,
-                limit_sources=tuple(each for each in record.limit_sources if each != source),
-                people_sensors=tuple(each for each in record.people_sensors if each != source),
+                limit_sources=tuple(required for required in record.limit_sources if required != source),
+                people_sensors=tuple(required for required in record.people_sensors if required != source),
             )
         )
         self.body.remove(source)
@@ -287,9 +285,9 @@ class RobotLimits:
     async def confirm_clear(self, name: str) -> list[str]:
         """Forget people who vanished, since `name` has seen that nobody is there. Raises `OSError`."""
         await self._put(self.record.decided("confirmed that nobody is near", name))
-        found = self.separation.confirm_clear()
+        people = self.separation.confirm_clear()
         self.evaluate()
-        return found
+        return people
 
     async def set_mode(self, mode: Mode, name: str) -> None:
         """Set the mode. Raises `OSError` unless it lowers the speed."""
@@ -307,14 +305,14 @@ class RobotLimits:
 
     def is_lower_speed(self, speed: SafeSpeed) -> bool:
         """Return whether a validated speed is below the one that is in force for its end effector."""
-        known = self.record.safe_speeds.get(speed.end_effector)
-        return known is not None and speed.speed_mps <= known.speed_mps
+        in_force = self.record.safe_speeds.get(speed.end_effector)
+        return in_force is not None and speed.speed_mps <= in_force.speed_mps
 
     def is_longer_stop(self, stop: MeasuredStop) -> bool:
         """Return whether a measured stop lowers the speed near people."""
-        known = self.record.stop
-        return known is not None and (
-            stop.delay_s >= known.delay_s and stop.deceleration_mps2 <= known.deceleration_mps2
+        in_force = self.record.stop
+        return in_force is not None and (
+            stop.delay_s >= in_force.delay_s and stop.deceleration_mps2 <= in_force.deceleration_mps2
         )
 
     async def set_stop(self, stop: MeasuredStop, name: str) -> None:

@@ -26,6 +26,7 @@ from handover.control.speed_limits import (
 )
 from handover.messages import message
 from handover_datamodels.streams import PeopleReport
+from handover_robots.scene.scene import REDUCED_SPEED_MPS
 
 Point = tuple[float, float]
 Distance = Callable[[Point], float]
@@ -36,8 +37,6 @@ MIN_PACE = 0.05
 """A lower pace is a stop."""
 MAX_PERSON_MPS, JUMP_M = 5.0, 0.3
 """A person who moves faster than this, and farther than the noise of a sensor, has jumped."""
-WARNING_MPS = 0.25
-"""The speed of the tool while a warning field is infringed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,10 +167,10 @@ class Separation:
 
     def confirm_clear(self) -> list[str]:
         """Forget vanished people, since a person has seen that nobody is there; return their ids."""
-        found = [name for sensor in self._sensors.values() for name in sensor.lost]
+        people = [name for sensor in self._sensors.values() for name in sensor.lost]
         for sensor in self._sensors.values():
             sensor.lost.clear()
-        return found
+        return people
 
     def state(self, now_s: float, distance: Distance, peak_mps: float) -> SeparationState:
         """Return what is allowed for a motion whose tool reaches `peak_mps` at full speed."""
@@ -184,7 +183,7 @@ class Separation:
         if any(report.protective_field for report in reports):
             pace, reason = 0.0, message("limit.protective_field", "the protective field is infringed")
         is_warned = any(report.warning_field for report in reports)
-        holds_warning = is_warned and speed_mps > WARNING_MPS
+        holds_warning = is_warned and speed_mps > REDUCED_SPEED_MPS
         if pace < MIN_PACE:
             self._is_stopped, self._clear_since_s = True, None
         elif self._is_stopped:
@@ -200,7 +199,7 @@ class Separation:
         allowed = Allowed(
             RULE,
             0.0 if self._is_stopped else pace,
-            WARNING_MPS if is_warned else math.inf,
+            REDUCED_SPEED_MPS if is_warned else math.inf,
             reason,
         )
         moving_mps = peak_mps * allowed.pace(peak_mps)
@@ -210,16 +209,16 @@ class Separation:
 
     def _fields(self, now_s: float) -> tuple[Field, ...]:
         """Return the fields of the scanners: sensors that have reported an infringed field or say so."""
-        found = []
+        fields = []
         for name, sensor in self._sensors.items():
             report = sensor.report
             if report is None or (report.warning_field is None and report.protective_field is None):
                 continue
             silent = now_s - sensor.since_s > report.stale_s
-            found.append(
+            fields.append(
                 Field(name, silent or bool(report.warning_field), silent or bool(report.protective_field))
             )
-        return tuple(found)
+        return tuple(fields)
 
     def _zone_m(self, peak_mps: float) -> float:
         """Return the distance within which a person who vanishes still counts."""
@@ -241,16 +240,16 @@ class Separation:
                     silent_s=f"{now_s - sensor.since_s:.1f}",
                 )
             aged_s = max(now_s - sensor.since_s - self.rule.reaction_s, 0.0)
-            found = []
+            distances = []
             for person in report.people:
                 moved_m = person.radius + self.rule.person_mps * (person.age + aged_s)
                 near = message("limit.person_near", "{person} is near", person=person.id)
-                found.append((max(distance(person.point) - moved_m, 0.0), near))
+                distances.append((max(distance(person.point) - moved_m, 0.0), near))
             for lost, (point, since_s) in sensor.lost.items():
                 moved_m = self.rule.person_mps * (now_s - since_s)
                 gone = message("limit.person_vanished", "{person} vanished near the robot", person=lost)
-                found.append((max(distance(point) - moved_m, 0.0), gone))
-            nearest_m, reason = min([(nearest_m, reason), *found])
+                distances.append((max(distance(point) - moved_m, 0.0), gone))
+            nearest_m, reason = min([(nearest_m, reason), *distances])
         return nearest_m, reason
 
     @staticmethod
@@ -281,15 +280,15 @@ def distance_from(parts: Sequence[Point], radius_m: float) -> Distance:
     links = list(zip(parts, [*parts[1:], parts[-1]], strict=True))
 
     def distance(point: Point) -> float:
-        nearest = min((_to_segment(point, one, other) for one, other in links), default=0.0)
+        nearest = min((_to_segment(point, start, end) for start, end in links), default=0.0)
         return max(nearest - radius_m, 0.0)
 
     return distance
 
 
-def _to_segment(point: Point, one: Point, other: Point) -> float:
-    dx, dy = other[0] - one[0], other[1] - one[1]
+def _to_segment(point: Point, start: Point, end: Point) -> float:
+    dx, dy = end[0] - start[0], end[1] - start[1]
     length2 = dx * dx + dy * dy
-    share = ((point[0] - one[0]) * dx + (point[1] - one[1]) * dy) / length2 if length2 > 0 else 0.0
+    share = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / length2 if length2 > 0 else 0.0
     share = min(max(share, 0.0), 1.0)
-    return math.dist(point, (one[0] + share * dx, one[1] + share * dy))
+    return math.dist(point, (start[0] + share * dx, start[1] + share * dy))

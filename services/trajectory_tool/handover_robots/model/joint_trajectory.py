@@ -90,8 +90,8 @@ class JointTrajectory:
         a, b, c, d = p[first], p[first + 1], p[first + 2], p[first + 3]
         match order:
             case 0:
-                found = v**3 * a + (3 * u**3 - 6 * u**2 + 4) * b + (3 * v**3 - 6 * v**2 + 4) * c + u**3 * d
-                return np.asarray(found / 6)
+                sums = v**3 * a + (3 * u**3 - 6 * u**2 + 4) * b + (3 * v**3 - 6 * v**2 + 4) * c + u**3 * d
+                return np.asarray(sums / 6)
             case 1:
                 return np.asarray((v**2 * (b - a) + (1 + 2 * u * v) * (c - b) + u**2 * (d - c)) / (2 * h))
             case 2:
@@ -112,11 +112,11 @@ class JointTrajectory:
 
     def ratios(self, limits: Limits) -> tuple[Array, Array, Array]:
         """Return bounds of velocity, acceleration and jerk of each joint, as fractions of the limits."""
-        found = []
+        fractions = []
         for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), 1):
             peak = np.abs(np.diff(self.points, order, axis=0)).max(axis=0, initial=0.0)
-            found.append(peak / (self.spacing_s**order * np.array(limit)))
-        return found[0], found[1], found[2]
+            fractions.append(peak / (self.spacing_s**order * np.array(limit)))
+        return fractions[0], fractions[1], fractions[2]
 
     def violations(self, limits: Limits) -> Iterator[Violation]:
         """Yield the limits of velocity, acceleration and jerk that are exceeded."""

@@ -111,15 +111,15 @@ class PlannedCourse:
             self._change_pace(now_s, (place_s, rate, slope, curve), rounded_pace(pace))
             if place_s == 0.0:
                 rate = self._rate.start[0]
-        found = self.trajectory.at(place_s)
+        setpoint = self.trajectory.at(place_s)
         if self._is_over(now_s, place_s):
-            return Setpoint.at_rest(found.positions)
+            return Setpoint.at_rest(setpoint.positions)
         return Setpoint(
-            found.positions,
-            tuple(rate * velocity for velocity in found.velocities),
+            setpoint.positions,
+            tuple(rate * velocity for velocity in setpoint.velocities),
             tuple(
                 acceleration * rate**2 + velocity * slope
-                for velocity, acceleration in zip(found.velocities, found.accelerations, strict=True)
+                for velocity, acceleration in zip(setpoint.velocities, setpoint.accelerations, strict=True)
             ),
         )
 
@@ -167,7 +167,7 @@ class PlannedCourse:
         choices: Sequence[tuple[float, float]] = _CHOICES if is_constant else _AT_ONCE
         first = self._tried % len(choices)
         self._tried = first + CHANGES_A_CYCLE
-        rates = [_Rate(place_s, start, to, *each) for each in choices[first : self._tried]]
+        rates = [_Rate(place_s, start, to, *choice) for choice in choices[first : self._tried]]
         for rate, is_possible in zip(rates, self._are_possible(rates, MAX_SAMPLES), strict=True):
             if is_possible and self._are_possible([rate])[0]:
                 return rate
@@ -186,7 +186,7 @@ class PlannedCourse:
     def _are_possible(self, rates: Sequence[_Rate], max_samples: int | None = None) -> list[bool]:
         """Return for each change whether it ends on the path, within the limits, and never runs backwards."""
         samples = [rate.samples(max_samples) for rate in rates]
-        starts = np.cumsum([0, *(len(each[0]) for each in samples[:-1])])
+        starts = np.cumsum([0, *(len(sample[0]) for sample in samples[:-1])])
         places, rate, slope, curve = (np.concatenate(parts) for parts in zip(*samples, strict=True))
         end_s = self.trajectory.duration_s
         beyond = places >= end_s
@@ -200,7 +200,7 @@ class PlannedCourse:
         q2_first, q2_last = (
             np.where(beyond[:, None], 0.0, self._accelerations[interval + end]) for end in (0, 1)
         )
-        q3_low, q3_high = (np.where(beyond[:, None], 0.0, each[interval]) for each in (lowest, highest))
+        q3_low, q3_high = (np.where(beyond[:, None], 0.0, bound[interval]) for bound in (lowest, highest))
         r, r1, r2 = rate[:, None], slope[:, None], curve[:, None]
         of_change = 3 * q2 * r * r1 + q1 * r2
         ratios = np.zeros(len(places))
@@ -213,7 +213,7 @@ class PlannedCourse:
         ):
             np.maximum(ratios, (np.abs(value) / np.array(limit)).max(axis=1), out=ratios)
         peaks = np.maximum.reduceat(np.where(rate < -1e-9, np.inf, ratios), starts)
-        ends_s = [each[0][-1] for each in samples]
+        ends_s = [sample[0][-1] for sample in samples]
         return [
             bool(peak <= TOLERANCE and place_s < end_s) for peak, place_s in zip(peaks, ends_s, strict=True)
         ]

@@ -97,9 +97,9 @@ def pointing_down(position: Vector, yaw_rad: float = 0.0) -> Pose:
     return Pose(position, (math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), 0.0, 0.0))
 
 
-def cross(one: Vector, other: Vector) -> Vector:
+def cross(first: Vector, second: Vector) -> Vector:
     """Return the cross product."""
-    (a, b, c), (x, y, z) = one, other
+    (a, b, c), (x, y, z) = first, second
     return (b * z - c * y, c * x - a * z, a * y - b * x)
 
 

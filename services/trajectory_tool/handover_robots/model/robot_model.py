@@ -170,11 +170,11 @@ class RobotModel:
 
     def chain(self, joints: Joints) -> list[Vector]:
         """Return the positions of the joints from the base to the flange, and of the tool's tip."""
-        reached, found = IDENTITY, []
+        reached, positions = IDENTITY, []
         for segment in self.to_flange:
             reached = reached @ segment.frame(joints)
-            found.append(reached.position)
-        return [*found, (reached @ self.tool).position]
+            positions.append(reached.position)
+        return [*positions, (reached @ self.tool).position]
 
     def jacobian(self, joints: Joints) -> list[tuple[Vector, Vector]]:
         """Return for each joint the linear and the angular velocity of the tool's tip in axes of the cell.

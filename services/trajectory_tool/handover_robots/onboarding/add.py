@@ -25,7 +25,7 @@ from handover_robots.onboarding.comparison import (
     decide,
     link_pairs,
 )
-from handover_robots.onboarding.home import Home, find_home
+from handover_robots.onboarding.home import HomePosition, find_home
 from handover_robots.onboarding.hulls import Piece
 from handover_robots.onboarding.refinement import SEED, Shaping, unchecked_on_purpose
 from handover_robots.onboarding.semantics import FROM_SRDF, Semantics
@@ -80,11 +80,11 @@ def add_robot(
         pieces = replace_meshes(examined, path)
     except UsageError as fault:
         raise UsageError("\n".join(f"{path}: {line}" for line in str(fault).splitlines())) from None
-    given = given_srdf(path, srdf, examined)
+    semantics = given_srdf(path, srdf, examined)
     into.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=into, prefix=f".{name}-") as made:
         _write(Path(made), name, examined)
-        model, comparison = _settle(Path(made), name, examined, pieces, given=given, samples=samples)
+        model, comparison = _settle(Path(made), name, examined, pieces, srdf=semantics, samples=samples)
         _require_movable(path, comparison)
         findings = [*examined.findings, *_of_the_model(model)]
         if folder.exists():
@@ -94,17 +94,17 @@ def add_robot(
 
 
 def _settle(
-    folder: Path, name: str, examined: Examined, pieces: dict[str, list[Piece]], *, given: Srdf, samples: int
+    folder: Path, name: str, examined: Examined, pieces: dict[str, list[Piece]], *, srdf: Srdf, samples: int
 ) -> tuple[RobotModel, Comparison]:
     """Decide what is checked, by which shapes, and the named positions. Raises `UsageError`."""
     shaping = Shaping(read_folder(folder), examined.root, pieces, examined.surfaces)
-    excluded = shaping.settle(given, samples)
+    excluded = shaping.settle(srdf, samples)
     arm = shaping.arm(excluded)
     try:
         home = find_home(arm, SEED)
     except UsageError as fault:
         raise UsageError(f"{name}: {fault}") from None
-    semantics = Semantics(excluded, {"home": home.joints, **_given_poses(arm, given, examined.findings)})
+    semantics = Semantics(excluded, {"home": home.joints, **_given_poses(arm, srdf, examined.findings)})
     if semantics.poses["home"] == home.joints:
         examined.findings.append(_about(home, arm))
     _write_urdf(folder, name, examined)
@@ -116,16 +116,16 @@ def _settle(
     examined.findings += [
         Finding(
             "warning",
-            f"{one.first}, {one.second}",
-            f"their meshes touch in {100 * one.touching:.1f} % of the positions, and they are not checked: "
-            f"{NOT_CHECKED[excluded[frozenset((one.first, one.second))]]}",
+            f"{pair.first}, {pair.second}",
+            f"their meshes touch in {100 * pair.touching:.1f} % of the positions, and they are not checked: "
+            f"{NOT_CHECKED[excluded[frozenset((pair.first, pair.second))]]}",
         )
-        for one in comparison.unchecked
+        for pair in comparison.unchecked
     ]
     return model, comparison
 
 
-def _about(home: Home, arm: Arm) -> Finding:
+def _about(home: HomePosition, arm: Arm) -> Finding:
     values = ", ".join(f"{round(value, 2) + 0.0:g}" for value in home.joints)
     place = ", ".join(f"{value:.2f}" for value in arm.tool(home.joints).translation)
     why = (
@@ -137,10 +137,10 @@ def _about(home: Home, arm: Arm) -> Finding:
     return Finding("info", "home", text)
 
 
-def _given_poses(arm: Arm, given: Srdf, findings: list[Finding]) -> dict[str, Joints]:
+def _given_poses(arm: Arm, srdf: Srdf, findings: list[Finding]) -> dict[str, Joints]:
     """Return the positions of the given SRDF that the arm can take."""
     collisions, poses = Collisions(arm, World()), {}
-    for pose, values in given.poses.items():
+    for pose, values in srdf.poses.items():
         joints = tuple(values.get(joint, 0.0) for joint in arm.model.joint_names)
         if not set(values) & set(arm.model.joint_names):
             continue
@@ -186,11 +186,11 @@ def given_srdf(urdf: Path, named: Path | None, examined: Examined) -> Srdf:
 def _require_movable(path: Path, comparison: Comparison) -> None:
     """Raise `UsageError` if the shapes of a pair refuse too much of what its meshes allow."""
     faults = [
-        f"{path}: the shapes of {one.first} and {one.second} refuse {100 * one.falsely_refused:.1f} % of the "
-        f"positions that their meshes allow, and {100 * MAX_FALSELY_REFUSED:g} % are acceptable; give "
+        f"{path}: the shapes of {pair.first} and {pair.second} refuse {100 * pair.falsely_refused:.1f} % of "
+        f"the positions that their meshes allow, and {100 * MAX_FALSELY_REFUSED:g} % are acceptable; give "
         "one of them collision meshes of convex parts, or disable the pair in an SRDF if it never touches"
-        for one in comparison.pairs
-        if one.falsely_refused > MAX_FALSELY_REFUSED
+        for pair in comparison.pairs
+        if pair.falsely_refused > MAX_FALSELY_REFUSED
     ]
     if faults:
         raise UsageError("\n".join(faults))
@@ -236,7 +236,7 @@ def _start(joint: Any) -> float:
 def _of_the_model(model: RobotModel) -> list[Finding]:
     planner = Planner(model)
     checked = len(set(link_pairs(planner.collisions.geometry)))
-    found = [
+    findings = [
         Finding(
             "warning",
             "limits",
@@ -252,15 +252,15 @@ def _of_the_model(model: RobotModel) -> list[Finding]:
     ]
     torques = Torques(planner.arm)
     if torques.unchecked is not None:
-        found.append(
+        findings.append(
             Finding("warning", "torques", f"torques of motions are not checked: {torques.unchecked}")
         )
     if len(model.joints) < 6:
-        found.append(
+        findings.append(
             Finding(
                 "warning", "joints", f"{len(model.joints)} joints reach only some poses; give joints instead"
             )
         )
     elif planner.inverse.solve(model.tool_pose(model.home), planner.arm.lower * 0 + model.home) is None:
-        found.append(Finding("warning", "joints", "inverse kinematics does not converge at home"))
-    return found
+        findings.append(Finding("warning", "joints", "inverse kinematics does not converge at home"))
+    return findings

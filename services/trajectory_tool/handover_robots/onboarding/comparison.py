@@ -80,9 +80,9 @@ class MeshPairs:
         for first, second in combinations(of_link, 2):
             if abs(arm.joint_of_link(first) - arm.joint_of_link(second)) < 2:
                 continue
-            for one in of_link[first]:
+            for shape in of_link[first]:
                 for other in of_link[second]:
-                    self.geometry.addCollisionPair(pin.CollisionPair(one, other))
+                    self.geometry.addCollisionPair(pin.CollisionPair(shape, other))
                     self.names.append(frozenset((first, second)))
 
     def within(self, configurations: Array, margin_m: float) -> list[frozenset[LinkPair]]:
@@ -153,14 +153,14 @@ def compare(arm: Arm, decided: Decided, left_unchecked: Iterable[LinkPair] = ())
             allowed[pair] / count,
         )
 
-    found = sorted((set(touching) | set(refused)) - excluded, key=sorted)
+    pairs = sorted((set(touching) | set(refused)) - excluded, key=sorted)
     return Comparison(
         count,
         decided.seed,
         free,
         refused_free / max(free, 1),
         any_allowed / count,
-        tuple(shares(pair) for pair in found),
+        tuple(shares(pair) for pair in pairs),
         tuple(shares(pair) for pair in sorted(excluded, key=sorted) if touching[pair]),
     )
 
@@ -181,7 +181,7 @@ def refusing_shapes(arm: Arm, decided: Decided, pair: LinkPair) -> Counter[tuple
     data = pin.GeometryData(geometry)
     for request in data.collisionRequests:
         request.security_margin = CLEARANCE_M
-    found: Counter[tuple[str, str]] = Counter()
+    counts: Counter[tuple[str, str]] = Counter()
     for joints, near in zip(decided.configurations, decided.near, strict=True):
         if pair in near:
             continue
@@ -189,8 +189,8 @@ def refusing_shapes(arm: Arm, decided: Decided, pair: LinkPair) -> Counter[tuple
         for number in numbers:
             if pin.computeCollision(geometry, data, number):
                 shapes = geometry.collisionPairs[number]
-                found[names[shapes.first], names[shapes.second]] += 1
-    return found
+                counts[names[shapes.first], names[shapes.second]] += 1
+    return counts
 
 
 def link_pairs(geometry: Any) -> list[LinkPair]:
@@ -205,15 +205,15 @@ def _within(
     data = pin.GeometryData(geometry)
     for request in data.collisionRequests:
         request.security_margin = margin_m
-    found = []
+    within = []
     for joints in configurations:
         pin.updateGeometryPlacements(arm.pin_model, arm.data, geometry, data, joints)
         pin.computeCollisions(geometry, data, False)
-        found.append(
+        within.append(
             frozenset(
                 pair
                 for pair, result in zip(names, data.collisionResults, strict=True)
                 if result.isCollision()
             )
         )
-    return found
+    return within

@@ -37,10 +37,12 @@ def enclose(name: str, meshes: str) -> None:
         surfaces.setdefault(place.link, []).extend(mapped[link])
     root = etree.fromstring(urdf.read_bytes())
     fingers = {finger.joint for finger in model.fingers}
-    moved = {one.find("child").get("link") for one in root.findall("joint") if one.get("name") in fingers}
+    moved = {
+        joint.find("child").get("link") for joint in root.findall("joint") if joint.get("name") in fingers
+    }
     pieces = {}
-    for link, found in surfaces.items():
-        triangles = np.concatenate([surface.triangles for surface in found])
+    for link, of_link in surfaces.items():
+        triangles = np.concatenate([surface.triangles for surface in of_link])
         # Between parts in a bin it counts how thin a finger is at its end.
         pieces[link] = pieces_of(triangles, 2, 1e-6) if link in moved else pieces_of(triangles)
     for link in root.findall("link"):
@@ -61,7 +63,7 @@ def enclose(name: str, meshes: str) -> None:
         print(f"{finding.level:<8} {finding.about}: {finding.text}")
     for link, reason in mapping.unmapped.items():
         print(f"warning  {link}: {reason}")
-    print(f"{name}: " + ", ".join(f"{link} {len(found)}" for link, found in pieces.items()))
+    print(f"{name}: " + ", ".join(f"{link} {len(of_link)}" for link, of_link in pieces.items()))
 
 
 def _rewrite(path: Path, root: Any) -> None:
@@ -76,8 +78,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("name", help="the robot, a folder of services/trajectory_tool/handover_robots/robots")
     parser.add_argument("--meshes", required=True, help="the URDF of the manufacturer, with its meshes")
-    given = parser.parse_args()
-    enclose(given.name, given.meshes)
+    arguments = parser.parse_args()
+    enclose(arguments.name, arguments.meshes)
 
 
 if __name__ == "__main__":

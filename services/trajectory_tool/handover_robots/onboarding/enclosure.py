@@ -54,10 +54,10 @@ class ShapeReport:
         comparison = asdict(self.comparison)
         return {
             "joints": [{"robot": own, "meshes": other} for own, other in self.joints],
-            "links": [asdict(one) for one in self.links],
+            "links": [asdict(link) for link in self.links],
             "unmapped": [{"link": link, "reason": reason} for link, reason in self.unmapped.items()],
             "without_mesh": list(self.without_mesh),
-            "findings": [asdict(one) for one in self.findings],
+            "findings": [asdict(finding) for finding in self.findings],
             **comparison,
         }
 

@@ -37,14 +37,14 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class HomePosition:
     """A home position, and whether the tool points down there."""
 
     joints: Joints
     is_tool_down: bool
 
 
-def find_home(arm: Arm, seed: int) -> Home:
+def find_home(arm: Arm, seed: int) -> HomePosition:
     """Return a home position. Raises `UsageError` that names what touches where no position is free."""
     collisions, random = Collisions(arm, World()), np.random.default_rng(seed)
     middle = (arm.lower + arm.upper) / 2
@@ -61,12 +61,12 @@ def find_home(arm: Arm, seed: int) -> Home:
     ways = (_turned_down(arm, start, middle, half) for start in (middle, *spread[:: SAMPLES // STARTS]))
     turned = [joints for way in ways for joints in way if arm.manipulability(joints) >= enough]
     down = sorted(turned, key=distance)
-    dexterous = [joints for joints, one in zip(tries, dexterity, strict=True) if one >= enough]
+    dexterous = [joints for joints, value in zip(tries, dexterity, strict=True) if value >= enough]
     for candidates, is_down in ((down, True), (dexterous, False), (tries, False)):
         for clearance_m in CLEARANCES_M:
             for joints in candidates:
                 if collisions.is_free(joints, clearance_m):
-                    return Home(tuple(joints.tolist()), is_down)
+                    return HomePosition(tuple(joints.tolist()), is_down)
     raise UsageError(_what_touches(collisions, tries))
 
 
@@ -110,7 +110,9 @@ def _tool_axis(arm: Arm, joints: Array) -> Array:
 def _what_touches(collisions: Collisions, tries: list[Array]) -> str:
     """Return which pairs touch in most positions."""
     touching = Counter(
-        (one.first, one.second) for joints in tries for one in collisions.contacts(joints, CLEARANCES_M[-1])
+        (contact.first, contact.second)
+        for joints in tries
+        for contact in collisions.contacts(joints, CLEARANCES_M[-1])
     )
     pairs = "; ".join(
         f"{first} and {second} in {100 * count / len(tries):.0f} % of the positions"

@@ -32,7 +32,7 @@ PARALLEL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class LinkPlace:
     """The link of ours that another link is, and the pose of the other frame in the frame of ours."""
 
     link: str
@@ -45,16 +45,16 @@ class Mapping:
 
     joints: tuple[tuple[str, str], ...]
     """The joints that both have: our name, and the name in the other URDF."""
-    places: dict[str, Place] = field(default_factory=dict)
+    places: dict[str, LinkPlace] = field(default_factory=dict)
     unmapped: dict[str, str] = field(default_factory=dict)
 
     def surfaces(self, others: Surfaces) -> dict[str, list[Surface]]:
         """Return the surfaces of mapped links by our links, in their frames."""
-        found: dict[str, list[Surface]] = {}
+        mapped: dict[str, list[Surface]] = {}
         for link, shapes in others.items():
             if (place := self.places.get(link)) is not None:
-                found.setdefault(place.link, []).extend(shape.moved(place.pose) for shape in shapes)
-        return found
+                mapped.setdefault(place.link, []).extend(shape.moved(place.pose) for shape in shapes)
+        return mapped
 
 
 def map_links(model: RobotModel, other: Any, links: Sequence[str]) -> Mapping:
@@ -89,7 +89,7 @@ def map_links(model: RobotModel, other: Any, links: Sequence[str]) -> Mapping:
             number = ours.getJointId(own) if own else 0
             same = link if link in bodies[number] else bodies[number][0]
             placed = ours.frames[ours.getFrameId(same, pin.FrameType.BODY)].placement
-            mapping.places[link] = Place(same, placed.inverse() * poses[own] * frame.placement)
+            mapping.places[link] = LinkPlace(same, placed.inverse() * poses[own] * frame.placement)
     return mapping
 
 
@@ -130,7 +130,9 @@ def _common(model: RobotModel, ours: Any, theirs: Any) -> dict[str, str]:
     own, other = list(ours.names)[1:], list(theirs.names)[1:]
     names = {name: name for name in own if name in other}
     for name in own:
-        ends = [one for one in other if one.endswith((f"_{name}", f"/{name}")) or name.endswith(f"_{one}")]
+        ends = [
+            joint for joint in other if joint.endswith((f"_{name}", f"/{name}")) or name.endswith(f"_{joint}")
+        ]
         if name not in names and len(ends) == 1 and ends[0] not in names.values():
             names[name] = ends[0]
     own_gaps = _gaps(model.joint_names, {name: name for name in names})
@@ -145,13 +147,13 @@ def _common(model: RobotModel, ours: Any, theirs: Any) -> dict[str, str]:
     return names
 
 
-def _gaps(joints: Sequence[str], known: dict[str, str]) -> dict[str, list[str]]:
+def _gaps(joints: Sequence[str], mapped: dict[str, str]) -> dict[str, list[str]]:
     """Return the joints that are not known, by our name of the known joint before them; "" at the begin."""
     gaps: dict[str, list[str]] = {}
     after = ""
     for joint in joints:
-        if joint in known:
-            after = known[joint]
+        if joint in mapped:
+            after = mapped[joint]
         else:
             gaps.setdefault(after, []).append(joint)
     return gaps
@@ -162,13 +164,13 @@ def _configurations(ours: Any, theirs: Any, names: dict[str, str]) -> tuple[Arra
     ours_at = np.tile(pin.neutral(ours), (CONFIGURATIONS, 1))
     theirs_at = np.tile(pin.neutral(theirs), (CONFIGURATIONS, 1))
     for name, other in names.items():
-        one, two = (
+        our_axis, their_axis = (
             model.joints[model.getJointId(joint)].idx_q for model, joint in ((ours, name), (theirs, other))
         )
-        low = max(ours.lowerPositionLimit[one], theirs.lowerPositionLimit[two], -np.pi)
-        high = min(ours.upperPositionLimit[one], theirs.upperPositionLimit[two], np.pi)
+        low = max(ours.lowerPositionLimit[our_axis], theirs.lowerPositionLimit[their_axis], -np.pi)
+        high = min(ours.upperPositionLimit[our_axis], theirs.upperPositionLimit[their_axis], np.pi)
         values = random.uniform(low, high, CONFIGURATIONS) if low < high else np.zeros(CONFIGURATIONS)
-        ours_at[:, one], theirs_at[:, two] = values, values
+        ours_at[:, our_axis], theirs_at[:, their_axis] = values, values
     return ours_at, theirs_at
 
 
@@ -190,8 +192,8 @@ def _axes(model: Any, joints: Array, names: Sequence[str]) -> tuple[Array, Array
 def _base(ours: Any, theirs: Any, names: dict[str, str], ours_at: Array, theirs_at: Array) -> Any:
     """Return the pose of the other base in the frame of ours, by the axes of the common joints."""
     seen = [
-        (_axes(ours, one, list(names)), _axes(theirs, two, list(names.values())))
-        for one, two in zip(ours_at, theirs_at, strict=True)
+        (_axes(ours, our_pose, list(names)), _axes(theirs, their_pose, list(names.values())))
+        for our_pose, their_pose in zip(ours_at, theirs_at, strict=True)
     ]
     correlation = np.zeros((3, 3))
     for (own, places, turning), (other, other_places, _) in seen:
@@ -233,15 +235,15 @@ def _poses(
     """
     seen: dict[str, list[Any]] = {name: [] for name in names}
     data, other_data = ours.createData(), theirs.createData()
-    for one, two in zip(ours_at, theirs_at, strict=True):
-        pin.forwardKinematics(ours, data, one)
-        pin.forwardKinematics(theirs, other_data, two)
+    for our_pose, their_pose in zip(ours_at, theirs_at, strict=True):
+        pin.forwardKinematics(ours, data, our_pose)
+        pin.forwardKinematics(theirs, other_data, their_pose)
         for name, other in names.items():
             placed = base * other_data.oMi[theirs.getJointId(other)]
             seen[name].append(data.oMi[ours.getJointId(name)].inverse() * placed)
     poses, why_not = {"": base}, {}
-    for name, found in seen.items():
-        moved = [found[0].inverse() * pose for pose in found]
+    for name, offsets in seen.items():
+        moved = [offsets[0].inverse() * pose for pose in offsets]
         off_m = max(
             float(np.linalg.norm(pose.translation) + LEVER_M * np.linalg.norm(pin.log3(pose.rotation)))
             for pose in moved
@@ -251,5 +253,5 @@ def _poses(
                 f'what "{name}" moves is up to {1000 * off_m:.1f} mm elsewhere in the other URDF: lengths, '
                 "axes or zero positions differ"
             )
-        poses[name] = found[0]
+        poses[name] = offsets[0]
     return poses, why_not

@@ -66,10 +66,10 @@ def read_surface(shape: Any, urdf: Path, link: str, findings: list[Finding]) -> 
     xyz, rpy = (vector_of(None if origin is None else origin.get(name), 0.0) for name in ("xyz", "rpy"))
     placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy.tolist()), xyz)
     mesh = mesh_of(shape)
-    found = _plain(shape) if mesh is None else _loaded(mesh, urdf, link, findings)
-    if found is None:
+    surface = _plain(shape) if mesh is None else _loaded(mesh, urdf, link, findings)
+    if surface is None:
         return None
-    geometry, triangles = found
+    geometry, triangles = surface
     return Surface(placement, geometry, triangles @ placement.rotation.T + xyz)
 
 
@@ -99,7 +99,7 @@ def _loaded(mesh: Any, urdf: Path, link: str, findings: list[Finding]) -> tuple[
     if len(points) < 4 or not corners:
         findings.append(Finding("warning", link, f"the mesh {file.name} has no volume"))
         return None
-    return model, points[[[one[0], one[1], one[2]] for one in corners]]
+    return model, points[[[corner[0], corner[1], corner[2]] for corner in corners]]
 
 
 def _plain(collision: Any) -> tuple[Any, Array] | None:

@@ -58,11 +58,11 @@ class Shaping:
         text = etree.tostring(self.root, encoding="unicode")
         return Arm(replace(self.model, urdf=text, disabled_pairs=frozenset(excluded)))
 
-    def settle(self, given: Srdf, samples: int) -> dict[LinkPair, str]:
+    def settle(self, srdf: Srdf, samples: int) -> dict[LinkPair, str]:
         """Cut the pieces until they refuse little falsely; return the pairs that need no check, with why."""
-        arm = self.arm(given.disabled_pairs)
+        arm = self.arm(srdf.disabled_pairs)
         decided = decide(arm, self.surfaces, samples, SEED)
-        excluded = excluded_pairs(arm, decided, given)
+        excluded = excluded_pairs(arm, decided, srdf)
         _refine(self, excluded, decided)
         return excluded
 
@@ -75,9 +75,9 @@ def _refine(shaping: Shaping, excluded: dict[LinkPair, str], decided: Decided) -
     for _ in range(MAX_ROUNDS):
         arm = shaping.arm(excluded)
         comparison = compare(arm, decided, unchecked_on_purpose(excluded))
-        refused = [one for one in comparison.pairs if one.falsely_refused > AIM]
+        refused = [shares for shares in comparison.pairs if shares.falsely_refused > AIM]
         changed = False
-        for shares in sorted(refused, key=lambda one: -one.falsely_refused):
+        for shares in sorted(refused, key=lambda shares: -shares.falsely_refused):
             pair = frozenset((shares.first, shares.second))
             if not progress.setdefault(pair, _Progress()).goes_on(shares.falsely_refused):
                 continue

@@ -59,13 +59,13 @@ def write_pairs(root: Any, disabled: Mapping[LinkPair, str]) -> None:
     etree.indent(root)
 
 
-def excluded_pairs(arm: Arm, decided: Decided, given: Srdf) -> dict[LinkPair, str]:
+def excluded_pairs(arm: Arm, decided: Decided, srdf: Srdf) -> dict[LinkPair, str]:
     """Return the pairs that need no check, each with the reason.
 
     `arm` checks all pairs but neighbours and those of the given SRDF. For links without meshes their shapes
     decide.
     """
-    excluded = dict.fromkeys(given.disabled_pairs, FROM_SRDF) | dict.fromkeys(adjacent(arm), "Adjacent")
+    excluded = dict.fromkeys(srdf.disabled_pairs, FROM_SRDF) | dict.fromkeys(adjacent(arm), "Adjacent")
     geometry = Collisions(arm, World()).geometry
     names = link_pairs(geometry)
     shapes = shapes_within(arm, decided.configurations, 0.0)
@@ -89,8 +89,8 @@ def never_touches(arm: Arm, geometry: Any, numbers: list[int]) -> bool:
     between = slice(ends[0], ends[1])
     if ends[1] - ends[0] > MAX_JOINTS_BETWEEN:
         return False
-    outer = {max((pair.first, pair.second), key=lambda one: items[one].parentJoint) for pair in pairs}
-    approach = np.max([arm.reach_of(items[one])[between] for one in outer], axis=0)
+    outer = {max((pair.first, pair.second), key=lambda item: items[item].parentJoint) for pair in pairs}
+    approach = np.max([arm.reach_of(items[link])[between] for link in outer], axis=0)
     half = (arm.upper - arm.lower)[between] / 2
     half = np.where(arm.is_turning[between], np.minimum(half, math.pi), half)
     data = pin.GeometryData(geometry)

@@ -67,9 +67,11 @@ def replace_meshes(examined: Examined, urdf: Path) -> dict[str, list[Piece]]:
 def _replace_in(link: Any, urdf: Path, examined: Examined, pieces: dict[str, list[Piece]]) -> Iterator[str]:
     """Take the meshes out of a link, and add what they become to `pieces`; yield why some cannot be used."""
     name = link.get("name")
-    shapes = [one for one in link.findall("collision") if one.find("geometry") is not None]
+    shapes = [collision for collision in link.findall("collision") if collision.find("geometry") is not None]
     by_visual = not shapes
-    for shape in shapes or [one for one in link.findall("visual") if one.find("geometry") is not None]:
+    for shape in shapes or [
+        visual for visual in link.findall("visual") if visual.find("geometry") is not None
+    ]:
         _require_plausible(name, shape)
         try:
             surface = read_surface(shape, urdf, name, examined.findings)
@@ -83,9 +85,9 @@ def _replace_in(link: Any, urdf: Path, examined: Examined, pieces: dict[str, lis
                 pieces.setdefault(name, []).extend(pieces_of(surface.triangles))
         elif by_visual:
             _copy_as_collision(link, shape)
-    for one in (*link.findall("collision"), *link.findall("visual")):
-        if one.find("geometry") is None or mesh_of(one) is not None:
-            link.remove(one)
+    for element in (*link.findall("collision"), *link.findall("visual")):
+        if element.find("geometry") is None or mesh_of(element) is not None:
+            link.remove(element)
     if by_visual and (name in pieces or link.find("collision") is not None):
         examined.findings.append(
             Finding("warning", name, "no collision geometry; its visual shapes are used")
@@ -98,7 +100,9 @@ def write_pieces(root: Any, pieces: Mapping[str, Sequence[Piece]]) -> None:
         name = link.get("name")
         if name not in pieces:
             continue
-        for written in [one for one in link.findall("collision") if one.find("hull") is not None]:
+        for written in [
+            collision for collision in link.findall("collision") if collision.find("hull") is not None
+        ]:
             link.remove(written)
         for listed in link.findall("collision_checking/capsule"):
             if str(listed.get("name")).startswith(f"{name}{PIECE}"):
@@ -116,11 +120,11 @@ def fit(points: Array) -> Fitted:
     _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
     if np.linalg.det(axes) < 0:
         axes[2] = -axes[2]
-    found: list[Fitted] = []
+    fits: list[Fitted] = []
     for rows in (axes, np.eye(3)):
-        found.append(_box(points - centre, rows, centre))
-        found += [_capsule(points - centre, np.roll(rows, -turn, axis=0), centre) for turn in range(3)]
-    return min(found, key=lambda one: one.volume_m3)
+        fits.append(_box(points - centre, rows, centre))
+        fits += [_capsule(points - centre, np.roll(rows, -turn, axis=0), centre) for turn in range(3)]
+    return min(fits, key=lambda fitted: fitted.volume_m3)
 
 
 def _box(points: Array, axes: Array, centre: Array) -> Fitted:
@@ -145,19 +149,19 @@ def _capsule(points: Array, axes: Array, centre: Array) -> Fitted:
     return Fitted(pin.SE3(to_z, centre + axes.T @ middle), (radius, 2 * half), volume)
 
 
-def _add_collision(link: Any, found: Fitted, name: str, corners: Array | None = None) -> None:
+def _add_collision(link: Any, fitted: Fitted, name: str, corners: Array | None = None) -> None:
     collision = etree.SubElement(link, "collision", name=name)
-    xyz = np.round(found.placement.translation, 6)
-    rpy = np.round(pin.rpy.matrixToRpy(found.placement.rotation), 7)
+    xyz = np.round(fitted.placement.translation, 6)
+    rpy = np.round(pin.rpy.matrixToRpy(fitted.placement.rotation), 7)
     etree.SubElement(collision, "origin", xyz=_written(xyz), rpy=_written(rpy))
     geometry = etree.SubElement(collision, "geometry")
     if corners is not None:
         local = (corners - xyz) @ pin.rpy.rpyToMatrix(*rpy.tolist())
         etree.SubElement(collision, "hull").text = "  ".join(_written(corner) for corner in local.round(5))
-    if len(found.size) == 3:
-        etree.SubElement(geometry, "box", size=" ".join(f"{value:.6g}" for value in found.size))
+    if len(fitted.size) == 3:
+        etree.SubElement(geometry, "box", size=" ".join(f"{value:.6g}" for value in fitted.size))
         return
-    radius, length = found.size
+    radius, length = fitted.size
     etree.SubElement(geometry, "cylinder", radius=f"{radius:.6g}", length=f"{max(length, 1e-4):.6g}")
     checking = link.find("collision_checking")
     if checking is None:

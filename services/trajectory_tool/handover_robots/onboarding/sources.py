@@ -16,13 +16,13 @@ def find_urdf(source: str) -> Path:
     if source.startswith(f"{EXAMPLES}:"):
         return _example(source.partition(":")[2])
     if source.startswith(PACKAGE):
-        found = _in_package(source, Path.cwd())
-        if found is None:
+        file = _in_package(source, Path.cwd())
+        if file is None:
             raise UsageError(
                 f"{source} was not found; source the setup file of your ROS installation "
                 "(AMENT_PREFIX_PATH), or give the path of the file"
             )
-        return found
+        return file
     return Path(source)
 
 
@@ -58,17 +58,17 @@ def _shares(package: str, start: Path) -> Iterator[Path]:
 
 
 def _paths(variable: str) -> list[Path]:
-    return [Path(one) for one in os.environ.get(variable, "").split(os.pathsep) if one]
+    return [Path(folder) for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
 
 
 def _example(name: str) -> Path:
     folder = _examples_folder()
     if folder is None:
         raise UsageError(f"{EXAMPLES} is not installed: pip install {EXAMPLES}")
-    known = {path.stem: path for path in sorted(folder.glob("robots/**/*.urdf"))}
-    if name not in known:
-        raise UsageError(f'{EXAMPLES} has no robot "{name}"; it has {", ".join(sorted(known))}')
-    return known[name]
+    files = {path.stem: path for path in sorted(folder.glob("robots/**/*.urdf"))}
+    if name not in files:
+        raise UsageError(f'{EXAMPLES} has no robot "{name}"; it has {", ".join(sorted(files))}')
+    return files[name]
 
 
 def _examples_folder() -> Path | None:

@@ -99,12 +99,12 @@ def examine(text: str, tip: str | None = None) -> Examined:
 
 def _drop_foreign(root: Any, findings: list[Finding]) -> None:
     """Remove what belongs to other tools."""
-    known = {"link", "joint", "material"}
-    foreign = [each for each in root if each.tag not in known]
-    for each in foreign:
-        root.remove(each)
+    tags = {"link", "joint", "material"}
+    foreign = [element for element in root if element.tag not in tags]
+    for element in foreign:
+        root.remove(element)
     if foreign:
-        names = ", ".join(sorted({str(each.tag) for each in foreign}))
+        names = ", ".join(sorted({str(element.tag) for element in foreign}))
         findings.append(Finding("info", "file", f"elements of other tools are left out: {names}"))
 
 
@@ -183,7 +183,9 @@ def _joint_faults(joint: Any) -> Iterator[str]:  # noqa: PLR0912 - one rule afte
     written = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
     if kind != "fixed" and _is_vector(written) and math.hypot(*map(float, written.split())) < 1e-6:
         yield f'the joint "{name}" has an axis of length 0'
-    values = {one: number_of(limit, one) for one in ("lower", "upper", "velocity", "effort")}
+    values = {
+        limit_name: number_of(limit, limit_name) for limit_name in ("lower", "upper", "velocity", "effort")
+    }
     for attribute, value in values.items():
         if value is not None and not math.isfinite(value):
             yield f'the joint "{name}" has {attribute}="{limit.get(attribute)}", which is not a number'

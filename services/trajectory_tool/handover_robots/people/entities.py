@@ -47,8 +47,8 @@ class PersonEntities:
         while True:
             try:
                 async with asyncio.timeout(PERIOD_S * 2):
-                    found = await self._broker.find(Person, attrs=ATTRIBUTE)
-                await self._receive(self._report(found, time.time()))
+                    people = await self._broker.find(Person, attrs=ATTRIBUTE)
+                await self._receive(self._report(people, time.time()))
                 self._is_silent = False
             except (HandoverError, RefusedReport, TimeoutError, OSError) as error:
                 if not self._is_silent:
@@ -56,8 +56,8 @@ class PersonEntities:
                 self._is_silent = True
             await asyncio.sleep(PERIOD_S)
 
-    def _report(self, found: list[Person], wall_s: float) -> PeopleReport:
-        people = [seen for person in found if (seen := seen_of(person, wall_s, self._is_first)) is not None]
+    def _report(self, persons: list[Person], wall_s: float) -> PeopleReport:
+        people = [seen for person in persons if (seen := seen_of(person, wall_s, self._is_first)) is not None]
         self._is_first = False
         if len(people) > MAX_PEOPLE:
             raise RefusedReport(f"{len(people)} people have a place; at most {MAX_PEOPLE} are followed")

@@ -52,7 +52,7 @@ class SceneSensors:
     def of_scan(self, scan: ScanReport) -> PeopleReport:
         """Return the people of a scan. Raises `RefusedReport`."""
         sensor = self._sensor(scan.source, "lidar")
-        ranges = np.array([np.nan if each is None else each for each in scan.ranges])
+        ranges = np.array([np.nan if range_m is None else range_m for range_m in scan.ranges])
         covered = float(np.mean(ranges < COVERED_M))
         if covered > MAX_COVERED:
             raise RefusedReport(f"{covered:.0%} of the ranges are below {COVERED_M} m; uncover {scan.source}")
@@ -84,9 +84,11 @@ class SceneSensors:
             self._digest, self._surroundings = scene.digest, Surroundings(scene.things())
         sensor = scene.people_sensors.get(name)
         if sensor is None or sensor.kind != kind:
-            known = [each for each, one in scene.people_sensors.items() if one.kind == kind]
+            sensors = [
+                sensor_name for sensor_name, placed in scene.people_sensors.items() if placed.kind == kind
+            ]
             raise RefusedReport(
-                f'the scene has no {kind} "{name}"; it has {", ".join(known) or "none"}; add it to '
+                f'the scene has no {kind} "{name}"; it has {", ".join(sensors) or "none"}; add it to '
                 "people_sensors of the scene"
             )
         return sensor
@@ -98,10 +100,10 @@ class SceneSensors:
 
     def _report(self, measured: ScanReport | DepthReport, points: Array, min_points: int) -> PeopleReport:
         require_new(measured.stamp, self._stamps.get(measured.source), self._wall_s())
-        found = clusters(points, min_points)
-        if len(found) > MAX_PEOPLE:
+        things = clusters(points, min_points)
+        if len(things) > MAX_PEOPLE:
             raise RefusedReport(
-                f"{len(found)} things are not in the scene; at most {MAX_PEOPLE} are followed"
+                f"{len(things)} things are not in the scene; at most {MAX_PEOPLE} are followed"
             )
         tracker = self._trackers.setdefault(measured.source, Tracker(measured.source))
         self._stamps[measured.source] = measured.stamp
@@ -109,7 +111,7 @@ class SceneSensors:
             source=measured.source,
             stamp=measured.stamp,
             period=measured.period,
-            people=tracker.people(found, measured.stamp),
+            people=tracker.people(things, measured.stamp),
         )
 
 

@@ -10,8 +10,9 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from handover.formats.validation import ClosedModel
 from handover_datamodels.streams import SOURCE_PATTERN, PeopleReport
 
 PERIOD_S = 0.05
@@ -19,10 +20,8 @@ PERIOD_S = 0.05
 Input = Annotated[int, Field(ge=0, le=63)]
 
 
-class SafetyScanner(BaseModel):
+class SafetyScanner(ClosedModel):
     """A scanner at digital inputs, by their numbers; a field without an input is not read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, Field(pattern=SOURCE_PATTERN)] = "scanner-1"
     warning_input: Input | None = None

@@ -48,7 +48,9 @@ class SimulatedSensor:
             stamp=stamp_s,
             angle_min=-VIEW_RAD / 2,
             angle_increment=INCREMENT_RAD,
-            ranges=tuple(None if math.isnan(each) else max(round(each, 4), 0.0) for each in ranges.tolist()),
+            ranges=tuple(
+                None if math.isnan(range_m) else max(round(range_m, 4), 0.0) for range_m in ranges.tolist()
+            ),
         )
 
     def _depth(self, people: Sequence[Point], stamp_s: float) -> DepthReport:
@@ -75,5 +77,5 @@ class SimulatedSensor:
         for x, y in people:
             middle = (x, y, ground_m + PERSON_M / 2)
             world.append(Obstacle("person", Cylinder(PERSON_RADIUS_M, PERSON_M), Pose(middle, UPRIGHT)))
-        found = Surroundings(world).ranges_m(np.array(self.sensor.position), directions, max_m)
-        return np.asarray(found + self._random.normal(0.0, self._noise_m, len(found)))
+        ranges_m = Surroundings(world).ranges_m(np.array(self.sensor.position), directions, max_m)
+        return np.asarray(ranges_m + self._random.normal(0.0, self._noise_m, len(ranges_m)))

@@ -53,11 +53,11 @@ def distances_from_chains(points: Array, chains: Iterable[Sequence[Vector]]) -> 
     nearest = np.full(len(points), np.inf)
     for chain in chains:
         corners = np.array(chain)
-        for one, other in pairwise(corners):
-            way = other - one
+        for start, end in pairwise(corners):
+            way = end - start
             length2 = float(way @ way)
-            share = np.clip((points - one) @ way / (length2 or 1.0), 0.0, 1.0)
-            nearest = np.minimum(nearest, np.linalg.norm(points - one - share[:, None] * way, axis=1))
+            share = np.clip((points - start) @ way / (length2 or 1.0), 0.0, 1.0)
+            nearest = np.minimum(nearest, np.linalg.norm(points - start - share[:, None] * way, axis=1))
     return nearest
 
 

@@ -33,7 +33,7 @@ def clusters(points: NDArray[np.float64], min_points: int) -> list[Cluster]:
     cells: dict[tuple[int, int], list[int]] = {}
     for number, (column, row) in enumerate(np.floor(points[:, :2] / GRID_M).astype(int).tolist()):
         cells.setdefault((column, row), []).append(number)
-    found = []
+    dense = []
     while cells:
         waiting, members = [next(iter(cells))], list[int]()
         while waiting:
@@ -49,8 +49,8 @@ def clusters(points: NDArray[np.float64], min_points: int) -> list[Cluster]:
             of_cluster = points[members, :2]
             middle = (of_cluster.min(axis=0) + of_cluster.max(axis=0)) / 2
             radius_m = float(np.linalg.norm(of_cluster - middle, axis=1).max())
-            found.append(Cluster((float(middle[0]), float(middle[1])), radius_m))
-    return found
+            dense.append(Cluster((float(middle[0]), float(middle[1])), radius_m))
+    return dense
 
 
 class Tracker:
@@ -61,13 +61,13 @@ class Tracker:
         self._count = 0
         self._tracks: dict[str, tuple[Point, float]] = {}
 
-    def people(self, found: Sequence[Cluster], stamp_s: float) -> tuple[SeenPerson, ...]:
+    def people(self, measured: Sequence[Cluster], stamp_s: float) -> tuple[SeenPerson, ...]:
         """Return the people of a measurement; a measurement must be later than the one before."""
         tracks = {name: track for name, track in self._tracks.items() if stamp_s - track[1] <= REJOIN_S}
         pairs = sorted(
             (math.dist(place, cluster.middle), name, number)
             for name, (place, seen_s) in tracks.items()
-            for number, cluster in enumerate(found)
+            for number, cluster in enumerate(measured)
             if math.dist(place, cluster.middle) <= MAX_PERSON_MPS * (stamp_s - seen_s) + JUMP_M
         )
         of_name: dict[str, int] = {}
@@ -77,15 +77,15 @@ class Tracker:
         followed = set(of_name.values())
         for _, name, number in pairs:  # what is left may be in the cluster of another
             of_name.setdefault(name, number)
-        for number in range(len(found)):
+        for number in range(len(measured)):
             if number not in followed:
                 self._count += 1
                 of_name[f"{self._name}.{self._count}"] = number
         self._tracks = {
             **tracks,
-            **{name: (found[number].middle, stamp_s) for name, number in of_name.items()},
+            **{name: (measured[number].middle, stamp_s) for name, number in of_name.items()},
         }
-        return tuple(_seen(name, found[number]) for name, number in of_name.items())[:MAX_PEOPLE]
+        return tuple(_seen(name, measured[number]) for name, number in of_name.items())[:MAX_PEOPLE]
 
 
 def _seen(name: str, cluster: Cluster) -> SeenPerson:

@@ -85,22 +85,22 @@ class GraspFinder:
         self._inside = inside
         self._content = contents_of(image.points, inside)
         self._points = image.points
-        self._further = [one.points[contents_of(one.points, inside)] for one in further]
+        self._further = [view.points[contents_of(view.points, inside)] for view in further]
 
     def grasps(self, part: SeenPart) -> tuple[Grasp, ...] | Message:
         """Return the grasps of a part, the best first, or why there is none."""
         others = self._points[self._content & ~_grown(part.pixels)]
         others = np.vstack([others, *(_outside(points, part) for points in self._further)])
         near = np.linalg.norm(others - np.array(part.pose.position), axis=1) < 0.15
-        found, reasons = [], set()
+        possible, reasons = [], set()
         for grasp in _candidates(part, self._fingers):
             reason = self._obstacle(grasp, others[near])
             if reason is None:
-                found.append(grasp)
+                possible.append(grasp)
             else:
                 reasons.add(reason)
-        if found:
-            return tuple(sorted(found, key=lambda grasp: -grasp.score))
+        if possible:
+            return tuple(sorted(possible, key=lambda grasp: -grasp.score))
         return _why_not(reasons)
 
     def _obstacle(self, grasp: Grasp, others: Array) -> str | None:

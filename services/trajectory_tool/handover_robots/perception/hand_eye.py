@@ -64,10 +64,10 @@ def find_ball(image: DepthImage, expected: Vector, radius_m: float) -> Vector | 
         is_near = np.linalg.norm(points - start, axis=1) < radius_m + SEARCH_M
     best, best_share = None, MIN_SHARE
     for nearer_m in STARTS_M:
-        found = _fitted(points[is_near], rays[is_near], start - nearer_m * toward, radius_m)
-        if found is None:
+        fit = _fitted(points[is_near], rays[is_near], start - nearer_m * toward, radius_m)
+        if fit is None:
             continue
-        middle, count = found
+        middle, count = fit
         share = count / int((_distance_of_rays(rays, middle) < CAP * radius_m).sum())
         if share > best_share:
             best, best_share = middle, share
@@ -103,8 +103,8 @@ def in_hand(samples: Sequence[SeenBall], nominal: Frame) -> Calibration:
     if len(samples) < MIN_IMAGES:
         raise _too_few(len(samples), MIN_IMAGES)
     rotation, translation = np.array(nominal.rotation), np.array(nominal.position)
-    tools = [(np.array(one.tool.rotation), np.array(one.tool.position)) for one in samples]
-    seen = [np.array(one.ball) for one in samples]
+    tools = [(np.array(sample.tool.rotation), np.array(sample.tool.position)) for sample in samples]
+    seen = [np.array(sample.ball) for sample in samples]
     place = np.mean(
         [r @ (rotation @ c + translation) + t for (r, t), c in zip(tools, seen, strict=True)], axis=0
     )
@@ -141,8 +141,8 @@ def fixed(balls: Sequence[Vector], seen: Sequence[Vector]) -> Calibration:
                 needed=MIN_BALLS,
             )
         )
-    known, found = np.array(balls), np.array(seen)
-    from_known, from_found = known - known.mean(axis=0), found - found.mean(axis=0)
+    places, measured = np.array(balls), np.array(seen)
+    from_known, from_found = places - places.mean(axis=0), measured - measured.mean(axis=0)
     u, sizes, v = np.linalg.svd(from_found.T @ from_known)
     if sizes[1] < 1e-6 * max(sizes[0], 1e-12):
         raise NotCalibrated(
@@ -150,8 +150,8 @@ def fixed(balls: Sequence[Vector], seen: Sequence[Vector]) -> Calibration:
         )
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))])
     rotation = v.T @ mirror @ u.T
-    translation = known.mean(axis=0) - rotation @ found.mean(axis=0)
-    return _checked(rotation, translation, found @ rotation.T + translation - known)
+    translation = places.mean(axis=0) - rotation @ measured.mean(axis=0)
+    return _checked(rotation, translation, measured @ rotation.T + translation - places)
 
 
 def _checked(rotation: Array, translation: Array, residuals: Array) -> Calibration:

@@ -34,12 +34,12 @@ UP: Final = np.array([0.0, 0.0, 1.0])
 def find_things(image: DepthImage, inside: Inside, fingers: Fingers) -> list[SeenPart]:
     """Return the things in a bin, the highest first."""
     content = contents_of(image.points, inside)
-    found = []
+    things = []
     for pixels in _pieces(content, JOINED_PIXELS):
         thing = _graspable(image.points, pixels & content, inside.bottom.position[2], fingers)
         if thing is not None:
-            found.append(thing)
-    return sorted(found, key=lambda part: -part.top_m)
+            things.append(thing)
+    return sorted(things, key=lambda part: -part.top_m)
 
 
 def _pieces(mask: Mask, joined: int) -> Iterator[Mask]:

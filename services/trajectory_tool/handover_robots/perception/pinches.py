@@ -48,14 +48,14 @@ def best_pinch(points: Array, fingers: Fingers) -> Pinch | None:
     if not len(flat):
         return None
     middle = flat.mean(axis=0)
-    found = [
-        one
+    pinches = [
+        pinch
         for number in range(DIRECTIONS)
-        if (one := _best_along(flat - middle, number * math.pi / DIRECTIONS, fingers)) is not None
+        if (pinch := _best_along(flat - middle, number * math.pi / DIRECTIONS, fingers)) is not None
     ]
-    if not found:
+    if not pinches:
         return None
-    _, angle, along, across, width_m = max(found)
+    _, angle, along, across, width_m = max(pinches)
     c, s = math.cos(angle), math.sin(angle)
     x, y = middle + np.array([c * across - s * along, s * across + c * along])
     return Pinch((float(x), float(y)), angle, width_m)

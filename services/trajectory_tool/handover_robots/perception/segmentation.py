@@ -74,12 +74,12 @@ def find_parts(image: DepthImage, inside: Inside, part_size_m: tuple[float, floa
     normals = _normals(_smoothed(image))
     flat = content & ~_edges(image.depth_m, normals, content)
     count, labels = cv2.connectedComponents(flat.astype(np.uint8), connectivity=4)
-    found: list[SeenPart] = []
+    parts: list[SeenPart] = []
     for label in range(1, count):
         pixels = labels == label
         if int(pixels.sum()) >= MIN_PIXELS:
-            found += _parts_of_face(image.points, pixels, content, inside, part_size_m)
-    return sorted(found, key=lambda part: -part.top_m)
+            parts += _parts_of_face(image.points, pixels, content, inside, part_size_m)
+    return sorted(parts, key=lambda part: -part.top_m)
 
 
 def contents_of(points: Array, inside: Inside) -> Mask:
@@ -191,7 +191,7 @@ def _best_face(
     _, (width, height), turned = cv2.minAreaRect(flat.astype(np.float32))
     area = _area(flat)
     best, best_score = None, 0.0
-    faces = {(one, other, thickness) for one, other, thickness in permutations(part_size_m)}
+    faces = {(length, width, thickness) for length, width, thickness in permutations(part_size_m)}
     for size in sorted(faces):
         if size[0] > size[1] + 1e-9 or size[2] > top_m + 0.02:
             continue

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Frame
 from handover_robots.model.trajectory import Setpoint
-from handover_robots.physics.world_model import ArmNames
+from handover_robots.physics.robot_bodies import ArmNames
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Blocked:
     error: float
 
 
-class Arm:
+class SimulatedArm:
     """One arm in the state of a simulation, whose `lock` it uses; it starts at rest, opened, at `joints`."""
 
     def __init__(self, names: ArmNames, model: Any, data: Any, lock: RLock, joints: Joints) -> None:
@@ -118,6 +119,7 @@ class Arm:
             torque = self._data.sensor(self.names.torque_id).data.tolist()
         return Wrench((force[0], force[1], force[2]), (torque[0], torque[1], torque[2]))
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Set what the servo follows from now on."""
         with self._lock:
@@ -164,8 +166,8 @@ class Arm:
         """Return for each finger the shapes that it touches."""
         with self._lock:
             touching: list[set[int]] = [set() for _ in self._finger_geoms]
-            for one, other in self._data.contact.geom.tolist():
-                for geom, against in ((one, other), (other, one)):
+            for first, second in self._data.contact.geom.tolist():
+                for geom, against in ((first, second), (second, first)):
                     for finger, geoms in zip(touching, self._finger_geoms, strict=True):
                         if geom in geoms:
                             finger.add(against)

@@ -13,7 +13,7 @@ from handover.telemetry import get_logger
 from handover_robots.model.poses import NO_TURN, Frame, Pose
 from handover_robots.perception.depth_image import Intrinsics
 from handover_robots.perception.grasps import AT_TIP
-from handover_robots.physics.arm import Arm
+from handover_robots.physics.arm import SimulatedArm
 from handover_robots.physics.depth_camera import CameraMount, DepthCamera, misaligned
 from handover_robots.physics.simulation import Simulation
 from handover_robots.scene.scene import Scene
@@ -36,7 +36,7 @@ class Cameras(Mapping[str, DepthCamera]):
     def __init__(
         self,
         simulation: Simulation,
-        arm: Arm,
+        arm: SimulatedArm,
         scene: Scene,
         *,
         seed: int,
@@ -76,11 +76,11 @@ class Cameras(Mapping[str, DepthCamera]):
     def calibrate(self, name: str, frame: Frame) -> None:
         """Store durably where a camera is. Raises `OSError`; the camera is then where it was before."""
         mount = CameraMount(frame, self._cameras[name].mount.in_hand)
-        known = self._calibrated | {name: mount}
+        mounts = self._calibrated | {name: mount}
         if self._file is not None:
-            written = {name: Pose.of(mount.frame).written() for name, mount in known.items()}
+            written = {name: Pose.of(mount.frame).written() for name, mount in mounts.items()}
             replace_durably(self._file, json.dumps(written, indent=1).encode())
-        self._calibrated = known
+        self._calibrated = mounts
 
     def _stored(self) -> dict[str, CameraMount]:
         if self._file is None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from handover_robots.model.poses import Frame
 from handover_robots.perception.depth_image import DepthImage, Intrinsics
-from handover_robots.physics.arm import Arm
+from handover_robots.physics.arm import SimulatedArm
 from handover_robots.physics.simulation import Simulation
 
 MAX_RANGE_M = 3.0
@@ -31,7 +31,7 @@ class DepthCamera:
     def __init__(
         self,
         simulation: Simulation,
-        arm: Arm,
+        arm: SimulatedArm,
         mount: CameraMount,
         intrinsics: Intrinsics,
         *,
@@ -58,8 +58,8 @@ class DepthCamera:
             tool = self._arm.tool
             camera = self.mount.camera(tool)
             rays = self._directions @ np.array(camera.rotation).T
-            found = self._simulation.cast_rays(np.array(camera.position), rays, MAX_RANGE_M)
-        depth = found / self._lengths + self._random.normal(0.0, self._noise_m, len(found))
+            ranges_m = self._simulation.cast_rays(np.array(camera.position), rays, MAX_RANGE_M)
+        depth = ranges_m / self._lengths + self._random.normal(0.0, self._noise_m, len(ranges_m))
         size = (self.intrinsics.height, self.intrinsics.width)
         return tool, DepthImage(depth.reshape(size), self.intrinsics, believed.camera(tool))
 

@@ -160,8 +160,8 @@ def _jacket() -> LooseObject:
 
 
 OBJECTS: Final = {
-    each.name: each
-    for each in (
+    loose.name: loose
+    for loose in (
         _rigid("cube", 0.05, 0.6, (Box((0.045, 0.045, 0.045)), _at())),
         _rigid("apple", 0.15, 0.5, (Sphere(0.034), _at())),
         _rigid("chilli", 0.02, 0.5, *_chilli()),

@@ -18,12 +18,13 @@ from threading import Condition, Thread
 from typing import Any, TypeVar
 
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.metrics import SIMULATED_SECONDS, SIMULATION_CPU_SECONDS
 from handover_robots.model.faults import RobotFault
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
-from handover_robots.physics.world_model import STEP_S
 
 log = get_logger(__name__)
 
@@ -37,7 +38,7 @@ IDLE_EVERY_S = 0.03
 
 
 @dataclass(slots=True)
-class _Work:
+class _PacedWork:
     cycles: Cycles[Any]
     done: Future[Any]
     is_paced: bool
@@ -56,7 +57,7 @@ class PacedSimulation:
         self.on_step: Callable[[], None] = lambda: None
         """Called in the thread after each step for a robot that waits; it must not fail."""
         self._changed = Condition()
-        self._works: dict[str, deque[_Work]] = {}
+        self._works: dict[str, deque[_PacedWork]] = {}
         self._thread: Thread | None = None
         self._users = 0
         self._resync()
@@ -80,7 +81,7 @@ class PacedSimulation:
         """
         done: Future[T] = Future()
         with self._changed:
-            self._works.setdefault(robot, deque()).append(_Work(cycles, done, is_paced))
+            self._works.setdefault(robot, deque()).append(_PacedWork(cycles, done, is_paced))
             self._require_thread()
             self._changed.notify_all()
         return done
@@ -129,7 +130,8 @@ class PacedSimulation:
             else:
                 self._catch_up()
 
-    def _cycle(self, works: list[tuple[str, _Work]]) -> None:
+    @runs_in_cycle
+    def _cycle(self, works: list[tuple[str, _PacedWork]]) -> None:
         """Resume the work that is due, and simulate a step if a robot waits for it."""
         now_s = self.simulation.time_s
         waiting = [
@@ -142,7 +144,8 @@ class PacedSimulation:
             self.on_step()
             self._keep_pace(is_paced=any(work.is_paced for work in waiting))
 
-    def _has_ended(self, robot: str, work: _Work) -> bool:
+    @runs_in_cycle
+    def _has_ended(self, robot: str, work: _PacedWork) -> bool:
         """Resume work until it waits again; return whether it has ended."""
         try:
             work.due_s = next(work.cycles)
@@ -156,11 +159,13 @@ class PacedSimulation:
             return False
         return True
 
+    @runs_in_cycle
     def _forget(self, robot: str) -> None:
         with self._changed:
             self._works[robot].popleft()
             self._changed.notify_all()
 
+    @runs_in_cycle
     def _simulate(self, seconds: float) -> None:
         began, began_s = time.thread_time(), self.simulation.time_s
         self.simulation.step_for(seconds)

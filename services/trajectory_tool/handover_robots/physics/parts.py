@@ -118,12 +118,12 @@ class Parts:
         walls = self._walls(bin_name)
         back = walls.pose.frame().inverse()
         width, depth, height = walls.size
-        found = []
+        heights = []
         for part, pose in self._present():
             x, y, z = (back @ pose.frame()).position
             if abs(x) < width / 2 and abs(y) < depth / 2 and 0 < z < height + 0.1:
-                found.append((-z, part))
-        return [part for _, part in sorted(found)]
+                heights.append((-z, part))
+        return [part for _, part in sorted(heights)]
 
     def in_fixture(self, fixture: str) -> list[int]:
         """Return the parts that lie at a nest of a fixture."""

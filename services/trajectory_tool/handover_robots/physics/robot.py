@@ -14,6 +14,7 @@ from concurrent.futures import Future
 from typing import Self, TypeVar
 
 from handover.messages import message
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.control_thread import Cycles
 from handover_robots.driver_base.cyclic_robot import CyclicRobot
@@ -26,9 +27,9 @@ from handover_robots.model.poses import Frame
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.model.trajectory import Limits, Setpoint
 from handover_robots.physics.cameras import Cameras
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.shared_world import SharedWorld
 from handover_robots.physics.vision import PhysicsVision
-from handover_robots.physics.world_model import STEP_S
 from handover_robots.scene.scene import Scene
 
 T = TypeVar("T")
@@ -60,7 +61,7 @@ class PhysicsRobot(CyclicRobot):
         super().__init__(
             self.arm.positions,
             limits,
-            limiter=limiter or JointLimiter(limits, [(each.lower, each.upper) for each in model.joints]),
+            limiter=limiter or JointLimiter(limits, [(joint.lower, joint.upper) for joint in model.joints]),
             control_hz=1 / STEP_S,
             clock=Clock(lambda: simulation.time_s),
         )
@@ -118,6 +119,7 @@ class PhysicsRobot(CyclicRobot):
         """Run `cycles` in the thread of the world, after what the robot does there."""
         return self.world.paced.submit(self.name, cycles)
 
+    @runs_in_cycle
     def command(self, setpoint: Setpoint) -> None:
         """Give the servo a setpoint. Raises `RobotFault` once the arm was blocked."""
         blocked = self.arm.blocked
@@ -197,6 +199,7 @@ class PhysicsRobot(CyclicRobot):
 
         return apply
 
+    @runs_in_cycle
     def _move_fingers(self, target: float, then_wait_s: float = 0.0) -> Cycles[None]:
         if self.vision is not None:
             self.vision.forget_images()

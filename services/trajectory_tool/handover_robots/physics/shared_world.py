@@ -45,10 +45,10 @@ class SharedWorld:
     @classmethod
     def of(cls, context: RobotContext) -> "SharedWorld":
         """Return the world of the cell. Raises `UsageError` for a scene that cannot be simulated."""
-        known = context.shared.get(KEY)
-        if not isinstance(known, SharedWorld):
-            known = context.shared[KEY] = cls._made(context)
-        return known
+        world = context.shared.get(KEY)
+        if not isinstance(world, SharedWorld):
+            world = context.shared[KEY] = cls._made(context)
+        return world
 
     @classmethod
     def _made(cls, context: RobotContext) -> "SharedWorld":
@@ -83,8 +83,8 @@ class SharedWorld:
         The robots of the cell may all call it: the first one changes the world. Raises `UsageError`.
         """
         require_walls(scene)
-        known = self.simulation.world
-        parked = len(known.parts) - len(known.objects)
+        present = self.simulation.world
+        parked = len(present.parts) - len(present.objects)
         world = build(self._models, scene, max(Parts.needed(scene), parked))
 
         def change() -> Iterator[float]:

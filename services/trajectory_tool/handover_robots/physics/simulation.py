@@ -14,8 +14,9 @@ import numpy as np
 from handover_robots.model.joints import Joints
 from handover_robots.model.poses import Pose, Vector
 from handover_robots.model.trajectory import Setpoint
-from handover_robots.physics.arm import Arm, Array, frame_of
-from handover_robots.physics.world_model import CAMERA_GROUP, STEP_S, WorldModel, parked_at
+from handover_robots.physics.arm import Array, SimulatedArm, frame_of
+from handover_robots.physics.robot_bodies import CAMERA_GROUP, STEP_S
+from handover_robots.physics.world_model import WorldModel, parked_at
 
 STILL_MPS = 0.002
 
@@ -34,7 +35,7 @@ class Simulation:
         self.lock = RLock()
         self._use(world)
         self.arms = {
-            name: Arm(names, self._model, self._data, self.lock, joints[name])
+            name: SimulatedArm(names, self._model, self._data, self.lock, joints[name])
             for name, names in world.arms.items()
         }
         mujoco.mj_forward(self._model, self._data)
@@ -56,7 +57,7 @@ class Simulation:
         self._torque = np.zeros(model.nv)
 
     @property
-    def arm(self) -> Arm:
+    def arm(self) -> SimulatedArm:
         """Return the only arm."""
         (arm,) = self.arms.values()
         return arm
@@ -148,8 +149,8 @@ class Simulation:
 
     def gripped_parts(self) -> set[int]:
         """Return the numbers of the parts in all grippers."""
-        found = (self.gripped_part(name) for name in self.arms)
-        return {part for part in found if part is not None}
+        parts = (self.gripped_part(name) for name in self.arms)
+        return {part for part in parts if part is not None}
 
     def part_pose(self, part: int) -> Pose:
         """Return the pose of a part."""
@@ -166,22 +167,22 @@ class Simulation:
 
     def part_boxes(self, part: int) -> list[tuple[Pose, Vector]]:
         """Return the pose and the size of the box around each shape of a part."""
-        found: list[tuple[Pose, Vector]] = []
+        boxes: list[tuple[Pose, Vector]] = []
         with self.lock:
             for geom in self._shapes[part]:
                 x, y, z = (2 * self._model.geom_aabb[geom][3:]).tolist()
                 frame = frame_of(self._data.geom_xmat[geom], self._data.geom_xpos[geom])
-                found.append((Pose.of(frame), (x, y, z)))
-        return found
+                boxes.append((Pose.of(frame), (x, y, z)))
+        return boxes
 
     def is_touched(self, part: int) -> bool:
         """Return whether a finger touches a part."""
         with self.lock:
             fingers = set[int]().union(*(arm.finger_shapes for arm in self.arms.values()))
             return any(
-                (one in fingers and self._part_of_geom.get(other) == part)
-                or (other in fingers and self._part_of_geom.get(one) == part)
-                for one, other in self._data.contact.geom.tolist()
+                (geom in fingers and self._part_of_geom.get(other) == part)
+                or (other in fingers and self._part_of_geom.get(geom) == part)
+                for geom, other in self._data.contact.geom.tolist()
             )
 
     def part_speed_mps(self, part: int) -> float:

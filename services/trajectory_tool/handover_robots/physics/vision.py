@@ -83,8 +83,8 @@ class PhysicsVision:
     async def calibrate(self, seen: Sequence[SeenBall]) -> Mapping[str, float]:
         """Store where the camera in the hand is mounted. Raises `NotCalibrated`."""
         nominal = self.cameras.calibrated(HAND_CAMERA).frame
-        found = await asyncio.to_thread(hand_eye.in_hand, seen, nominal)
-        return await self._store(HAND_CAMERA, found)
+        calibration = await asyncio.to_thread(hand_eye.in_hand, seen, nominal)
+        return await self._store(HAND_CAMERA, calibration)
 
     async def calibrate_fixed(
         self, camera: str, places: Sequence[Vector], seen: Sequence[Vector]
@@ -92,14 +92,14 @@ class PhysicsVision:
         """Store where a fixed camera is mounted. Raises `NotCalibrated` and `OSError`."""
         return await self._store(camera, hand_eye.fixed(places, seen))
 
-    async def _store(self, camera: str, found: hand_eye.Calibration) -> Mapping[str, float]:
+    async def _store(self, camera: str, calibration: hand_eye.Calibration) -> Mapping[str, float]:
         nominal = self.cameras.calibrated(camera).frame
-        await asyncio.to_thread(self.cameras.calibrate, camera, found.mount)
+        await asyncio.to_thread(self.cameras.calibrate, camera, calibration.mount)
         self.forget_images()
-        change = nominal.inverse() @ found.mount
+        change = nominal.inverse() @ calibration.mount
         trace = sum(change.rotation[axis][axis] for axis in range(3))
         return {
-            "residualMm": round(1000 * found.residual_m, 2),
+            "residualMm": round(1000 * calibration.residual_m, 2),
             "movedMm": round(1000 * math.hypot(*change.position), 2),
             "turnedDeg": round(math.degrees(math.acos(min((trace - 1) / 2, 1.0))), 3),
         }
@@ -164,19 +164,19 @@ class PhysicsVision:
         images = self._images[bin_name] = {**(self._images.get(bin_name, {}) if view else {}), view: image}
         inside = inside_of(bin_.walls)
         seen = []
-        for each in images.values():
-            further = [other for other in images.values() if other is not each]
-            finder = GraspFinder(each, inside, fingers, further)
+        for taken in images.values():
+            further = [other for other in images.values() if other is not taken]
+            finder = GraspFinder(taken, inside, fingers, further)
             if bin_.objects:
-                parts = find_things(each, inside, fingers)
+                parts = find_things(taken, inside, fingers)
             else:
-                parts = find_parts(each, inside, self._part_size_m)
+                parts = find_parts(taken, inside, self._part_size_m)
             seen += [(part, finder) for part in parts]
-        found, to_tip = [], fingers.frame.inverse()
+        sightings, to_tip = [], fingers.frame.inverse()
         for part, finder in _each_once(seen):
             grasps = finder.grasps(part)
             if isinstance(grasps, Message):
-                found.append(Sighting(Pose.of(part.pose), reason=grasps))
+                sightings.append(Sighting(Pose.of(part.pose), reason=grasps))
                 continue
             chosen: list[SeenGrasp] = []
             for grasp in grasps:
@@ -187,8 +187,8 @@ class PhysicsVision:
                     chosen.append(SeenGrasp(tool, Grip(Pose.of(held), grasp.size)))
                 if len(chosen) == MAX_GRASPS:
                     break
-            found.append(Sighting(Pose.of(part.pose), tuple(chosen)))
-        return found
+            sightings.append(Sighting(Pose.of(part.pose), tuple(chosen)))
+        return sightings
 
 
 def inside_of(walls: OpenBox) -> Inside:
@@ -201,12 +201,12 @@ def inside_of(walls: OpenBox) -> Inside:
 def _each_once(seen: Sequence[tuple[SeenPart, GraspFinder]]) -> list[tuple[SeenPart, GraspFinder]]:
     """Return each part as the view shows it that shows most of it, the highest first."""
     kept: list[tuple[SeenPart, GraspFinder]] = []
-    for one, view in sorted(seen, key=lambda one: -one[0].cover):
+    for grasp, view in sorted(seen, key=lambda grasp: -grasp[0].cover):
         same = (other for other, by in kept if by is not view)
-        if all(math.dist(one.pose.position, other.pose.position) > SAME_PART_M for other in same):
-            kept.append((one, view))
-    return sorted(kept, key=lambda one: -one[0].top_m)
+        if all(math.dist(grasp.pose.position, other.pose.position) > SAME_PART_M for other in same):
+            kept.append((grasp, view))
+    return sorted(kept, key=lambda seen_grasp: -seen_grasp[0].top_m)
 
 
-def _is_same(one: Pose, other: Pose) -> bool:
-    return one.distance_m(other) < MAX_REPEATS_M and one.orientation == other.orientation
+def _is_same(first: Pose, second: Pose) -> bool:
+    return first.distance_m(second) < MAX_REPEATS_M and first.orientation == second.orientation

@@ -107,10 +107,10 @@ class Arm:
             values = [float(value) + 2 * math.pi * turn for turn in turns]
             low, high = self.lower[number] - 1e-9, self.upper[number] + 1e-9
             choices.append([min(max(v, low + 1e-9), high - 1e-9) for v in values if low <= v <= high])
-        found: list[list[float]] = [[]]
+        solutions: list[list[float]] = [[]]
         for values in choices:
-            found = [[*start, value] for start in found for value in values]
-        return [np.array(one) for one in found]
+            solutions = [[*start, value] for start in solutions for value in values]
+        return [np.array(solution) for solution in solutions]
 
     def nearest_equivalent(self, joints: Array, near: Array) -> Array | None:
         """Return `joints` turned by full turns as near to `near` as the limits allow; None without any."""

@@ -92,15 +92,15 @@ class DistanceBounds:
         others: list[int] = []
         first: list[int] = []
         for pair in geometry.collisionPairs:
-            one, other = pair.first, pair.second
-            if one in rows or other in rows:
-                row, column = (rows[one], columns[other]) if one in rows else (rows[other], columns[one])
+            near, far = pair.first, pair.second
+            if near in rows or far in rows:
+                row, column = (rows[near], columns[far]) if near in rows else (rows[far], columns[near])
                 order.append(row * len(moving) + column)
                 continue
             order.append(self._boxes * len(moving) + len(first))
             first.append(len(ones))
-            for sphere in range(ends[columns[one]], ends[columns[one] + 1]):
-                for against in range(ends[columns[other]], ends[columns[other] + 1]):
+            for sphere in range(ends[columns[near]], ends[columns[near] + 1]):
+                for against in range(ends[columns[far]], ends[columns[far] + 1]):
                     ones.append(sphere)
                     others.append(against)
         self._order = np.array(order, dtype=np.int64)

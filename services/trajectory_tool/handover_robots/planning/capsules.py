@@ -50,9 +50,9 @@ class LinkCapsules:
         self._attached = attached
         arm, items = self._arm, list(self._items)
         tip = arm.pin_model.frames[arm.tip]
-        for one in attached:
-            placement = tip.placement * se3_of(one.pose)
-            items.append(pin.GeometryObject(one.name, tip.parentJoint, placement, geometry_of(one.shape)))
+        for thing in attached:
+            placement = tip.placement * se3_of(thing.pose)
+            items.append(pin.GeometryObject(thing.name, tip.parentJoint, placement, geometry_of(thing.shape)))
         self._moved = _moved(arm, items)
         self.reach_m = max(self._reach_m(item, number) for number, item in enumerate(items))
 
@@ -72,7 +72,7 @@ class LinkCapsules:
         joint = item.parentJoint
         origin = self.centre if joint == 0 else np.zeros(3)
         ends = (moved.starts[number] - origin, moved.ends[number] - origin)
-        far = float(moved.radii[number] + max(np.linalg.norm(one) for one in ends))
+        far = float(moved.radii[number] + max(np.linalg.norm(end) for end in ends))
         while joint > 1:
             joint_range = np.array([self._arm.lower[joint - 1], self._arm.upper[joint - 1]])
             far += float(np.linalg.norm(placements[joint].translation))

@@ -152,11 +152,11 @@ class Collisions:
         data = self._distance_data()
         pin.computeDistances(self.arm.pin_model, self.arm.data, self.geometry, data, joints)
         names = self._names
-        found = [
+        clearances = [
             Clearance(names[pair.first], names[pair.second], result.min_distance)
             for pair, result in zip(self.geometry.collisionPairs, data.distanceResults, strict=True)
         ]
-        return found or [NOTHING_NEAR]
+        return clearances or [NOTHING_NEAR]
 
     def within(self, joints: Array, horizon_m: float) -> list[Clearance]:
         """Return the exact distances of the pairs that are nearer than `horizon_m`, at least 0, in any order.
@@ -201,8 +201,8 @@ class Collisions:
         """Return the pairs within `margin_m`, the closest first, one for each two things."""
         near: dict[tuple[str, str], Clearance] = {}
         beyond_m = math.nextafter(margin_m, math.inf)
-        for one in sorted(self.within(joints, beyond_m), key=lambda one: one.distance_m):
-            near.setdefault((one.first, one.second), one)
+        for pair in sorted(self.within(joints, beyond_m), key=lambda pair: pair.distance_m):
+            near.setdefault((pair.first, pair.second), pair)
         return list(near.values())
 
     def _approaches(self, reaches: Array) -> Array:
@@ -255,10 +255,10 @@ def _joined(arm: Arm, world: World) -> tuple[Any, list[str]]:
     moving = [number for number, item in enumerate(geometry.geometryObjects) if item.parentJoint > 0]
     own = len(names)
     tip = arm.pin_model.frames[arm.tip]
-    for one in world.attached:
-        placement = tip.placement * se3_of(one.pose)
-        _add(geometry, one, tip.parentJoint, placement)
-        names.append(one.name)
+    for attached in world.attached:
+        placement = tip.placement * se3_of(attached.pose)
+        _add(geometry, attached, tip.parentJoint, placement)
+        names.append(attached.name)
     carried = list(range(own, len(names)))
     for obstacle in world.obstacles:
         _add(geometry, obstacle, 0, se3_of(obstacle.pose))
@@ -286,9 +286,9 @@ def link_of(geometry_name: str) -> str:
     return geometry_name.rsplit("_", 1)[0]
 
 
-def _add(geometry: Any, one: Obstacle | Attached, joint: int, placement: Any) -> None:
-    name = f"{one.name}_{geometry.ngeoms}"
-    item = pin.GeometryObject(name, joint, placement, geometry_of(one.shape))
+def _add(geometry: Any, solid: Obstacle | Attached, joint: int, placement: Any) -> None:
+    name = f"{solid.name}_{geometry.ngeoms}"
+    item = pin.GeometryObject(name, joint, placement, geometry_of(solid.shape))
     geometry.addGeometryObject(item)
 
 

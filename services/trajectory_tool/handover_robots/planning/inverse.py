@@ -33,7 +33,7 @@ Accept = Callable[[Array], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Nearest:
+class NearestPose:
     """The nearest to an unreachable pose that was found, and how far it is away."""
 
     pose: Pose
@@ -62,22 +62,24 @@ class Inverse:
         if self._closed_form is not None:
             solutions = self._all(pose, near)
             solutions.sort(key=lambda joints: _effort(joints, near))
-            return next((one for one in solutions if accept is None or accept(one)), None)
+            return next((solution for solution in solutions if accept is None or accept(solution)), None)
         return next(self._numeric(se3_of(pose), near, accept, MAX_RESTARTS), None)
 
     def several(self, pose: Pose, near: Array, count: int, accept: Accept | None = None) -> list[Array]:
         """Return up to `count` distinct solutions, the nearest first; full turns make distinct ones."""
-        found: list[Array] = []
+        solutions: list[Array] = []
         if self._closed_form is not None:
-            found = self._all(pose, near)
+            solutions = self._all(pose, near)
         else:
             for joints in self._numeric(se3_of(pose), near, accept, RESTARTS_FOR_SEVERAL):
-                if all(np.abs(joints - other).max() > SAME_JOINTS_RAD for other in found):
-                    found.append(joints)
-                if len(found) >= count:
+                if all(np.abs(joints - other).max() > SAME_JOINTS_RAD for other in solutions):
+                    solutions.append(joints)
+                if len(solutions) >= count:
                     break
-            found = found or [one for one in [self.solve(pose, near, accept)] if one is not None]
-        spread = [turned for joints in found for turned in self.arm.equivalents(joints)]
+            solutions = solutions or [
+                solution for solution in [self.solve(pose, near, accept)] if solution is not None
+            ]
+        spread = [turned for joints in solutions for turned in self.arm.equivalents(joints)]
         spread.sort(key=lambda joints: _effort(joints, near))
         accepted = []
         for joints in spread:
@@ -87,7 +89,7 @@ class Inverse:
                     break
         return accepted
 
-    def nearest(self, pose: Pose, near: Array) -> Nearest:
+    def nearest(self, pose: Pose, near: Array) -> NearestPose:
         """Return the nearest pose that is found for one out of reach; the position counts most."""
         target = se3_of(pose)
         weights = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05])
@@ -100,13 +102,13 @@ class Inverse:
         reached = self.arm.tool(best[1])
         turn = float(np.linalg.norm(pin.log3(reached.rotation.T @ target.rotation)))
         away = float(np.linalg.norm(reached.translation - target.translation))
-        return Nearest(pose_of(reached), best[1], away, turn)
+        return NearestPose(pose_of(reached), best[1], away, turn)
 
     def _all(self, pose: Pose, near: Array) -> list[Array]:
         """Return the solutions of the closed form, each turned as near to `near` as the limits allow."""
         assert self._closed_form is not None  # noqa: S101 - callers checked
-        given = self._closed_form(self.arm.model.flange_for(pose), tuple(near.tolist()))
-        turned = (self.arm.nearest_equivalent(np.array(joints), near) for joints in given)
+        solutions = self._closed_form(self.arm.model.flange_for(pose), tuple(near.tolist()))
+        turned = (self.arm.nearest_equivalent(np.array(joints), near) for joints in solutions)
         return [joints for joints in turned if joints is not None]
 
     def _numeric(self, target: Any, near: Array, accept: Accept | None, restarts: int) -> Iterator[Array]:

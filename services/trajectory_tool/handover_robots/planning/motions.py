@@ -71,13 +71,13 @@ class Motions:
         while ways:
             covering = self._covering(half_m)
             rest = []
-            for one, other in ways:
-                middle = (one + other) / 2
+            for first, last in ways:
+                middle = (first + last) / 2
                 if covering is not None and collisions.is_free_within(middle, covering, margin_m):
                     continue
                 if covering == margin_m or not collisions.is_free(middle, margin_m):
                     return False
-                rest += [(one, middle), (middle, other)]
+                rest += [(first, middle), (middle, last)]
             ways, half_m = rest, half_m / 2
         return True
 

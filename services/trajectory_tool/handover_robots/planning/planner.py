@@ -25,23 +25,24 @@ from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.joints import Joints
 from handover_robots.model.obstacles import World
-from handover_robots.model.poses import Pose, Vector
+from handover_robots.model.poses import Pose
 from handover_robots.model.robot_model import RobotModel
 from handover_robots.model.trajectory import Limits
 from handover_robots.planning import retiming, timing
 from handover_robots.planning.arm import Arm, Array, se3_of
 from handover_robots.planning.collision import Clearance, Collisions
+from handover_robots.planning.explanations import Explanations
 from handover_robots.planning.inverse import Inverse
 from handover_robots.planning.motions import Motions
 from handover_robots.planning.search import search, shorten
 from handover_robots.planning.straight import Obstructed, ToolLine, tool_line
+from handover_robots.planning.tilt import Tilt
 from handover_robots.planning.torques import Overload, Torques
 from handover_robots.planning.tracked_distances import TrackedDistances
 
 CHECK_STEP_S = 0.004
 BLEND_SHARES = (0.45, 0.2, 0.08)
 STRAIGHT_TOLERANCE_M = 0.001
-CLEARANCE_SEARCH_M = 0.3
 MAX_TURNED_GOALS = 12
 SHARE_OF_MARGIN = 0.6
 """Of the time that is left for the search, with each margin but the last one."""
@@ -62,15 +63,6 @@ class Options:
     optimise_s: float = 0.02
     max_goals: int = 4
     seed: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Tilt:
-    """A path constraint: an axis of the tool stays within an angle of a direction of the base."""
-
-    axis: Vector = (0.0, 0.0, 1.0)
-    direction: Vector = (0.0, 0.0, -1.0)
-    max_angle_rad: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -177,10 +169,10 @@ class Planner:
     def straight(self, start: Joints, pose: Pose, max_tool_speed_mps: float | None = None) -> Plan:
         """Return a straight motion of the tool to a pose."""
         begin = np.array(start)
-        found = tool_line(self.arm, self.inverse, begin, se3_of(pose))
-        if isinstance(found, Obstructed):
-            raise Unreachable(self._obstructed(found, pose, begin))
-        return self._along_tool_line(found, se3_of(pose), max_tool_speed_mps)
+        line = tool_line(self.arm, self.inverse, begin, se3_of(pose))
+        if isinstance(line, Obstructed):
+            raise Unreachable(self._why.obstructed(line, pose, begin))
+        return self._along_tool_line(line, se3_of(pose), max_tool_speed_mps)
 
     def approach(self, start: Joints, above: Pose, at: Pose) -> tuple[Plan, Plan]:
         """Return a motion to `above`, and the straight one from there to `at`.
@@ -214,10 +206,10 @@ class Planner:
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return joint positions near `near` with the tool at a pose, without a look at obstacles."""
         begin = np.array(near)
-        found = self.inverse.solve(pose, begin)
-        if found is None:
-            raise Unreachable(self._unreachable(pose, begin))
-        return tuple(found.tolist())
+        joints = self.inverse.solve(pose, begin)
+        if joints is None:
+            raise Unreachable(self._why.unreachable(pose, begin))
+        return tuple(joints.tolist())
 
     def nearest_free(self, pose: Pose, near: Joints) -> Joints:
         """Return the free joint positions nearest to `near` with the tool at a pose."""
@@ -227,13 +219,13 @@ class Planner:
         """Return free joint positions with the tool at a pose, the nearest first; at least one."""
         for margin_m in self.options.margins_m:
             motions = Motions(self.collisions, margin_m)
-            found = self.inverse.several(pose, near, self.options.max_goals, motions.is_state_free)
-            if found:
-                return found
+            solutions = self.inverse.several(pose, near, self.options.max_goals, motions.is_state_free)
+            if solutions:
+                return solutions
         touching = self.inverse.several(pose, near, self.options.max_goals)
         if not touching:
-            raise Unreachable(self._unreachable(pose, near))
-        raise NoPath(self._touching_at(pose, near, touching))
+            raise Unreachable(self._why.unreachable(pose, near))
+        raise NoPath(self._why.touching_at(pose, near, touching))
 
     def check(self, trajectory: JointTrajectory, margin_m: float) -> None:
         """Check a trajectory as it will be executed. Raises `NoPath` that names what it would touch."""
@@ -247,14 +239,14 @@ class Planner:
                 message(
                     "robot.motion_blocked",
                     "{pair} on the way",
-                    pair=self._contact(touch, margin_m),
+                    pair=self._why.contact(touch, margin_m),
                 )
             )
 
     def why_not_free(self, joints: Joints, margin_m: float = 0.0) -> Message | None:
         """Return what touches at joint positions, None if nothing does."""
         values = np.array(joints)
-        return None if self.collisions.is_free(values, margin_m) else self._contact(values, margin_m)
+        return None if self.collisions.is_free(values, margin_m) else self._why.contact(values, margin_m)
 
     def least_clearance(self, path: Sequence[Joints]) -> Clearance | None:
         """Return the closest pair on a path whose joints follow each other closely; None without pairs."""
@@ -274,20 +266,23 @@ class Planner:
                 self._worlds.clear()
             self._worlds[world] = Collisions(self.arm, world)
         self.collisions = self._worlds[world]
+        self._why = Explanations(self.inverse, self.collisions, self.options.margins_m[-1])
         if self._torques is None or self._torques.payload_kg != world.payload_kg:
             self._torques = Torques(self.arm, world.payload_kg)
 
     def _to_goals(self, start: Array, goals: list[Array], tilt: Tilt | None) -> Plan:
         largest_m = self._common_margin(start, goals)
-        margins_m = [one for one in self.options.margins_m if one <= largest_m]
+        margins_m = [allowed_m for allowed_m in self.options.margins_m if allowed_m <= largest_m]
         left_s = self.options.timeout_s
         for margin_m in margins_m:
             timeout_s = left_s if margin_m == margins_m[-1] else SHARE_OF_MARGIN * left_s
             left_s -= timeout_s
-            found = self._with_margin(start, goals, tilt, margin_m, timeout_s)
-            if found is not None:
-                return found
-        raise NoPath(self._blocked(Motions(self.collisions, largest_m), start, goals[0]))
+            plan = self._with_margin(start, goals, tilt, margin_m, timeout_s)
+            if plan is not None:
+                return plan
+        raise NoPath(
+            self._why.blocked(Motions(self.collisions, largest_m), start, goals[0], self.options.timeout_s)
+        )
 
     def _with_margin(
         self, start: Array, goals: list[Array], tilt: Tilt | None, margin_m: float, timeout_s: float
@@ -296,10 +291,10 @@ class Planner:
         goals = [goal for goal in goals if motions.is_state_free(goal)]
         if float(np.abs(start - goals[0]).max()) < timing.MIN_LENGTH:
             return self._plan(timing.line(start, start, self.limits), (start, start), margin_m)
-        is_allowed = None if tilt is None else self._tilt_check(tilt)
+        is_allowed = None if tilt is None else tilt.check(self.arm)
 
-        def is_free(one: Array, other: Array) -> bool:
-            return motions.is_free(one, other) and (is_allowed is None or is_allowed(one, other))
+        def is_free(begin: Array, end: Array) -> bool:
+            return motions.is_free(begin, end) and (is_allowed is None or is_allowed(begin, end))
 
         path = self._shortest(motions, start, goals, timeout_s, is_free=is_free, is_allowed=is_allowed)
         return None if path is None else self._timed(path, motions, tilt)
@@ -322,16 +317,16 @@ class Planner:
             if path is None:
                 break
             path = shorten(path, self._time_s, is_free, seed=options.seed + attempt)
-            needs_s = sum(self._time_s(one, other) for one, other in pairwise(path))
+            needs_s = sum(self._time_s(begin, end) for begin, end in pairwise(path))
             if needs_s < best_s:
                 best, best_s = path, needs_s
             if len(path) == 2 or time.monotonic() > ends:
                 break
         return best
 
-    def _time_s(self, one: Array, other: Array) -> float:
+    def _time_s(self, begin: Array, end: Array) -> float:
         """Return about how long a line takes at full speed."""
-        return float((np.abs(other - one) / np.array(self.limits.velocity)).max())
+        return float((np.abs(end - begin) / np.array(self.limits.velocity)).max())
 
     def _plan(self, trajectory: JointTrajectory, path: Sequence[Array], margin_m: float) -> Plan:
         """Return the motion, slowed as far as torques demand. Raises `NoPath` when gravity is too much."""
@@ -360,38 +355,38 @@ class Planner:
         for share in BLEND_SHARES:
             curve = timing.BlendedLines(path, self.limits, share)
             try:
-                found = timing.along(curve, self.limits)
+                trajectory = timing.along(curve, self.limits)
             except timing.NoTimingError:
                 continue
-            samples = found.positions(CHECK_STEP_S)
-            if checks.are_samples_free(samples) and self._is_within(samples, tilt):
-                return self._plan(retiming.faster(found, self.limits), path, motions.margin_m)
+            samples = trajectory.positions(CHECK_STEP_S)
+            if checks.are_samples_free(samples) and (tilt is None or tilt.is_kept(self.arm, samples)):
+                return self._plan(retiming.faster(trajectory, self.limits), path, motions.margin_m)
         return self._plan(timing.with_stops(path, self.limits), path, motions.margin_m)
 
-    def _along_tool_line(self, found: ToolLine, target: pin.SE3, max_tool_speed_mps: float | None) -> Plan:
+    def _along_tool_line(self, line: ToolLine, target: pin.SE3, max_tool_speed_mps: float | None) -> Plan:
         motions = Motions(self.collisions, self.options.contact_margin_m)
-        if len(found.at) < 2:
-            only = found.joints[0]
+        if len(line.at) < 2:
+            only = line.joints[0]
             return self._plan(timing.line(only, only, self.limits), (only, only), motions.margin_m)
-        if not motions.is_path_free(list(found.joints)):
-            touch = motions.first_contact(list(found.joints))
+        if not motions.is_path_free(list(line.joints)):
+            touch = motions.first_contact(list(line.joints))
             raise NoPath(
                 message(
                     "robot.line_blocked",
                     "the tool cannot move straight: {pair} on the way",
-                    pair=self._contact(found.joints[0] if touch is None else touch, motions.margin_m),
+                    pair=self._why.contact(line.joints[0] if touch is None else touch, motions.margin_m),
                 )
             )
-        columns = np.column_stack([found.joints, found.at])
-        curve = timing.Through(found.at, columns)
+        columns = np.column_stack([line.joints, line.at])
+        curve = timing.Through(line.at, columns)
         limits, speed = self.limits, max_tool_speed_mps or timing.UNLIMITED
         for _ in range(6):
             trajectory = timing.along(curve, limits, extra_velocity=(speed,))
-            if self._is_straight(trajectory, found.joints[0], target):
+            if self._is_straight(trajectory, line.joints[0], target):
                 break
             limits = replace(limits, velocity=tuple(0.7 * value for value in limits.velocity))
         self.check(trajectory, motions.margin_m / 2)
-        return self._plan(trajectory, (found.joints[0], found.joints[-1]), motions.margin_m)
+        return self._plan(trajectory, (line.joints[0], line.joints[-1]), motions.margin_m)
 
     def _is_straight(self, trajectory: JointTrajectory, start: Array, target: pin.SE3) -> bool:
         begin = self.arm.tool(start).translation
@@ -415,140 +410,17 @@ class Planner:
                 message(
                     "robot.start_blocked",
                     "the robot cannot start here: {pair}; move it away by hand, or correct the scene",
-                    pair=self._contact(start, least_m),
+                    pair=self._why.contact(start, least_m),
                 )
             )
         raise NoPath(
             message(
                 "robot.target_blocked",
                 "the robot cannot be at the target: {pair}; choose another target",
-                pair=self._contact(goals[0], least_m),
+                pair=self._why.contact(goals[0], least_m),
             )
-        )
-
-    def _tilt_check(self, tilt: Tilt) -> Callable[[Array, Array], bool]:
-        axis, direction = (np.array(one) / np.linalg.norm(one) for one in (tilt.axis, tilt.direction))
-        least = math.cos(tilt.max_angle_rad)
-
-        def is_allowed(one: Array, other: Array) -> bool:
-            steps = max(int(np.abs(other - one).sum() / 0.1), 1)
-            shares = np.linspace(0.0, 1.0, steps + 1)[:, None]
-            return all(
-                float(direction @ (self.arm.tool(joints).rotation @ axis)) >= least
-                for joints in one + shares * (other - one)
-            )
-
-        return is_allowed
-
-    def _is_within(self, samples: Array, tilt: Tilt | None) -> bool:
-        """Return whether rounded corners keep a tilt; lines of the path are checked before."""
-        if tilt is None:
-            return True
-        is_allowed = self._tilt_check(tilt)
-        return all(is_allowed(one, other) for one, other in pairwise(samples[::4]))
-
-    def _contact(self, joints: Array, margin_m: float) -> Message:
-        near = self.collisions.contacts(joints, margin_m) or [self.collisions.closest(joints)]
-        return _pair(near[0])
-
-    def _unreachable(self, pose: Pose, near: Array) -> Message:
-        found = self.inverse.nearest(pose, near)
-        if found.distance_m < 0.001:
-            return message(
-                "robot.orientation_unreachable",
-                "the tool reaches ({position}) m, but not with this orientation; the nearest one is turned "
-                "by {angle} degrees: [{orientation}]",
-                position=_numbers(pose.position),
-                angle=f"{math.degrees(found.angle_rad):.0f}",
-                orientation=_numbers(found.pose.orientation),
-            )
-        return message(
-            "robot.pose_unreachable",
-            "the tool cannot be at ({position}) m: the nearest it reaches is ({nearest}) m, "
-            "{distance} m away",
-            position=_numbers(pose.position),
-            nearest=_numbers(found.pose.position),
-            distance=f"{found.distance_m:.3f}",
-        )
-
-    def _touching_at(self, pose: Pose, near: Array, touching: list[Array]) -> Message:
-        least = max(touching, key=lambda joints: self.collisions.closest(joints).distance_m)
-        pair = self._contact(least, self.options.margins_m[-1])
-        back = self._nearest_free_behind(pose, near)
-        if back is None:
-            return message(
-                "robot.pose_blocked",
-                "the tool cannot be at ({position}) m: {pair}; choose another pose",
-                position=_numbers(pose.position),
-                pair=pair,
-            )
-        return message(
-            "robot.pose_blocked_free_behind",
-            "the tool cannot be at ({position}) m: {pair}; free is ({free}) m, "
-            "{distance} m back along the tool",
-            position=_numbers(pose.position),
-            pair=pair,
-            free=_numbers(back.position),
-            distance=f"{pose.distance_m(back):.2f}",
-        )
-
-    def _nearest_free_behind(self, pose: Pose, near: Array) -> Pose | None:
-        placement = se3_of(pose)
-        axis = placement.rotation[:, 2]
-        motions = Motions(self.collisions, self.options.margins_m[-1])
-        for back_m in np.arange(0.01, CLEARANCE_SEARCH_M, 0.01).tolist():
-            x, y, z = (placement.translation - back_m * axis).tolist()
-            moved = Pose((x, y, z), pose.orientation)
-            if self.inverse.several(moved, near, 1, motions.is_state_free):
-                return moved
-        return None
-
-    def _blocked(self, motions: Motions, start: Array, goal: Array) -> Message:
-        touch = motions.first_contact([start, goal])
-        pair = "" if touch is None else self._contact(touch, motions.margin_m)
-        return message(
-            "robot.no_way_around",
-            "no way to the target was found in {timeout} s; on the straight way {pair}",
-            timeout=f"{self.options.timeout_s:g}",
-            pair=pair,
-        )
-
-    def _obstructed(self, found: Obstructed, pose: Pose, start: Array) -> Message:
-        reached = self.arm.tool_pose(found.joints)
-        if found.is_singular:
-            return message(
-                "robot.line_singular",
-                "the tool cannot move straight to ({position}) m: it passes a singularity at ({reached}) m; "
-                "use moveTo, or start from another position of the arm",
-                position=_numbers(pose.position),
-                reached=_numbers(reached.position),
-            )
-        if self.inverse.solve(pose, start) is None:
-            return self._unreachable(pose, start)
-        return message(
-            "robot.line_limit",
-            "the tool cannot move straight to ({position}) m: the joints end at ({reached}) m; use moveTo, "
-            "or start from another position of the arm",
-            position=_numbers(pose.position),
-            reached=_numbers(reached.position),
         )
 
 
 def _way(joints: Array, start: Array) -> float:
     return float(np.abs(joints - start).max())
-
-
-def _pair(near: Clearance) -> Message:
-    if near.distance_m <= 0:
-        return message("robot.touches", "{first} touches {second}", first=near.first, second=near.second)
-    return message(
-        "robot.too_near",
-        "{first} is {distance} mm from {second}",
-        first=near.first,
-        second=near.second,
-        distance=f"{1000 * near.distance_m:.1f}",
-    )
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.3f}" for value in values)

@@ -67,9 +67,9 @@ def faster(trajectory: JointTrajectory, limits: Limits) -> JointTrajectory:
     best, coefficients = trajectory, np.ones(rates.intervals + 1)
     for gap in FIRST_GAPS:
         coefficients = rates.optimum(coefficients, gap)
-        at_s, found = rates.motion(coefficients)
-        best = min(best, found.within(limits), key=lambda one: one.duration_s)
-        if not rates.tighten(at_s, found):
+        at_s, motion = rates.motion(coefficients)
+        best = min(best, motion.within(limits), key=lambda motion: motion.duration_s)
+        if not rates.tighten(at_s, motion):
             break
     return best
 
@@ -127,16 +127,16 @@ class _Rates:
         self._step_s = trajectory.duration_s / intervals
         within = (np.arange(PLACES) + 0.5) / PLACES
         at_s = (np.arange(intervals)[:, None] + within).ravel() * self._step_s
-        self._splines = [one / self._step_s**order for order, one in enumerate(_splines(within))]
+        self._splines = [spline / self._step_s**order for order, spline in enumerate(_splines(within))]
         products = [
-            self._splines[one][:, :, None] * self._splines[other][:, None, :] for one, other in ORDERS
+            self._splines[first][:, :, None] * self._splines[second][:, None, :] for first, second in ORDERS
         ]
         self._products = (
-            np.concatenate([one + one.transpose(0, 2, 1) for one in products]).reshape(-1, 16) / 2
+            np.concatenate([product + product.transpose(0, 2, 1) for product in products]).reshape(-1, 16) / 2
         )
         q1, q2, q3 = (trajectory.derivative(at_s, order).T for order in (1, 2, 3))
         fastest, strongest, jerk = (
-            np.array(one)[:, None] for one in (limits.velocity, limits.acceleration, limits.jerk)
+            np.array(bounds)[:, None] for bounds in (limits.velocity, limits.acceleration, limits.jerk)
         )
         self._velocity = ((q1 / fastest) ** 2).max(axis=0)
         self._acceleration = q2 / strongest, q1 / strongest / 2
@@ -149,10 +149,10 @@ class _Rates:
         state = self._start(coefficients)
         weight = self._count / (gap * self._duration_s(state))
         for _ in range(MAX_STEPS):
-            found, size = self._newton(state, weight)
-            if found is None:
+            next_state, size = self._newton(state, weight)
+            if next_state is None:
                 break
-            state = found
+            state = next_state
             if size > LONG:
                 if self._count < weight * GAP * self._duration_s(state):
                     break
@@ -180,9 +180,9 @@ class _Rates:
         points[0], points[-1] = trajectory.points[0], trajectory.points[-1]
         return at_s, timing.at_rest_at_ends(points, total_s / count)
 
-    def tighten(self, at_s: Array, found: JointTrajectory) -> bool:
+    def tighten(self, at_s: Array, trajectory: JointTrajectory) -> bool:
         """Lower the limits at the places near which a motion exceeds them; return whether there are any."""
-        jerk = np.abs(np.diff(found.points, 3, axis=0)).T / found.spacing_s**3
+        jerk = np.abs(np.diff(trajectory.points, 3, axis=0)).T / trajectory.spacing_s**3
         ratios = (jerk / np.array(self._limits.jerk)[:, None]).max(axis=0)
         exceeded = np.flatnonzero(ratios > 1 + TOLERANCE)
         places = np.zeros(self._velocity.shape)
@@ -190,7 +190,7 @@ class _Rates:
         for reach in range(-1, 3):
             near = np.clip(np.floor(between).astype(np.int64) + reach, 0, len(places) - 1)
             np.maximum.at(places, near, ratios[exceeded])
-        self._jerk = tuple(one * np.maximum(places, 1.0) for one in self._jerk)
+        self._jerk = tuple(bound * np.maximum(places, 1.0) for bound in self._jerk)
         return len(exceeded) > 0
 
     def _duration_s(self, state: _State) -> float:
@@ -198,9 +198,9 @@ class _Rates:
 
     def _start(self, coefficients: Array) -> _State:
         """Return the rate, lowered until it keeps the limits; that of the given motion is at their border."""
-        while not isinstance(found := _state(coefficients, self._terms(coefficients)), _State):
+        while not isinstance(state := _state(coefficients, self._terms(coefficients)), _State):
             coefficients = 0.97 * coefficients
-        return found
+        return state
 
     def _terms(self, coefficients: Array) -> _Terms:
         windows = _windows(coefficients)
@@ -219,14 +219,14 @@ class _Rates:
         change = self._terms(step)
         size = min(1.0, NEAR * _farthest(state, change))
         while size > MIN_SIZE:
-            found = _state(state.coefficients + size * step, state.terms.after(size, change))
-            if isinstance(found, _State):
-                after = weight * self._duration_s(found) + found.barriers
+            next_state = _state(state.coefficients + size * step, state.terms.after(size, change))
+            if isinstance(next_state, _State):
+                after = weight * self._duration_s(next_state) + next_state.barriers
                 if after <= before + SUFFICIENT * size * slope:
-                    return found, size
+                    return next_state, size
                 size *= SHRINK
             else:
-                size *= NEAR * _crossing(state, found)
+                size *= NEAR * _crossing(state, next_state)
         return None, 0.0
 
     def _derivatives(self, state: _State, weight: float) -> tuple[Array, Array]:
@@ -256,9 +256,9 @@ class _Rates:
             2 * (j_twice * j1 * j2).sum(0),
             (j_twice * j2**2).sum(0),
         )
-        by_interval = np.concatenate([one.reshape(-1, PLACES) for one in second], axis=1) @ self._products
+        by_interval = np.concatenate([rows.reshape(-1, PLACES) for rows in second], axis=1) @ self._products
         gradients = sum(
-            one.reshape(-1, PLACES) @ splines for one, splines in zip(first, self._splines, strict=True)
+            rows.reshape(-1, PLACES) @ splines for rows, splines in zip(first, self._splines, strict=True)
         )
         return _assembled(np.asarray(gradients), by_interval.reshape(-1, 4, 4))
 

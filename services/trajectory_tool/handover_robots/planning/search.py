@@ -58,8 +58,8 @@ def search(
     `is_edge_allowed` is a further condition on lines, such as an orientation.
     """
 
-    def is_free(one: Array, other: Array) -> bool:
-        return motions.is_free(one, other) and (is_edge_allowed is None or is_edge_allowed(one, other))
+    def is_free(begin: Array, end: Array) -> bool:
+        return motions.is_free(begin, end) and (is_edge_allowed is None or is_edge_allowed(begin, end))
 
     for goal in goals:
         if is_free(start, goal):
@@ -94,8 +94,8 @@ def search(
     planner.solve(base.PlannerTerminationCondition(lambda: time.thread_time() > ends_s))
     if not problem.hasExactSolution():
         return None
-    found = problem.getSolutionPath()
-    path = [_joints(found.getState(number), range(size)) for number in range(found.getStateCount())]
+    solution = problem.getSolutionPath()
+    path = [_joints(solution.getState(number), range(size)) for number in range(solution.getStateCount())]
     path[0], path[-1] = start, min(goals, key=lambda goal: float(np.abs(goal - path[-1]).max()))
     return path
 
@@ -117,18 +117,18 @@ def shorten(
     for _ in range(SHORTCUT_ROUNDS):
         if len(path) < 3 or failures > 12:
             break
-        lengths = np.array([cost(one, other) for one, other in pairwise(path)])
+        lengths = np.array([cost(start, end) for start, end in pairwise(path)])
         place = np.concatenate([[0.0], np.cumsum(lengths)])
         first_at, second_at = np.sort(random.uniform(0.0, place[-1], 2))
         first, second = (int(np.searchsorted(place, at, side="right")) - 1 for at in (first_at, second_at))
         second = min(second, len(lengths) - 1)
         if first == second:
             continue
-        one = _between(path, place, first, first_at)
-        other = _between(path, place, second, second_at)
+        start = _between(path, place, first, first_at)
+        end = _between(path, place, second, second_at)
         before = second_at - first_at
-        if cost(one, other) < 0.999 * before and is_free(one, other):
-            path = _skip([*path[: first + 1], one, other, *path[second + 1 :]], is_free, around=first)
+        if cost(start, end) < 0.999 * before and is_free(start, end):
+            path = _skip([*path[: first + 1], start, end, *path[second + 1 :]], is_free, around=first)
             failures = 0
         else:
             failures += 1

@@ -45,18 +45,15 @@ def tool_line(arm: Arm, inverse: Inverse, start: Array, target: Any) -> ToolLine
     if length < 1e-9:
         return ToolLine(np.array([0.0]), start[None, :])
     count = max(int(np.ceil(max(distance_m / STEP_M, angle_rad / STEP_RAD))), 4)
-    found = [start]
+    path = [start]
     for share in np.linspace(0.0, 1.0, count + 1)[1:].tolist():
         pose = pin.SE3(begins.rotation @ pin.exp3(share * turn), begins.translation + share * way)
-        guess = found[-1] if len(found) < 2 else 2 * found[-1] - found[-2]
+        guess = path[-1] if len(path) < 2 else 2 * path[-1] - path[-2]
         joints = inverse.converge(pose, guess)
-        if (
-            joints is None
-            or float(np.abs(joints - found[-1])[arm.is_turning].max(initial=0.0)) > MAX_STEP_RAD
-        ):
-            singular = arm.manipulability(found[-1]) < MIN_SINGULAR_VALUE * 5
-            return Obstructed(share, found[-1], singular)
+        if joints is None or float(np.abs(joints - path[-1])[arm.is_turning].max(initial=0.0)) > MAX_STEP_RAD:
+            singular = arm.manipulability(path[-1]) < MIN_SINGULAR_VALUE * 5
+            return Obstructed(share, path[-1], singular)
         if arm.manipulability(joints) < MIN_SINGULAR_VALUE:
             return Obstructed(share, joints, True)
-        found.append(joints)
-    return ToolLine(np.linspace(0.0, length, count + 1), np.array(found))
+        path.append(joints)
+    return ToolLine(np.linspace(0.0, length, count + 1), np.array(path))

@@ -98,7 +98,7 @@ class BlendedLines(Curve):
         speeds = np.array(limits.velocity)
         lengths = [float(np.linalg.norm((b - a) / speeds)) for a, b in pairwise(path)]
         ways = [(b - a) / length for (a, b), length in zip(pairwise(path), lengths, strict=True)]
-        radii = [share * min(one, other) for one, other in pairwise(lengths)]
+        radii = [share * min(before, after) for before, after in pairwise(lengths)]
         starts, points, first, second, grid = [], [], [], [], []
         place = 0.0
         for number, (way, length) in enumerate(zip(ways, lengths, strict=True)):
@@ -128,10 +128,10 @@ class BlendedLines(Curve):
         piece = np.searchsorted(self._starts, wanted + 1e-12, side="right") - 1
         since = (wanted - self._starts[piece])[:, None]
         point, first, second = (table[piece] for table in self._pieces)
-        found = (point + since * first + since**2 / 2 * second, first + since * second, second)[order]
+        values = (point + since * first + since**2 / 2 * second, first + since * second, second)[order]
         if order == 2:  # at the end of a blend, its curvature counts, not that of the line after it
-            found = np.where(since < 1e-9, np.where(np.abs(found) > 0, found, self._before(piece)), found)
-        return np.asarray(found[0] if np.ndim(places) == 0 else found)
+            values = np.where(since < 1e-9, np.where(np.abs(values) > 0, values, self._before(piece)), values)
+        return np.asarray(values[0] if np.ndim(places) == 0 else values)
 
     def _before(self, piece: Any) -> Array:
         return np.asarray(self._pieces[2][np.maximum(piece - 1, 0)])
@@ -155,18 +155,22 @@ def line(start: Array, end: Array, limits: Limits, spacing_s: float = SPACING_S)
     way = end - start
     if float(np.abs(way).max()) < MIN_LENGTH:
         return JointTrajectory(np.repeat(start[None, :], 4, axis=0), spacing_s)
-    given = InputParameter(1)
-    given.current_position, given.current_velocity, given.current_acceleration = [0.0], [0.0], [0.0]
-    given.target_position = [1.0]
+    parameters = InputParameter(1)
+    parameters.current_position, parameters.current_velocity, parameters.current_acceleration = (
+        [0.0],
+        [0.0],
+        [0.0],
+    )
+    parameters.target_position = [1.0]
     moving = np.abs(way) >= MIN_LENGTH
     for name, limit in (
         ("max_velocity", limits.velocity),
         ("max_acceleration", limits.acceleration),
         ("max_jerk", limits.jerk),
     ):
-        setattr(given, name, [float((np.array(limit)[moving] / np.abs(way[moving])).min())])
+        setattr(parameters, name, [float((np.array(limit)[moving] / np.abs(way[moving])).min())])
     profile = RuckigProfile(1)
-    if Ruckig(1).calculate(given, profile) not in {Result.Working, Result.Finished}:
+    if Ruckig(1).calculate(parameters, profile) not in {Result.Working, Result.Finished}:
         raise NoTimingError("ruckig finds no motion along the line")
     spacing_s = max(spacing_s, profile.duration / MAX_POINTS)
     times = np.arange(math.ceil(profile.duration / spacing_s) + 1) * spacing_s
@@ -178,7 +182,7 @@ def line(start: Array, end: Array, limits: Limits, spacing_s: float = SPACING_S)
 
 def with_stops(path: Sequence[Array], limits: Limits) -> JointTrajectory:
     """Return the motion on the lines of a path that rests at each corner."""
-    parts = [line(one, other, limits) for one, other in pairwise(path)]
+    parts = [line(start, end, limits) for start, end in pairwise(path)]
     spacing_s = max(part.spacing_s for part in parts)
     points = [parts[0].points, *(part.points[3:] for part in parts[1:])]
     return JointTrajectory(np.concatenate(points), spacing_s)
@@ -202,14 +206,14 @@ def fastest(curve: Curve, limits: Limits, extra_velocity: Sequence[float] = ()) 
     velocity = np.array([*limits.velocity, *extra_velocity])
     acceleration = np.array([*limits.acceleration, *(UNLIMITED for _ in extra_velocity)])
     grid = curve.grid
-    given = [
+    constraints = [
         constraint.JointVelocityConstraint(np.column_stack([-velocity, velocity])),
         constraint.JointAccelerationConstraint(
             np.column_stack([-acceleration, acceleration]),
             discretization_scheme=constraint.DiscretizationType.Interpolation,
         ),
     ]
-    problem = algorithm.TOPPRA(given, curve, gridpoints=grid, solver_wrapper="seidel")
+    problem = algorithm.TOPPRA(constraints, curve, gridpoints=grid, solver_wrapper="seidel")
     _, speeds, _ = problem.compute_parameterization(0.0, 0.0)
     if speeds is None or not np.all(np.isfinite(speeds)):
         raise NoTimingError("toppra finds no motion along the path")
@@ -233,9 +237,9 @@ def _smoothed(positions: Array, spacing_s: float, limits: Limits) -> JointTrajec
     best: JointTrajectory | None = None
     for share in (0.15, 0.25, 0.35, 0.45, 0.5, 0.55, 0.65, 0.75, 0.85, 1.0):
         window = max(round(share * longest / spacing_s), 1)
-        found = at_rest_at_ends(_averaged(positions, window), spacing_s).within(limits)
-        if best is None or found.duration_s < best.duration_s:
-            best = found
+        motion = at_rest_at_ends(_averaged(positions, window), spacing_s).within(limits)
+        if best is None or motion.duration_s < best.duration_s:
+            best = motion
     assert best is not None  # noqa: S101 - the loop runs
     return best
 

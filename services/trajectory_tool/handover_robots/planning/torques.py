@@ -44,8 +44,8 @@ class Torques:
         self.names = arm.model.joint_names
         self._is_turning = arm.is_turning
         self._model = arm.pin_model.copy()
-        given = np.array(self._model.effortLimit)
-        self.limits = np.where((given > 0) & np.isfinite(given), given, np.inf)
+        efforts = np.array(self._model.effortLimit)
+        self.limits = np.where((efforts > 0) & np.isfinite(efforts), efforts, np.inf)
         """The limit of each joint in Nm or N; infinite without one."""
         self.payload_kg = payload_kg
         self.unchecked = self._why_unchecked()
@@ -62,8 +62,8 @@ class Torques:
 
     def of(self, joints: Array, velocities: Array, accelerations: Array) -> Array:
         """Return the torque of each joint."""
-        found: Array = pin.rnea(self._model, self._data, joints, velocities, accelerations)
-        return found
+        torques: Array = pin.rnea(self._model, self._data, joints, velocities, accelerations)
+        return torques
 
     def allowed_speed(self, trajectory: JointTrajectory) -> float | Overload:
         """Return the fraction of its speed, up to 1, at which a motion keeps the limits, or why none does."""
@@ -72,11 +72,13 @@ class Torques:
         # The acceleration is linear between the knots, so its extremes are there.
         times = np.asarray(np.arange(len(trajectory.points) - 2) * trajectory.spacing_s, dtype=np.float64)
         states = [trajectory.derivative(times, order) for order in range(3)]
-        full = np.array([self.of(*one) for one in zip(*states, strict=True)])
-        still = np.array([pin.computeGeneralizedGravity(self._model, self._data, one) for one in states[0]])
+        full = np.array([self.of(*state) for state in zip(*states, strict=True)])
+        still = np.array(
+            [pin.computeGeneralizedGravity(self._model, self._data, state) for state in states[0]]
+        )
         shares = np.abs(still) / self.limits
         if shares.max() > 1.0:
-            sample, joint = (int(each) for each in np.unravel_index(shares.argmax(), shares.shape))
+            sample, joint = (int(index) for index in np.unravel_index(shares.argmax(), shares.shape))
             needed = self.text(joint, still[sample, joint])
             return Overload(self.names[joint], needed, self.text(joint, self.limits[joint]))
         moving = full - still

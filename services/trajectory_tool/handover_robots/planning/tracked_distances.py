@@ -87,8 +87,8 @@ class TrackedDistances:
 
     def _compute_all(self, joints: Array) -> None:
         pin.computeDistances(self._model, self._kinematics, self._geometry, self._data, joints)
-        found = [result.min_distance for result in self._data.distanceResults]
-        self._keep(np.arange(len(found)), found)
+        distances_m = [result.min_distance for result in self._data.distanceResults]
+        self._keep(np.arange(len(distances_m)), distances_m)
 
     def _keep(self, numbers: Any, found_m: list[float]) -> None:
         new = np.array(found_m)
@@ -125,7 +125,7 @@ class TrackedDistances:
         between: list[int] = []
         way_of_pair = []
         for number, pair in enumerate(self._geometry.collisionPairs):
-            moving = [ways[one] for one in (pair.first, pair.second) if one in ways]
+            moving = [ways[link] for link in (pair.first, pair.second) if link in ways]
             way_of_pair.append(moving[0] if len(moving) == 1 else len(ways) + len(between))
             if len(moving) > 1:
                 between.append(number)

@@ -82,11 +82,11 @@ def _parts(arm: Arm, attached: Sequence[Attached]) -> Iterator[_Part]:
         radius_m = float(item.geometry.aabb_radius)
         yield _Part(link_of(item.name), item.parentJoint, item.placement * local, shape, radius_m)
     tip = arm.pin_model.frames[arm.tip]
-    for one in attached:
-        geometry = geometry_of(one.shape)
+    for thing in attached:
+        geometry = geometry_of(thing.shape)
         geometry.computeLocalAABB()
-        placement = tip.placement * se3_of(one.pose)
-        yield _Part(one.name, tip.parentJoint, placement, one.shape, float(geometry.aabb_radius))
+        placement = tip.placement * se3_of(thing.pose)
+        yield _Part(thing.name, tip.parentJoint, placement, thing.shape, float(geometry.aabb_radius))
 
 
 def plain(shape: Any) -> tuple[Shape, Any]:

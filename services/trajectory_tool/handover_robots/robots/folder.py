@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import UnknownExtension
-from handover.formats.validation import fault_lines
+from handover.formats.validation import ClosedModel, fault_lines
 from handover.telemetry import get_logger
 from handover_robots.model.robot_model import Finger, RobotModel
 from handover_robots.robots import ROBOTS
@@ -36,10 +36,8 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
-class FingerEntry(BaseModel):
+class FingerEntry(ClosedModel):
     """A joint of the gripper, for display."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     joint: str
     opened: FiniteFloat
@@ -47,10 +45,8 @@ class FingerEntry(BaseModel):
     holding: FiniteFloat
 
 
-class RobotFolder(BaseModel):
+class RobotFolder(ClosedModel):
     """The content of `robot.yaml`; file names are relative to it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, Field(min_length=1)]
     urdf: Path
@@ -132,11 +128,11 @@ def load_robot(name: str, data_dir: Path, folder: Path) -> RobotModel:
         if (place / FILE).is_file():
             return read_folder(place)
     try:
-        found: RobotModel = ROBOTS.load(name)
+        model: RobotModel = ROBOTS.load(name)
     except UnknownExtension as unknown:
         if name in ROBOTS.names():
             raise
         raise UnknownExtension(
             f"{unknown}, or add a URDF: handover robot add FILE.urdf --name {name}"
         ) from None
-    return found
+    return model

@@ -148,14 +148,17 @@ def _model(
             joints.append(_joint(element, limits, labels))
         if element.find("child").get("link") == flange:
             flange_at = number
-    wrist = next((link_of(one, "child") for one in reversed(elements) if one.get("type") != "fixed"), "")
+    wrist = next(
+        (link_of(joint, "child") for joint in reversed(elements) if joint.get("type") != "fixed"), ""
+    )
     if not joints:
         raise _InvalidUrdf(f'there is no movable joint between its root and "{tip}"')
     if flange_at == 0 or any(segment.number is not None for segment in segments[flange_at:]):
         raise _InvalidUrdf(f'the flange "{flange}" must be a link that "{tip}" is fixed to')
     names = [joint.name for joint in joints]
     poses = {
-        pose: _positions(pose, given, names) for pose, given in {**semantics.poses, "home": home}.items()
+        pose: _positions(pose, by_joint, names)
+        for pose, by_joint in {**semantics.poses, "home": home}.items()
     }
     _require_joints(root, fingers)
     tool = IDENTITY
@@ -201,11 +204,11 @@ def _mass_below(root: Any, wrist: str) -> float:
     return carried
 
 
-def _positions(pose: str, given: Mapping[str, float], names: list[str]) -> Joints:
-    unknown = [one for one in given if one not in names]
+def _positions(pose: str, by_joint: Mapping[str, float], names: list[str]) -> Joints:
+    unknown = [joint for joint in by_joint if joint not in names]
     if unknown:
         raise _InvalidUrdf(f"{pose} names {', '.join(unknown)}; the joints are {', '.join(names)}")
-    return tuple(given.get(one, 0.0) for one in names)
+    return tuple(by_joint.get(name, 0.0) for name in names)
 
 
 def _chain(root: Any, tip: str) -> list[Any]:
@@ -232,7 +235,7 @@ def _chain(root: Any, tip: str) -> list[Any]:
 
 def _joint(
     element: Any,
-    given: tuple[float | Mapping[str, float], float | Mapping[str, float]],
+    bounds: tuple[float | Mapping[str, float], float | Mapping[str, float]],
     labels: Mapping[str, Mapping[str, str]],
 ) -> Joint:
     name, kind = element.get("name"), element.get("type")
@@ -253,7 +256,7 @@ def _joint(
         if not lower < upper:
             raise _InvalidUrdf(f'the joint "{name}" has the lower limit {lower}, which is not below {upper}')
     acceleration, jerk = (
-        limits.get(name, 0.0) if isinstance(limits, Mapping) else limits for limits in given
+        limits.get(name, 0.0) if isinstance(limits, Mapping) else limits for limits in bounds
     )
     if not (0 < acceleration < math.inf and 0 < jerk < math.inf):
         raise _InvalidUrdf(f'the joint "{name}" needs limits of acceleration and jerk above 0')

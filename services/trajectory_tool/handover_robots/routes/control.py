@@ -108,20 +108,20 @@ async def _receive(socket: WebSocket, session: ControlSession, subject: str) -> 
     async with BackgroundTasks("gripper") as acts:
         while True:
             try:
-                given = await receive_input(socket)
-                if given is None:
+                human_input = await receive_input(socket)
+                if human_input is None:
                     return
-                session.receive(given)
+                session.receive(human_input)
             except (InputRefused, RobotFault) as refused:
                 CONTROL_INPUTS.labels("refused").inc()
                 await send_error(socket, str(refused))
                 continue
             CONTROL_INPUTS.labels("accepted").inc()
-            if given.gripper is not None and given.seq != gripper_seq and not session.acting:
-                gripper_seq = given.seq
+            if human_input.gripper is not None and human_input.seq != gripper_seq and not session.acting:
+                gripper_seq = human_input.seq
                 # Inputs are read while the gripper acts; otherwise old ones would wait.
                 session.acting = True
-                acts.start(_act, socket, session, given.gripper, subject)
+                acts.start(_act, socket, session, human_input.gripper, subject)
 
 
 async def _act(socket: WebSocket, session: ControlSession, gripper: str, subject: str) -> None:
@@ -131,9 +131,9 @@ async def _act(socket: WebSocket, session: ControlSession, gripper: str, subject
         await send_error(socket, str(error))
 
 
-def _gamma(given: str | None) -> float:
+def _gamma(written: str | None) -> float:
     try:
-        gamma = 1.0 if given is None else float(given)
+        gamma = 1.0 if written is None else float(written)
     except ValueError:
         gamma = -1.0
     if not 0 < gamma <= MAX_GAMMA:

@@ -147,29 +147,29 @@ def view_of(limits: RobotLimits, driver: Robot) -> RobotLimitsView:
         reason_code=said.get("reasonCode"),
         reason_parameters=said.get("reasonParameters"),
         max_speed=_speed(lowest),
-        needs_reset=any(each.needs_reset for each in allowed),
+        needs_reset=any(limit.needs_reset for limit in allowed),
         rules=[
             RuleView(
-                rule=each.rule,
-                fraction=round(each.fraction, 3),
-                max_speed=_speed(each),
-                reason=each.reason,
-                needs_reset=each.needs_reset,
+                rule=limit.rule,
+                fraction=round(limit.fraction, 3),
+                max_speed=_speed(limit),
+                reason=limit.reason,
+                needs_reset=limit.needs_reset,
             )
-            for each in allowed
+            for limit in allowed
         ],
         separation=SeparationView(
             distance=None if state.distance_m is None else round(state.distance_m, 3),
             required=None if state.required_m is None else round(state.required_m, 3),
             lost=list(state.lost),
-            fields=[FieldView.model_validate(each) for each in state.fields],
+            fields=[FieldView.model_validate(field) for field in state.fields],
             hold=rule.hold_s,
         ),
         limit_sources=list(limits.body.sources),
         people_sensors=list(limits.separation.sources),
         mode=record.mode,
         end_effector=limits.end_effector,
-        safe_speeds=[SafeSpeedView.model_validate(each) for each in record.safe_speeds.values()],
+        safe_speeds=[SafeSpeedView.model_validate(speed) for speed in record.safe_speeds.values()],
         contact=ContactView(
             force=None if force_n is None else round(force_n, 1),
             limit=limits.contact.max_n,
@@ -181,7 +181,7 @@ def view_of(limits: RobotLimits, driver: Robot) -> RobotLimitsView:
             measured_at=rule.stopping.measured_at,
         ),
         safety_status=None if status is None else _safety_status(status),
-        decisions=[DecisionView.model_validate(each) for each in record.decisions[-SHOWN_DECISIONS:]],
+        decisions=[DecisionView.model_validate(decision) for decision in record.decisions[-SHOWN_DECISIONS:]],
     )
 
 
@@ -204,13 +204,13 @@ def _speed(allowed: Allowed | None) -> float | None:
     return None if allowed is None or allowed.max_speed_mps == math.inf else allowed.max_speed_mps
 
 
-def _permitted(found: ContactSpeed | None) -> ContactSpeedView | None:
-    if found is None:
+def _permitted(contact_speed: ContactSpeed | None) -> ContactSpeedView | None:
+    if contact_speed is None:
         return None
     return ContactSpeedView(
-        speed=round(found.speed_mps, 3),
-        region=found.region,
-        source=found.table.source,
-        confirmed_by=found.table.confirmed_by,
-        confirmed_at=found.table.confirmed_at,
+        speed=round(contact_speed.speed_mps, 3),
+        region=contact_speed.region,
+        source=contact_speed.table.source,
+        confirmed_by=contact_speed.table.confirmed_by,
+        confirmed_at=contact_speed.table.confirmed_at,
     )

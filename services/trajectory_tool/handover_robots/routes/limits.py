@@ -68,11 +68,11 @@ class StopChange(ByPerson, MeasuredStop):
 def add_routes(app: FastAPI, find: Find) -> None:
     """Add the routes of the limits."""
 
-    def is_lower_speed(given: Mapping[str, Any]) -> bool:
-        return find(given["robot"])[0].is_lower_speed(given["body"])
+    def is_lower_speed(arguments: Mapping[str, Any]) -> bool:
+        return find(arguments["robot"])[0].is_lower_speed(arguments["body"])
 
-    def is_longer_stop(given: Mapping[str, Any]) -> bool:
-        return find(given["robot"])[0].is_longer_stop(given["body"])
+    def is_longer_stop(arguments: Mapping[str, Any]) -> bool:
+        return find(arguments["robot"])[0].is_longer_stop(arguments["body"])
 
     @app.get("/robots/{robot}/limits", tags=["limits"], dependencies=[require(Permission.READ, of_robot)])
     async def limits(robot: str) -> RobotLimitsView:
@@ -86,8 +86,8 @@ def add_routes(app: FastAPI, find: Find) -> None:
     )
     async def reset(robot: str, body: ByPerson) -> RobotLimitsView:
         """Release stops for body signals and after contacts; 409 while a source still demands the stop."""
-        found, driver = find(robot)
-        still = await found.reset(body.name)
+        robot_limits, driver = find(robot)
+        still = await robot_limits.reset(body.name)
         if still:
             raise Problem(
                 409,
@@ -98,7 +98,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
                     sources=", ".join(still),
                 ),
             )
-        return view_of(found, driver)
+        return view_of(robot_limits, driver)
 
     @app.post(
         "/robots/{robot}/limits/confirm-clear",
@@ -107,9 +107,9 @@ def add_routes(app: FastAPI, find: Find) -> None:
     )
     async def confirm_clear(robot: str, body: ByPerson) -> RobotLimitsView:
         """Forget people who vanished near the robot: a person has seen that nobody is there."""
-        found, driver = find(robot)
-        await found.confirm_clear(body.name)
-        return view_of(found, driver)
+        robot_limits, driver = find(robot)
+        await robot_limits.confirm_clear(body.name)
+        return view_of(robot_limits, driver)
 
     @app.post(
         "/robots/{robot}/limits/sources/{source}/remove",
@@ -118,9 +118,9 @@ def add_routes(app: FastAPI, find: Find) -> None:
     )
     async def remove(robot: str, source: str, body: Removal) -> RobotLimitsView:
         """Stop requiring a source of speed limits or a sensor of people; recorded with name and reason."""
-        found, driver = find(robot)
-        if not await found.remove(source, body.name, body.reason):
-            known = (*found.body.sources, *found.separation.sources)
+        robot_limits, driver = find(robot)
+        if not await robot_limits.remove(source, body.name, body.reason):
+            sources = (*robot_limits.body.sources, *robot_limits.separation.sources)
             raise Problem(
                 404,
                 "No such source",
@@ -128,20 +128,20 @@ def add_routes(app: FastAPI, find: Find) -> None:
                     "robot.no_such_limit_source",
                     'there is no source "{source}"; there is {known}',
                     source=source,
-                    known=", ".join(known) or "none",
+                    known=", ".join(sources) or "none",
                 ),
             )
-        return view_of(found, driver)
+        return view_of(robot_limits, driver)
 
     @app.put(
         "/robots/{robot}/limits/mode", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
     )
-    @lowers(lambda given: given["body"].mode == "reduced")
+    @lowers(lambda arguments: arguments["body"].mode == "reduced")
     async def set_mode(robot: str, body: ModeChange) -> RobotLimitsView:
         """Set the mode, `normal` or `reduced`."""
-        found, driver = find(robot)
-        await found.set_mode(body.mode, body.name)
-        return view_of(found, driver)
+        robot_limits, driver = find(robot)
+        await robot_limits.set_mode(body.mode, body.name)
+        return view_of(robot_limits, driver)
 
     @app.put(
         "/robots/{robot}/limits/safe-speed",
@@ -151,7 +151,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
     @lowers(is_lower_speed)
     async def set_safe_speed(robot: str, body: SafeSpeedChange) -> RobotLimitsView:
         """Set the speed of the tool that was validated for an end effector, with the date of validation."""
-        found, driver = find(robot)
+        robot_limits, driver = find(robot)
         if body.validated_at > datetime.now(UTC):
             raise Problem(
                 422,
@@ -163,8 +163,8 @@ def add_routes(app: FastAPI, find: Find) -> None:
                 ),
             )
         speed = SafeSpeed.model_validate(body.model_dump(exclude={"name"}))
-        await found.set_safe_speed(speed, body.name)
-        return view_of(found, driver)
+        await robot_limits.set_safe_speed(speed, body.name)
+        return view_of(robot_limits, driver)
 
     @app.put(
         "/robots/{robot}/limits/stop", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
@@ -172,10 +172,10 @@ def add_routes(app: FastAPI, find: Find) -> None:
     @lowers(is_longer_stop)
     async def set_stop(robot: str, body: StopChange) -> RobotLimitsView:
         """Set the measured stop, from which protective distances are computed."""
-        found, driver = find(robot)
+        robot_limits, driver = find(robot)
         stop = MeasuredStop.model_validate(body.model_dump(exclude={"name"}))
-        await found.set_stop(stop, body.name)
-        return view_of(found, driver)
+        await robot_limits.set_stop(stop, body.name)
+        return view_of(robot_limits, driver)
 
     @app.websocket("/robots/{robot}/speed_limits", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
     async def speed_limits(sender: WebSocket, robot: str) -> None:

@@ -25,11 +25,11 @@ def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
     async def recordings(robot: str) -> dict[str, Any]:
         """Return the recordings of a robot, the newest first, and the columns that all of them have."""
         _require_plain(robot)
-        found = stored(data_dir, robot)
+        files = stored(data_dir, robot)
         return {
             "columns": COLUMNS,
             "recordings": [
-                {"name": one.name, "bytes": one.size, "begunAt": iso(one.begun_at)} for one in found
+                {"name": file.name, "bytes": file.size, "begunAt": iso(file.begun_at)} for file in files
             ],
         }
 

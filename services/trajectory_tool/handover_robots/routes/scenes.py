@@ -9,14 +9,14 @@ from handover.errors import Problem, UsageError
 from handover.messages import message, text_of
 from handover.security.guard import require
 from handover.security.permissions import Permission
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.model.obstacles import Box, Cylinder, Mesh, Shape, Sphere
 from handover_robots.model.poses import Frame, Pose
 from handover_robots.planning import is_available
 from handover_robots.scene.scene import IDENTITY, Scene
 
 
-def add_scene_routes(app: FastAPI, cell: Cell) -> None:
+def add_scene_routes(app: FastAPI, cell: RobotCell) -> None:
     """Add the routes of the cell and its scene."""
 
     @app.get("/cell", name="cell", tags=["cell"], dependencies=[require(Permission.READ)])
@@ -83,7 +83,7 @@ def add_scene_routes(app: FastAPI, cell: Cell) -> None:
         return {**_version(cell), "contacts": await cell.contacts()}
 
 
-def scene_view(cell: Cell) -> dict[str, Any]:
+def scene_view(cell: RobotCell) -> dict[str, Any]:
     """Return the scene as JSON, with the parts in it and the shapes to draw."""
     parts = [
         {"part": lying.part, "place": lying.place, **lying.pose.written()} for lying in cell.contents.lying
@@ -97,7 +97,7 @@ def scene_view(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _true_parts(cell: Cell) -> list[dict[str, Any]]:
+def _true_parts(cell: RobotCell) -> list[dict[str, Any]]:
     """Return the parts of simulations, whether or not the tool knows of them."""
     return [
         {"size": list(part.size), **part.pose.written()}
@@ -106,7 +106,7 @@ def _true_parts(cell: Cell) -> list[dict[str, Any]]:
     ]
 
 
-def _version(cell: Cell) -> dict[str, Any]:
+def _version(cell: RobotCell) -> dict[str, Any]:
     return {"digest": cell.scene.digest, "revision": cell.revision}
 
 

@@ -93,20 +93,20 @@ class Contents:
 
     def observed(self, bin_name: str, seen: Sequence[tuple[Pose, Grip | None]]) -> "Contents":
         """Return the contents after a look into a bin; parts near to known ones keep their names."""
-        known = self.in_place(bin_name)
-        found: list[Lying] = []
+        unseen = self.in_place(bin_name)
+        in_bin: list[Lying] = []
         numbered = self.numbered
         for pose, grip in seen:
-            near = [one for one in known if one.pose.distance_m(pose) < SAME_PART_M]
-            same = min(near, key=lambda one: one.pose.distance_m(pose), default=None)
+            near = [part for part in unseen if part.pose.distance_m(pose) < SAME_PART_M]
+            same = min(near, key=lambda part: part.pose.distance_m(pose), default=None)
             if same is None:
                 numbered += 1
-                found.append(Lying(f"part-{numbered}", bin_name, pose, grip))
+                in_bin.append(Lying(f"part-{numbered}", bin_name, pose, grip))
             else:
-                known.remove(same)
-                found.append(Lying(same.part, bin_name, pose, grip))
+                unseen.remove(same)
+                in_bin.append(Lying(same.part, bin_name, pose, grip))
         others = tuple(lying for lying in self.lying if lying.place != bin_name)
-        return replace(self, lying=(*found, *others), numbered=numbered)
+        return replace(self, lying=(*in_bin, *others), numbered=numbered)
 
     def emptied(self, place: str) -> "Contents":
         """Return the contents after the parts of a fixture were removed."""
@@ -118,7 +118,7 @@ class Contents:
         A bin that is new, or whose parts are described differently, has its parts as described.
         """
         places = {*after.bins, *after.fixtures}
-        new = [name for name, one in after.bins.items() if one.parts != _parts_of(before, name)]
+        new = [name for name, after_bin in after.bins.items() if after_bin.parts != _parts_of(before, name)]
         kept = tuple(
             lying for lying in self.lying if lying.place is None or lying.place in places.difference(new)
         )

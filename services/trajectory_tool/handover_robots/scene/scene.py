@@ -6,23 +6,17 @@ present positions of parts are in `contents.py`.
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
-from handover.errors import UsageError
-from handover.telemetry import get_logger
-from handover_robots.model.faults import Unreachable
+from handover.formats.validation import ClosedModel
 from handover_robots.model.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from handover_robots.model.poses import Frame, Pose, Vector, pointing_down
-from handover_robots.model.robot_model import RobotModel
-
-log = get_logger(__name__)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Length = Annotated[FiniteFloat, Field(gt=0, le=1)]
@@ -30,11 +24,7 @@ Size = Annotated[FiniteFloat, Field(gt=0, le=20)]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-class _Written(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Spot(_Written):
+class Spot(ClosedModel):
     """A position of the gripper's tips, with the gripper pointing straight down."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -46,7 +36,7 @@ class Spot(_Written):
         return pointing_down(self.position, math.radians(self.yaw_deg))
 
 
-class Gripper(_Written):
+class Gripper(ClosedModel):
     """The simulated gripper, and its approach to a part."""
 
     opening_m: Length = 0.02
@@ -58,7 +48,7 @@ class Gripper(_Written):
     """The mass of a part, for the check of torques and simulated physics."""
 
 
-class Placed(_Written):
+class Placed(ClosedModel):
     """Where a shape is, by its middle."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -71,7 +61,7 @@ class Placed(_Written):
         return Pose(self.position, (0.0, 0.0, math.sin(half), math.cos(half)))
 
 
-class RoundShape(_Written):
+class RoundShape(ClosedModel):
     """A cylinder along z, in m."""
 
     radius: Size
@@ -111,7 +101,7 @@ class Thing(Placed):
 ZoneKind = Literal["keepOut", "reducedSpeed", "people"]
 
 REDUCED_SPEED_MPS = 0.25
-"""The speed of the tool in a zone of reduced speed that names none: that of the reduced mode of ISO 10218."""
+"""The speed of the tool in reduced mode (ISO 10218-1), and in a zone of reduced speed that names none."""
 NEAR_STEP_M = 0.05
 _TOOL_SPEEDS_MPS: dict[ZoneKind, float] = {"keepOut": 0.0, "people": math.inf}
 
@@ -143,16 +133,16 @@ class Zone:
 
     def is_near(self, chain: Sequence[Vector], margin_m: float) -> bool:
         """Return whether a line through points is within a margin of the zone; within 5 cm it may be."""
-        return any(self._is_near(one, other, margin_m) for one, other in pairwise(chain))
+        return any(self._is_near(start, end, margin_m) for start, end in pairwise(chain))
 
-    def _is_near(self, one: Vector, other: Vector, margin_m: float) -> bool:
-        half_m = math.dist(one, other) / 2
-        middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, (one[2] + other[2]) / 2)
+    def _is_near(self, start: Vector, end: Vector, margin_m: float) -> bool:
+        half_m = math.dist(start, end) / 2
+        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, (start[2] + end[2]) / 2)
         if self.distance_m(middle) > margin_m + half_m:
             return False
         if half_m <= NEAR_STEP_M:
             return True
-        return self._is_near(one, middle, margin_m) or self._is_near(middle, other, margin_m)
+        return self._is_near(start, middle, margin_m) or self._is_near(middle, end, margin_m)
 
     def contains(self, point: Vector) -> bool:
         """Return whether a point of the cell is in the zone."""
@@ -184,7 +174,7 @@ class WrittenZone(Thing):
         )
 
 
-class Fence(_Written):
+class Fence(ClosedModel):
     """A fence along points of the ground in m."""
 
     points: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=2, max_length=100)]
@@ -259,7 +249,7 @@ class OpenBox(Placed):
             yield Obstacle(name, Box(size), Pose.of(placed))
 
 
-class Bin(_Written):
+class Bin(ClosedModel):
     """A bin, its camera position, and its initial parts, the topmost first."""
 
     view: Spot
@@ -275,7 +265,7 @@ class Bin(_Written):
     """Objects of simulated physics that are no boxes; the camera looks for things of any shape there."""
 
 
-class Fixture(_Written):
+class Fixture(ClosedModel):
     """A fixture with nests, each for one part."""
 
     nests: Annotated[tuple[Spot, ...], Field(min_length=1)]
@@ -283,7 +273,7 @@ class Fixture(_Written):
     body: Thing | None = None
 
 
-class Scene(_Written):
+class Scene(ClosedModel):
     """The whole cell; `home` (rad or m for each joint) takes the place of the robot's own."""
 
     name: str
@@ -310,17 +300,17 @@ class Scene(_Written):
 
     def things(self) -> tuple[Obstacle, ...]:
         """Return everything that stands in the cell."""
-        found = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
+        standing = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
         for name, fence in self.fences.items():
-            found += fence.obstacles(name)
-        found += [camera.obstacle(name) for name, camera in self.cameras.items()]
+            standing += fence.obstacles(name)
+        standing += [camera.obstacle(name) for name, camera in self.cameras.items()]
         for name, bin_ in self.bins.items():
             if bin_.walls is not None:
-                found += bin_.walls.obstacles(name)
+                standing += bin_.walls.obstacles(name)
         for name, fixture in self.fixtures.items():
             if fixture.body is not None:
-                found.append(fixture.body.obstacle(name, self.folder))
-        return tuple(found)
+                standing.append(fixture.body.obstacle(name, self.folder))
+        return tuple(standing)
 
     def all_zones(self) -> tuple[Zone, ...]:
         """Return the zones."""
@@ -341,107 +331,3 @@ def _looking_down(pose: Pose, tilt_deg: float) -> Frame:
     down = Frame(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))
     tilted = Frame(((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)), (0.0, 0.0, 0.0))
     return pose.frame() @ tilted @ down
-
-
-def load(file: Path | None, *models: RobotModel) -> Scene:
-    """Return the scene of `file`, by default that of the first robot, or an empty one without any.
-
-    Raises `UsageError` with one line for each fault; some robot must reach everything in a scene.
-    """
-    path = file or models[0].scene
-    if path is None:
-        return Scene(name="empty cell")
-    try:
-        written = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"the scene file {path} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UsageError(f"the scene file {path} is not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(written, Mapping):
-        raise UsageError(f"the scene file {path} must name the cell, its bins and fixtures")
-    return read_scene(written, path.parent, f"scene file {path}", *models)
-
-
-def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: RobotModel) -> Scene:
-    """Return the scene with a content; `source` is named in faults. Raises `UsageError`."""
-    try:
-        scene = Scene.model_validate({**written, "folder": folder})
-    except ValidationError as error:
-        shown = (f"{source}: {_place(fault['loc'])}: {fault['msg']}" for fault in error.errors())
-        raise UsageError("\n".join(shown)) from None
-    faults = [f"{source}: {fault}" for fault in _faults(scene, models)]
-    if faults:
-        raise UsageError("\n".join(faults))
-    for model in models:
-        if scene.gripper.part_mass_kg is not None and model.max_payload_kg is None:
-            log.warning(
-                "payload unknown, no part is carried: give the robot max_payload_kg in its robot.yaml",
-                robot=model.name,
-                part_mass_kg=scene.gripper.part_mass_kg,
-                tool_kg=round(model.tool_kg, 3),
-            )
-    return scene
-
-
-def _faults(scene: Scene, models: Sequence[RobotModel]) -> Iterator[str]:
-    yield from _repeated_names(scene)
-    for model in models:
-        if model.max_payload_kg is None:
-            continue  # the cell starts, and no motion with the part is planned
-        if (too_heavy := model.payload_fault(scene.gripper.part_mass_kg or 0.0)) is not None:
-            yield f"gripper: {too_heavy}"
-    if scene.home is not None:
-        if len(models) > 1:
-            yield "home: several robots are in the cell; give each its home in the cell file"
-            return
-        try:
-            models[0].allow(scene.home)
-        except Unreachable as why:
-            yield f"home: {why}"
-            return
-    for where, pose in _poses(scene):
-        reasons = []
-        for model in models:
-            try:
-                model.reach(pose, model.home if scene.home is None else scene.home)
-                break
-            except Unreachable as why:
-                reasons.append(str(why))
-        else:
-            yield f"{where}: {'; '.join(reasons)}"
-
-
-def _repeated_names(scene: Scene) -> Iterator[str]:
-    kinds: dict[str, str] = {}
-    for kind, names in (
-        ("bin", scene.bins),
-        ("fixture", scene.fixtures),
-        ("obstacle", scene.obstacles),
-        ("fence", scene.fences),
-        ("camera", scene.cameras),
-        ("zone", scene.zones),
-        ("sensor of people", scene.people_sensors),
-    ):
-        for name in names:
-            if name in kinds:
-                yield f'"{name}" is a {kinds[name]} and a {kind}; give one of them another name'
-            kinds[name] = kind
-
-
-def _poses(scene: Scene) -> Iterator[tuple[str, Pose]]:
-    approach_m = scene.gripper.approach_m
-    for name, bin_ in scene.bins.items():
-        yield f"bins.{name}.view", bin_.view.pose
-        for number, spot in enumerate(bin_.more_views):
-            yield f"bins.{name}.more_views.{number}", spot.pose
-        for number, spot in enumerate(bin_.parts):
-            yield f"bins.{name}.parts.{number}", spot.pose
-            yield f"bins.{name}.parts.{number}, approached from above", spot.pose.raised(approach_m)
-    for name, fixture in scene.fixtures.items():
-        for number, spot in enumerate(fixture.nests):
-            yield f"fixtures.{name}.nests.{number}", spot.pose
-            yield f"fixtures.{name}.nests.{number}, approached from above", spot.pose.raised(approach_m)
-
-
-def _place(location: tuple[Any, ...]) -> str:
-    return ".".join(str(part) for part in location) or "file"

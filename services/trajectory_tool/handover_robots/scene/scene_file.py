@@ -8,19 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import orjson
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from handover.errors import UsageError
 from handover.files.durable_files import replace_durably
+from handover.formats.validation import ClosedModel
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
 
-class ChangedScene(BaseModel):
+class ChangedScene(ClosedModel):
     """A changed scene: `origin` is the digest of the scene it was made from, `revision` counts changes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     origin: str
     revision: int = Field(ge=1)

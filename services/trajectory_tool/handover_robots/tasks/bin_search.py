@@ -1,9 +1,10 @@
 """The search for a part in a bin: the topmost one that the robot can grip and reach, or why there is none."""
 
 import itertools
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
+from handover.messages import Message, message
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.scene.contents import Lying
 from handover_robots.scene.vision import SeenGrasp, Sighting
@@ -30,10 +31,10 @@ async def search(unit: RobotUnit, bin_name: str, view: int) -> tuple[Lying | Non
         unit.to_stir.discard(bin_name)
     sightings = await vision.look(bin_name, view)
     chosen = await _first_reachable(unit, sightings)
-    ordered = sorted(sightings, key=lambda one: chosen is None or one is not chosen[0])
+    ordered = sorted(sightings, key=lambda sighting: chosen is None or sighting is not chosen[0])
     seen = [
-        (chosen[1].tool, chosen[1].grip) if chosen and one is chosen[0] else (one.part, None)
-        for one in ordered
+        (chosen[1].tool, chosen[1].grip) if chosen and sighting is chosen[0] else (sighting.part, None)
+        for sighting in ordered
     ]
     unit.contents = unit.contents.observed(bin_name, seen)
     if chosen is not None:
@@ -73,6 +74,17 @@ async def _first_reachable(
 def _why_none(bin_name: str, sightings: Sequence[Sighting]) -> str:
     if not sightings:
         return f"no part was seen in {bin_name}"
-    reasons = sorted(str(one.reason or "the arm does not reach its grasps") for one in sightings)
+    reasons = sorted(str(sighting.reason or "the arm does not reach its grasps") for sighting in sightings)
     counted = (f"{len(list(same))}: {reason}" for reason, same in itertools.groupby(reasons))
     return f"no part lies free in {bin_name}: of {len(sightings)} that are seen, {'; '.join(counted)}"
+
+
+def unknown_bin(operation: str, name: str, bins: Mapping[str, Any]) -> Message:
+    """Return that there is no such bin, and the names of those that there are."""
+    return message(
+        "robot.unknown_bin",
+        'parameter "bin" of {operation}: there is no bin "{bin}"; the cell has {known}',
+        operation=operation,
+        bin=name,
+        known=", ".join(bins) or "none",
+    )

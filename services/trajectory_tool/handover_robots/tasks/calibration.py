@@ -69,10 +69,10 @@ async def calibrate_camera(work: Work, request: CalibrateCamera) -> dict[str, An
         if sample is not None:
             samples.append(sample)
     try:
-        found = await vision.calibrate(samples)
+        result = await vision.calibrate(samples)
     except HandoverError as why:
         raise _not_calibrated(why) from None
-    return {**found, "images": len(samples)}
+    return {**result, "images": len(samples)}
 
 
 async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Sequence[str]) -> dict[str, Any]:
@@ -99,7 +99,7 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
             places.append(place)
             seen.append(ball.ball)
     try:
-        found = await vision.calibrate_fixed(camera, places, seen)
+        result = await vision.calibrate_fixed(camera, places, seen)
     except HandoverError as why:
         if not missed:
             raise _not_calibrated(why) from None
@@ -112,7 +112,7 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
                 missed=", ".join(missed),
             )
         ) from None
-    return {**found, "balls": len(seen)}
+    return {**result, "balls": len(seen)}
 
 
 def _spheres(unit: RobotUnit) -> list[str]:

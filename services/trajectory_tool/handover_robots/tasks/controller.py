@@ -20,7 +20,7 @@ from handover.tasks.outcomes import outcome_unknown
 from handover.tasks.task_life import type_of
 from handover.telemetry import get_logger
 from handover_datamodels.entities import DeviceState
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.device import RobotDevice
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.limits.records import LimitRecords
@@ -47,14 +47,14 @@ class Controllers:
     """
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
-        self.cell = Cell(settings, broker=broker)
+        self.cell = RobotCell(settings, broker=broker)
         self._broker = broker
         self._record = SubscriptionRecord(settings.data_dir / "trajectory_tool" / "subscriptions.json")
         self.by_name = {
             name: Controller(settings, unit, broker, self._record) for name, unit in self.cell.units.items()
         }
         self._subscription_ids = {
-            *(each.subscription_id for each in self.by_name.values()),
+            *(controller.subscription_id for controller in self.by_name.values()),
             *(
                 subscription_id
                 for unit in self.cell.units.values()
@@ -72,8 +72,12 @@ class Controllers:
 
     def of(self, robot: str) -> "Controller | None":
         """Return the controller of a robot by its name or the id of its Device."""
-        found = (one for one in self.by_name.values() if robot in {one.robot_name, one.device.id})
-        return next(found, None)
+        matches = (
+            controller
+            for controller in self.by_name.values()
+            if robot in {controller.robot_name, controller.device.id}
+        )
+        return next(matches, None)
 
     async def probe(self) -> None:
         """Raise `BrokerUnavailable` while a subscription to Tasks is missing."""
@@ -266,7 +270,7 @@ def _parameters_of(job: Job, operation: str) -> Mapping[str, Any]:
     values = job.parameters
     if operation != "pick" or PICK_TARGETS & values.keys():
         return values
-    materials = [each for each in _involved(job) if type_of(each) == "Material"]
+    materials = [entity_id for entity_id in _involved(job) if type_of(entity_id) == "Material"]
     return {**values, "part": materials[0]} if len(materials) == 1 else values
 
 

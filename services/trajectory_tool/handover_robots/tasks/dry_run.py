@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from handover.errors import HandoverError
 from handover.performer import TaskFailed
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.cell_file import cell_plan
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.context import Clock
@@ -29,7 +29,7 @@ CONTROL_HZ = 125.0
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestPair:
     """The two things that were nearest to each other on the way of a robot, and their distance in m."""
 
     first: str
@@ -50,7 +50,7 @@ class Step:
     duration_s: float
     result: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
-    nearest: Nearest | None = None
+    nearest: NearestPair | None = None
 
 
 class _JumpingTime:
@@ -109,7 +109,7 @@ class DryRun:
             name: entry.model_copy(update={"driver": "simulated", "settings": {}})
             for name, entry in plan.robots.items()
         }
-        self._cell = Cell(
+        self._cell = RobotCell(
             settings.model_copy(update=update),
             self._time.clock,
             plan=replace(plan, robots=simulated, scene_driver=next(iter(plan.robots.values())).driver),
@@ -147,7 +147,7 @@ class DryRun:
         nearest = await self._nearest(unit, path)
         return Step(robot, operation, time.now_s - began_s, result, tuple(dict.fromkeys(faults)), nearest)
 
-    async def _nearest(self, unit: RobotUnit, path: list[Joints]) -> Nearest | None:
+    async def _nearest(self, unit: RobotUnit, path: list[Joints]) -> NearestPair | None:
         if not is_available() or not any(joints != path[0] for joints in path):
             return None
 
@@ -155,7 +155,7 @@ class DryRun:
             return planner.least_clearance(path)
 
         least = await unit.planning.plan(least_clearance)
-        return None if least is None else Nearest(least.first, least.second, round(least.distance_m, 4))
+        return None if least is None else NearestPair(least.first, least.second, round(least.distance_m, 4))
 
     async def _faults_of(self, unit: RobotUnit, path: list[Joints]) -> list[str]:
         faults = []

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -17,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from handover.formats.validation import ClosedModel
 from handover.performer import TaskFailed
 from handover_robots.model import poses
 
@@ -57,11 +57,7 @@ Name = Annotated[str, BeforeValidator(_last_part), Field(min_length=1)]
 """The name of a bin, fixture or part; of a URN the last part is used."""
 
 
-class _Given(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class GivenPose(_Given):
+class GivenPose(ClosedModel):
     """A position in m and a quaternion (x, y, z, w); by default the tool points straight down."""
 
     position: tuple[Number, Number, Number]
@@ -73,13 +69,13 @@ class GivenPose(_Given):
         return poses.Pose(self.position, self.orientation)
 
 
-class Home(_Given):
+class Home(ClosedModel):
     """Move home; `speed` scales the robot's normal speed, in every operation."""
 
     speed: Annotated[Number, Field(ge=0.01, le=1)] = 1.0
 
 
-class Target(_Given):
+class Target(ClosedModel):
     """A position of the arm: joint positions (rad, or m), a named position of the SRDF, or a tool pose."""
 
     joints: Annotated[tuple[Number, ...], Field(min_length=1)] | None = None
@@ -88,7 +84,7 @@ class Target(_Given):
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
-        if sum(one is not None for one in (self.joints, self.named, self.pose)) != 1:
+        if sum(target is not None for target in (self.joints, self.named, self.pose)) != 1:
             raise ValueError(
                 'needs either "joints" (a position for each joint, in rad or m), "named" (a position of the '
                 'SRDF) or "pose", and not both'
@@ -96,10 +92,10 @@ class Target(_Given):
         return self
 
 
-class GivenTilt(_Given):
+class GivenTilt(ClosedModel):
     """A constraint on the way: `axis` of the tool stays within `maxAngleDeg` of `direction` in the cell."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     max_angle_deg: Annotated[Number, Field(gt=0, le=180, alias="maxAngleDeg")] = 10.0
     axis: Annotated[tuple[Number, Number, Number], AfterValidator(_direction)] = (0.0, 0.0, 1.0)
@@ -119,7 +115,7 @@ class MoveTo(Target, Home):
 class MoveLinear(Home):
     """Move the tool on a straight line to a pose; `toolSpeed` limits its speed in m/s."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     pose: GivenPose
     tool_speed: Annotated[Number | None, Field(gt=0, le=5, alias="toolSpeed")] = None
@@ -148,7 +144,7 @@ class CalibrateCamera(Home):
 class Approaching(Home):
     """How the tool comes and leaves: `approachM` and `retreatM`, along the vertical or its own axis."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     approach_m: Annotated[Number | None, Field(gt=0, le=1, alias="approachM")] = None
     retreat_m: Annotated[Number | None, Field(gt=0, le=1, alias="retreatM")] = None
@@ -182,7 +178,7 @@ class HandOver(Target, Home):
     `part` names a part that is taken. Nothing moves after the gripper has acted.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     direction: Literal["give", "take"]
     confirmation: Literal["person", "contact"] = "person"
@@ -206,8 +202,8 @@ def _explained(model: type[Home], operation: str, fault: Mapping[str, Any]) -> s
     if fault["type"] == "extra_forbidden":
         if len(fault["loc"]) > 1:
             return f'{operation} knows no parameter "{where}"'
-        known = ", ".join(field.alias or name for name, field in model.model_fields.items())
-        return f'{operation} knows no parameter "{where}"; it knows {known}'
+        parameters = ", ".join(field.alias or name for name, field in model.model_fields.items())
+        return f'{operation} knows no parameter "{where}"; it knows {parameters}'
     if not where:
         return f"{operation} {rule}"
     return f'parameter "{where}" of {operation}: {rule[:1].lower()}{rule[1:]}'

@@ -105,5 +105,5 @@ def _evaluated(
     slower_s = next((at_s for at_s, mps in speeds if mps < SLOWER * speed_mps), speeds[-1][0])
     rest_s = next((at_s for at_s, mps in speeds if mps < 0.001), speeds[-1][0])
     poses = [unit.model.tool_pose(state.positions) for _, state in after]
-    way_m = sum(one.distance_m(other) for one, other in pairwise(poses))
+    way_m = sum(before.distance_m(after) for before, after in pairwise(poses))
     return StopMeasurement(speed_mps, slower_s - commanded_s, rest_s - commanded_s, way_m)

@@ -18,7 +18,8 @@ from handover_robots.model.trajectory import Course, Setpoint, rounded_pace
 from handover_robots.planning import is_available
 
 if TYPE_CHECKING:
-    from handover_robots.planning.planner import Plan, Planner, Tilt
+    from handover_robots.planning.planner import Plan, Planner
+    from handover_robots.planning.tilt import Tilt
 
 
 T = TypeVar("T")

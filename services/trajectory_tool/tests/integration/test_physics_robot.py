@@ -18,7 +18,7 @@ from handover_robots.tasks import operations, parameters
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.driver_base.context import Clock
 from handover_robots.driver_base.robot import Robot
 from handover_robots.driver_contract import RobotContract
@@ -37,7 +37,8 @@ from handover_robots.physics.world_model import build
 from handover_robots.robots import panda, ur10
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.routes.scenes import scene_view
-from handover_robots.scene.scene import Scene, load
+from handover_robots.scene.reading import load
+from handover_robots.scene.scene import Scene
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.work import Work
 
@@ -127,7 +128,7 @@ class PhysicsCell:
         settings = TrajectorySettings(
             data_dir=folder, robot="physics", simulation_pace=0, robot_speed=1.0, **others
         )
-        self.cell = Cell(settings)
+        self.cell = RobotCell(settings)
         self.unit = next(iter(self.cell.units.values()))
         robot = self.unit.robot
         assert isinstance(robot, PhysicsRobot)

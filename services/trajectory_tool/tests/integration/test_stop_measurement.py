@@ -2,14 +2,14 @@ from pathlib import Path
 
 import pytest
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks.stop_measurement import StopMeasurement, measure_stop
 
 
 async def test_the_stop_of_a_robot_is_measured(tmp_path: Path) -> None:
     settings = TrajectorySettings.load(data_dir=tmp_path)
-    async with Cell(settings) as cell:
+    async with RobotCell(settings) as cell:
         unit = cell.only
         found = await measure_stop(unit, (unit.home[0] + 3.0, *unit.home[1:]), 0.4)
     assert found.speed_mps > 0.05

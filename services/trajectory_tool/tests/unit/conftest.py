@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.driver_base.context import Clock
 from handover_robots.settings import TrajectorySettings
 from handover_robots.tasks import operations, parameters
@@ -49,7 +49,7 @@ class Worker:
     def __init__(self, settings: TrajectorySettings, time: JumpingTime) -> None:
         self.settings = settings
         self.time = time
-        self.cell = Cell(settings, time.clock)
+        self.cell = RobotCell(settings, time.clock)
         self.unit = self.cell.only
         self.work: Work | None = None
         self._tasks = 0

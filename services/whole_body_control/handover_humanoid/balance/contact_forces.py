@@ -53,8 +53,8 @@ def shares(
     if len(feet) == 1:
         ((name, foot),) = feet.items()
         return {name: (1.0, nearest_in_sole(foot, sole, zmp, margin_m))}
-    (first, one), (second, other) = feet.items()
-    (start_x, start_y), (end_x, end_y) = _middle(one, sole), _middle(other, sole)
+    (first_side, first), (second_side, second) = feet.items()
+    (start_x, start_y), (end_x, end_y) = _middle(first, sole), _middle(second, sole)
     line_x, line_y = end_x - start_x, end_y - start_y
     x, y = zmp.tolist()
     along = (x - start_x) * line_x + (y - start_y) * line_y
@@ -62,9 +62,9 @@ def shares(
     off_x, off_y = x - (start_x + share * line_x), y - (start_y + share * line_y)
     points = [
         nearest_in_sole(foot, sole, (middle_x + off_x, middle_y + off_y), margin_m)
-        for foot, middle_x, middle_y in ((one, start_x, start_y), (other, end_x, end_y))
+        for foot, middle_x, middle_y in ((first, start_x, start_y), (second, end_x, end_y))
     ]
-    return {first: (1.0 - share, points[0]), second: (share, points[1])}
+    return {first_side: (1.0 - share, points[0]), second_side: (share, points[1])}
 
 
 def _middle(foot: Footprint, sole: Array) -> tuple[float, float]:
@@ -118,8 +118,8 @@ class FeedForward:
         `forces` has for each link on the ground its share of the force and its centre of pressure (2,). The
         known damping of the joints is compensated.
         """
-        found = self._damping * velocity[BASE_VELOCITIES:]
-        found += needed.torques
+        needed_torques = self._damping * velocity[BASE_VELOCITIES:]
+        needed_torques += needed.torques
         x, y, z = needed.force.tolist()
         for link, (share, point) in forces.items():
             (point_x, point_y), (at_x, at_y, at_z) = (
@@ -129,8 +129,8 @@ class FeedForward:
             a, b, c = point_x - at_x, point_y - at_y, -at_z
             around = (b * z - c * y, c * x - a * z, a * y - b * x + needed.yaw_moment)
             wrench = share * np.array([x, y, z, *around])
-            found -= self._kinematics.joint_torques(link, wrench)
-        return np.asarray(found)
+            needed_torques -= self._kinematics.joint_torques(link, wrench)
+        return np.asarray(needed_torques)
 
     def write(
         self,

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.robot import RobotSensors
 from handover_humanoid.model.kinematics import (
     BASE_POSITIONS,
@@ -140,6 +141,7 @@ class StateEstimator:
         """Return the orientation (3, 3) of the base."""
         return np.asarray(self._rotation)
 
+    @runs_in_cycle
     def update(self, sensors: RobotSensors, dt_s: float) -> None:
         """Compute the state of `dt_s` after the last one."""
         self.q[BASE_POSITIONS:] = sensors.positions
@@ -279,7 +281,7 @@ def _foot(kinematics: Kinematics, link: str, corners: Array) -> FootState:
     """Return a foot with the force-torque sensor above it. Raises `UsageError` without one."""
     humanoid = kinematics.humanoid
     sole = kinematics.pose(link)
-    chain = next((each for each in humanoid.chains.values() if each.tip == link), None)
+    chain = next((leg for leg in humanoid.chains.values() if leg.tip == link), None)
     sensors = list(humanoid.sensors.force_torque.items())
     joint_id = kinematics.pin_model.getJointId(chain.joints[-1]) if chain else None
     for row, (_, sensor) in enumerate(sensors):

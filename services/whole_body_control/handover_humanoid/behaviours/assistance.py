@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.balance.external_torques import SMOOTHING_S, ExternalTorques
-from handover_humanoid.behaviours.walking import SIDES, WalkingController
+from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.components.robot import RobotSensors
 from handover_humanoid.cycle.wish import PERSON
 from handover_humanoid.model.humanoid import Grip
@@ -34,7 +35,7 @@ from handover_humanoid.patterns.intention import (
 )
 from handover_humanoid.patterns.lead import HoldStiffness, LeadReference, hand_force
 from handover_humanoid.patterns.minimum_jerk import moved
-from handover_humanoid.patterns.regions import Side, turn
+from handover_humanoid.patterns.regions import SIDES, Side, turn
 
 POSE: Final = "hold_hands"
 TAKE_S: Final = 1.5
@@ -160,6 +161,7 @@ class AssistedWalking:
         """Return that of an arm in m³/rad³, NaN while nobody holds it."""
         return self._volumes.get(side, np.nan)
 
+    @runs_in_cycle
     def feel(self, hands: Hands) -> dict[Side, Array]:
         """Return the forces (3,) in N at the hands, in the frame between the soles."""
         forces: dict[Side, Array] = {side: np.zeros(3) for side in SIDES}
@@ -182,6 +184,7 @@ class AssistedWalking:
         self._held = tuple(side for side, force in forces.items() if force.any())
         return forces
 
+    @runs_in_cycle
     def carry(self, torques: Array) -> None:
         """Let the arms follow a hand: add to the torques (joints,) of the last step of walking.
 
@@ -195,6 +198,7 @@ class AssistedWalking:
         moving = UNDAMPED_SHARE * self._joint_damping[arms] * estimator.v[BASE_VELOCITIES + arms]
         torques[arms] += self._taken * (weight + moving)
 
+    @runs_in_cycle
     def observe(self, sensors: RobotSensors) -> None:
         """Follow the forces at the arms, and where the robot is apart from its swaying.
 
@@ -223,6 +227,7 @@ class AssistedWalking:
         root_s = STAND_S if self._walking.state.stance.phase == "standing" else ROOT_S
         self._root += self._control_s / root_s * (root - self._root)
 
+    @runs_in_cycle
     def wish(self, share: float) -> tuple[Array, float]:
         """Return the velocity (2,) in m/s on the ground and the yaw rate after one control period."""
         self._take()

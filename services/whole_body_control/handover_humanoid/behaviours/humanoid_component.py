@@ -23,18 +23,30 @@ How it works:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.behaviours.assistance import AssistedWalking, Hands
+from handover_humanoid.behaviours.component_state import (
+    PHASES,
+    REFUSED,
+    SOLVER_BOUNDS_US,
+    THROW_PHASES,
+    Ball,
+    BallPhase,
+    Behaviour,
+    Fault,
+    constraint_names,
+    residual_names,
+    state_fields,
+)
 from handover_humanoid.behaviours.throwing import Phase, ThrowingController
-from handover_humanoid.behaviours.walking import SIDES, WalkingController
+from handover_humanoid.behaviours.walking import WalkingController
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
-from handover_humanoid.cycle.gains import GainShares, gain_fields
+from handover_humanoid.cycle.gains import GainTransition
 from handover_humanoid.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from handover_humanoid.engines.choice import DEFAULT_ENGINE, EngineName
 from handover_humanoid.model.humanoid import Humanoid
@@ -49,8 +61,8 @@ from handover_humanoid.model.standing import HANDS, stretched_legs
 from handover_humanoid.patterns.footsteps import Wish
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
 from handover_humanoid.patterns.minimum_jerk import moved
-from handover_humanoid.patterns.regions import Side, turn
-from handover_humanoid.patterns.throwing import Throw
+from handover_humanoid.patterns.regions import SIDES, Side, turn
+from handover_humanoid.patterns.throwing import PlannedThrow
 from handover_humanoid.solvers.problem import Solver
 
 GAINS_S: Final = 0.5
@@ -65,68 +77,16 @@ FINISH_S: Final = 3.0
 MIN_SLACK: Final = 1e-4
 """Of a constraint, in m/s or rad/s; less is the tolerance of a solver."""
 LIMIT_SLACK_RAD: Final = 0.01
-LANDED_M: Final = 0.03
-"""A ball that is lower, or below the height of its target, has landed."""
-LOST_M: Final = 6.0
-SOLVER_BOUNDS_US: Final = (20, 40, 60, 80, 100, 150, 200, 300, 400, 600, 1000, 2000)
-PHASES: Final = ("standing", "double", "single")
-THROW_PHASES: Final = (Phase.STANDING, Phase.REACHING, Phase.SWINGING, Phase.FOLLOWING, Phase.RETURNING)
-REFUSED: Final = 6.0
-
-
-class Behaviour(IntEnum):
-    """The codes of `behaviour` in the ports."""
-
-    WALKING = 0
-    ASSISTED_WALKING = 1
-    JUGGLING = 2
-
-
-class Fault(IntEnum):
-    """The codes of `fault` in the ports; the page says them in words."""
-
-    NONE = 0
-    SENSORS = 1
-    SOLVER = 2
-    PULLED_HARD = 3
-    FALLEN = 4
-    THROW_REFUSED = 5
-    NOT_OFFERED = 6
-    STRETCHED = 7
-    RELAXED = 8
-
-
-class BallPhase(IntEnum):
-    """The codes of `ball_phase` in the ports."""
-
-    NONE = 0
-    HELD = 1
-    FLYING = 2
-    LANDED = 3
-    LOST = 4
-
-
-@dataclass
-class _Ball:
-    """The ball as the ports show it, on the ground of the estimate."""
-
-    phase: BallPhase = BallPhase.NONE
-    number: float = 0.0
-    height_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.place, self.landed = np.full(3, np.nan), np.full(3, np.nan)
-        self.target, self.predicted = np.full(3, np.nan), np.full(3, np.nan)
 
 
 def behaviours_of(humanoid: Humanoid) -> tuple[Behaviour, ...]:
     """Return what a humanoid can do in simulation."""
-    found = [Behaviour.WALKING]
+    offered = [Behaviour.WALKING]
     if all(hand in humanoid.grips for hand in HANDS) and not stretched_legs(Kinematics(humanoid)):
-        found.append(Behaviour.ASSISTED_WALKING)
+        offered.append(Behaviour.ASSISTED_WALKING)
     if humanoid.grips:
-        found.append(Behaviour.JUGGLING)
-    return tuple(found)
+        offered.append(Behaviour.JUGGLING)
+    return tuple(offered)
 
 
 class HumanoidComponent:
@@ -160,20 +120,20 @@ class HumanoidComponent:
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
         """Share of the gains of the model, by joint."""
-        self._shares = GainShares(humanoid)
+        self._shares = GainTransition(humanoid)
         self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
-        self._ball = _Ball()
+        self._ball = Ball()
         self._throw_phase, self.fault = 0.0, Fault.NONE
         self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
         self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
-        self._residuals = _residual_names(self.walking, self._throwing)
+        self._residuals = residual_names(self.walking, self._throwing)
         self._blind_s = 0.0
         """Since when sensors are not valid."""
         self._of_legs = Kinematics(humanoid)
-        self._slack = dict.fromkeys(_constraint_names(self.walking, self._throwing), 0.0)
+        self._slack = dict.fromkeys(constraint_names(self.walking, self._throwing), 0.0)
         self._relaxed_s = 0.0
-        self.fields: Sequence[str] = _fields(humanoid, self._residuals, tuple(self._slack))
+        self.fields: Sequence[str] = state_fields(humanoid, self._residuals, tuple(self._slack))
 
     def hand_force(self, side: Side) -> Array:
         """Return the force (3,) in N of a person at a hand, in the frame between the soles."""
@@ -182,13 +142,14 @@ class HumanoidComponent:
     @property
     def behaviours(self) -> tuple[Behaviour, ...]:
         """Return what this robot can do; walking without a velocity is standing, which each can."""
-        found = [Behaviour.WALKING]
+        offered = [Behaviour.WALKING]
         if self.assistance is not None and not self._is_stretched:
-            found.append(Behaviour.ASSISTED_WALKING)
+            offered.append(Behaviour.ASSISTED_WALKING)
         if self._throwing is not None:
-            found.append(Behaviour.JUGGLING)
-        return tuple(found)
+            offered.append(Behaviour.JUGGLING)
+        return tuple(offered)
 
+    @runs_in_cycle
     def follow(self, wish: Array | None, person: Array | None) -> None:
         """Accept the newest wish, and what a person does; None is one that is too old, or none."""
         self._is_commanded = wish is not None
@@ -196,10 +157,12 @@ class HumanoidComponent:
             self._wanted = Wanted.of(wish)
         self._person = np.zeros(len(PERSON)) if person is None else person
 
+    @runs_in_cycle
     def tune(self, gains: Array | None) -> None:
         """Accept the shares of the gains that people want; None changes nothing."""
         self._shares.want(gains)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
         is_blind = self._bridge(sensors, command)
@@ -212,12 +175,15 @@ class HumanoidComponent:
         self._soften(command)
         if self._taken < 1.0:
             self._take_over(sensors, command)
-        self._follow_ball()
+        if self._world is not None:
+            estimator = self.walking.estimator
+            self._ball.follow(self._world.ball_from_root, estimator.rotation, estimator.q[:3])
         self._count()
         self._note_slack()
         self._judge(NOT_FINITE if is_blind else fault)
         return fault
 
+    @runs_in_cycle
     def write_state(self, state: Array) -> None:
         """Write the values of `fields`. Places are in m, and velocities in m/s, on the ground of the
         estimate."""
@@ -276,6 +242,7 @@ class HumanoidComponent:
         """Whether this robot has the wanted behaviour; it stands while another one is wanted."""
         return self._wanted.behaviour in self.behaviours
 
+    @runs_in_cycle
     def _switch(self) -> None:
         """Change the behaviour, when the robot is at rest on both feet."""
         wanted = self._wanted.behaviour
@@ -289,7 +256,7 @@ class HumanoidComponent:
         if wanted == Behaviour.JUGGLING and self._throwing is not None:
             self._throwing.stand_at(self._between_soles(self.walking.reference))
             self._throwing.estimator.take_tilt(self.walking.estimator)
-            self._ball, self._throw_phase = _Ball(number=self._wanted.throw_number), 0.0
+            self._ball, self._throw_phase = Ball(number=self._wanted.throw_number), 0.0
         elif self.behaviour is Behaviour.JUGGLING:
             self._throw_phase = 0.0
         if self.assistance is not None:
@@ -305,6 +272,7 @@ class HumanoidComponent:
         moved[3:7] = turned.coeffs()
         return moved
 
+    @runs_in_cycle
     def _feel(self) -> None:
         """Let the person pull at the hands of the simulated robot."""
         if self._world is None or self.assistance is None:
@@ -320,6 +288,7 @@ class HumanoidComponent:
             ground = np.array([*(to_ground @ force[:2]), force[2]])
             self._world.pull(self.assistance.link(side), rotation.T @ ground)
 
+    @runs_in_cycle
     def _bridge(self, sensors: RobotSensors, command: JointCommand) -> bool:
         """Replace values that are not valid while a step is to be finished; return whether it is."""
         if sensors.is_finite:
@@ -345,11 +314,14 @@ class HumanoidComponent:
         )
         still = np.zeros(BASE_VELOCITIES)
         kinematics.update(kinematics.neutral(sensors.positions), np.concatenate([still, sensors.velocities]))
-        foot = max((estimator.feet[contacts[side]] for side in SIDES), key=lambda each: each.share)
+        foot = max(
+            (estimator.feet[contacts[side]] for side in SIDES), key=lambda foot_estimate: foot_estimate.share
+        )
         to_sensor = kinematics.pose(self.humanoid.sensors.inertial[0]).rotation.T
         sensors.gyroscope[:] = to_sensor @ -kinematics.velocity(foot.link)[3:]
         sensors.accelerometer[:] = to_sensor @ (estimator.rotation.T @ -DOWNWARDS)
 
+    @runs_in_cycle
     def _walk(self, sensors: RobotSensors, command: JointCommand, *, is_to_stand: bool = False) -> str:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
@@ -371,6 +343,7 @@ class HumanoidComponent:
             self.assistance.carry(command.torques)
         return state.fault
 
+    @runs_in_cycle
     def _throw(self, sensors: RobotSensors, command: JointCommand) -> str:
         throwing, wanted, ball = self._throwing, self._wanted, self._ball
         if throwing is None or self._world is None:  # `_switch` has looked
@@ -389,10 +362,11 @@ class HumanoidComponent:
             self._throw_phase = float(THROW_PHASES.index(state.phase))
         return state.fault
 
+    @runs_in_cycle
     def _begin_throw(self) -> None:
         """Put the ball into the hand and begin, if the plan can be carried out."""
         wanted, throwing, world = self._wanted, self._throwing, self._world
-        self._ball = _Ball(number=wanted.throw_number, height_m=wanted.target[2])
+        self._ball = Ball(number=wanted.throw_number, height_m=wanted.target[2])
         self._ball.target = wanted.target.copy()
         throw = self._planned()
         if throw is None or throwing is None or world is None:
@@ -402,7 +376,7 @@ class HumanoidComponent:
         throwing.throw(throw)
         self._ball.phase = BallPhase.HELD
 
-    def _planned(self) -> Throw | None:
+    def _planned(self) -> PlannedThrow | None:
         """Return the throw of the wish, None if it is none that the arm can do."""
         wanted = self._wanted
         grip = self.humanoid.grips.get(f"{wanted.side}_hand")
@@ -413,7 +387,7 @@ class HumanoidComponent:
             return None
         nothing = np.full(3, np.nan)
         release, velocity = wanted.release[: len(arm)], wanted.velocity[: len(arm)]
-        throw = Throw(
+        throw = PlannedThrow(
             grip,
             wanted.target,
             wanted.flight_s,
@@ -431,11 +405,12 @@ class HumanoidComponent:
         fastest = np.array([joint.max_velocity for joint in joints])
         is_timed = 0 < wanted.swing_s <= MAX_THROW_S and 0 < wanted.follow_s <= MAX_THROW_S
         is_within = all(
-            bool((each >= lower).all() and (each <= upper).all())
-            for each in (throw.start, release, throw.end)
+            bool((joints_at >= lower).all() and (joints_at <= upper).all())
+            for joints_at in (throw.start, release, throw.end)
         )
         return throw if is_timed and is_within and bool((np.abs(velocity) <= fastest).all()) else None
 
+    @runs_in_cycle
     def _soften(self, command: JointCommand) -> None:
         """Move the gains of the joints towards those of the behaviour."""
         wanted: float | Array = 1.0
@@ -450,6 +425,7 @@ class HumanoidComponent:
         command.damping[:] = self._damping * np.sqrt(self._firmness) * self._shares.damping
         command.is_led = self.behaviour is Behaviour.ASSISTED_WALKING
 
+    @runs_in_cycle
     def _take_over(self, sensors: RobotSensors, command: JointCommand) -> None:
         """Lead the drives from what they do to the command."""
         first = self._at_first
@@ -463,23 +439,6 @@ class HumanoidComponent:
         command.positions += left * (first.positions - command.positions)
         command.torques += left * (first.torques - command.torques)
 
-    def _follow_ball(self) -> None:
-        ball, estimator = self._ball, self.walking.estimator
-        if self._world is None or ball.phase is BallPhase.NONE:
-            return
-        before = ball.place
-        ball.place = estimator.rotation @ self._world.ball_from_root() + estimator.q[:3]
-        if ball.phase is not BallPhase.FLYING:
-            return
-        height_m = max(ball.height_m, LANDED_M)
-        if before[2] > height_m >= ball.place[2]:
-            share = (before[2] - height_m) / (before[2] - ball.place[2])
-            ball.landed, ball.phase = before + share * (ball.place - before), BallPhase.LANDED
-        elif ball.place[2] < LANDED_M:
-            ball.landed, ball.phase = ball.place.copy(), BallPhase.LANDED
-        elif float(np.linalg.norm(ball.place - estimator.q[:3])) > LOST_M:
-            ball.phase = BallPhase.LOST
-
     def _on_ground(self, place: Array, feet: Array) -> Array:
         """Return a place (3,) of the frame of the feet on the ground of the estimate."""
         return np.array([*(feet[:2] + turn(feet[2]) @ place[:2]), place[2]])
@@ -488,13 +447,14 @@ class HumanoidComponent:
         microseconds = self._active.last_step.solve_s * 1e6
         self._solver_counts[int(np.searchsorted(SOLVER_BOUNDS_US, microseconds))] += 1
 
+    @runs_in_cycle
     def _note_slack(self) -> None:
         """Note which constraints this period relaxed; forget it when none has been for `RELAXED_S`."""
         if self._relaxed_s > 0:
             self._relaxed_s -= self.control_s
             if self._relaxed_s <= 0:
                 self._slack.update(dict.fromkeys(self._slack, 0.0))
-        for name, _, text in (each.rpartition(" by ") for each in self._active.last_step.relaxed):
+        for name, _, text in (relaxed.rpartition(" by ") for relaxed in self._active.last_step.relaxed):
             slack = float(text)
             if slack >= MIN_SLACK:
                 self._slack[name], self._relaxed_s = max(self._slack[name], slack), RELAXED_S
@@ -508,6 +468,7 @@ class HumanoidComponent:
         velocity = (wanted.ahead_mps, wanted.left_mps, wanted.yaw_radps)
         return is_led or (wanted.behaviour == Behaviour.WALKING and any(velocity))
 
+    @runs_in_cycle
     def _judge(self, fault: str) -> None:
         """Say what is wrong, and notice a fall."""
         self.is_down = bool(self.walking.estimator.rotation[2, 2] < np.cos(FALLEN_TILT_RAD))
@@ -525,39 +486,3 @@ class HumanoidComponent:
             self.fault = Fault.RELAXED
         elif self._throw_phase != REFUSED:
             self.fault = Fault.NONE
-
-
-def _residual_names(walking: WalkingController, throwing: ThrowingController | None) -> list[tuple[int, str]]:
-    stacks = [*walking.level_names, *(throwing.level_names if throwing else ())]
-    return sorted({(index, name) for stack in stacks for index, name in enumerate(stack)})
-
-
-def _constraint_names(walking: WalkingController, throwing: ThrowingController | None) -> list[str]:
-    return sorted({*walking.constraint_names, *(throwing.constraint_names if throwing else ())})
-
-
-def _fields(
-    humanoid: Humanoid, residuals: Sequence[tuple[int, str]], constraints: Sequence[str]
-) -> tuple[str, ...]:
-    names = ["behaviour", "phase", *(f"support_{side}" for side in SIDES)]
-    names += [
-        f"{name}.{axis}"
-        for name in ("com", "reference", "wanted_zmp", "measured_zmp", "velocity_reference")
-        for axis in "xy"
-    ]
-    names += ["feet.x", "feet.y", "feet.yaw"]
-    for side in SIDES:
-        names += [f"{side}_foot.force.{axis}" for axis in "xyz"]
-        names += [f"{side}_foot.pressure.{axis}" for axis in "xy"]
-    for side in SIDES:
-        names += [*(f"{side}_hand.force.{axis}" for axis in "xyz"), f"{side}_hand.manipulability"]
-    names += [*(f"ball.{axis}" for axis in "xyz"), "ball_phase"]
-    names += [f"{name}.{axis}" for name in ("target", "ball_landed", "predicted") for axis in "xyz"]
-    names += ["throw_number", "throw_phase", "fault"]
-    names += [f"{side}_landing.{axis}" for side in SIDES for axis in ("x", "y", "yaw")]
-    names += [f"gain.{name}" for name in gain_fields(humanoid)]
-    names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
-    names += [f"residual.{index}.{name}" for index, name in residuals]
-    names += [f"slack.{name}" for name in constraints]
-    names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    return (*names, *(f"joint.{name}" for name in humanoid.joint_names))

@@ -43,7 +43,7 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
+class StopResponse:
     """A time without intention: how long until the robot wanted no velocity and stood; None if never."""
 
     lead: Lead
@@ -51,10 +51,10 @@ class Stopped:
     standing_s: float | None
 
 
-def followed(record: LedRecord, limits: StepLimits) -> list[Followed | Stopped]:
+def followed(record: LedRecord, limits: StepLimits) -> list[Followed | StopResponse]:
     """Return what the robot made of each part of the script that it lived through, but for turns on the
     spot."""
-    found: list[Followed | Stopped] = []
+    responses: list[Followed | StopResponse] = []
     begun_s = float(record.time_s[0])
     for lead in record.script:
         part = (record.time_s >= begun_s - 1e-9) & (record.time_s < begun_s + lead.seconds - 1e-9)
@@ -63,10 +63,10 @@ def followed(record: LedRecord, limits: StepLimits) -> list[Followed | Stopped]:
         if not len(since_s) or since_s[-1] < lead.seconds / 2:
             break
         if lead.direction is not None:
-            found.append(_followed(lead, record, part, since_s, limits))
+            responses.append(_followed(lead, record, part, since_s, limits))
         elif not lead.apart_m:
-            found.append(_stopped(lead, record, part, since_s))
-    return found
+            responses.append(_stopped(lead, record, part, since_s))
+    return responses
 
 
 def _followed(lead: Lead, record: LedRecord, part: Flags, since_s: Array, limits: StepLimits) -> Followed:
@@ -95,12 +95,12 @@ def _followed(lead: Lead, record: LedRecord, part: Flags, since_s: Array, limits
     )
 
 
-def _stopped(lead: Lead, record: LedRecord, part: Flags, since_s: Array) -> Stopped:
+def _stopped(lead: Lead, record: LedRecord, part: Flags, since_s: Array) -> StopResponse:
     """Return when the velocity became 0 and the robot stood, for good."""
     moving = np.hypot(*record.velocity[part].T) > 0
     states = [state for state, is_part in zip(record.states, part, strict=True) if is_part]
     stepping = np.array([state.stance.phase != "standing" for state in states])
-    return Stopped(lead, _end_of(moving, since_s), _end_of(stepping, since_s))
+    return StopResponse(lead, _end_of(moving, since_s), _end_of(stepping, since_s))
 
 
 def _end_of(flags: Flags, since_s: Array) -> float | None:

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from handover.files.durable_files import replace_durably
+from handover.formats.validation import ClosedModel
 from handover_humanoid.behaviours.simulated_throw import SimulatedThrow
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.model.humanoid import Humanoid
@@ -75,8 +76,8 @@ def rehearsed(humanoid: Humanoid, grip: str) -> Throws:
 def write_rehearsals(path: Path, humanoid: Humanoid, throws: Mapping[str, Throws]) -> None:
     """Keep what hands have learned, by grip. Raises `OSError`."""
     rounded = {
-        grip: [(features.round(PLACES).tolist(), miss.round(PLACES).tolist()) for features, miss in known]
-        for grip, known in throws.items()
+        grip: [(features.round(PLACES).tolist(), miss.round(PLACES).tolist()) for features, miss in learned]
+        for grip, learned in throws.items()
     }
     file = _File(digest=_digest(humanoid), throws=rounded)
     replace_durably(path, file.model_dump_json().encode() + b"\n")
@@ -91,15 +92,13 @@ def read_rehearsals(path: Path, humanoid: Humanoid) -> dict[str, Throws]:
     if file.digest != _digest(humanoid):
         return {}
     return {
-        grip: tuple((np.array(features), np.array(miss)) for features, miss in known)
-        for grip, known in file.throws.items()
+        grip: tuple((np.array(features), np.array(miss)) for features, miss in learned)
+        for grip, learned in file.throws.items()
         if grip in humanoid.grips
     }
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _File(ClosedModel):
     digest: str
     throws: dict[
         str,

@@ -16,16 +16,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_humanoid.behaviours.humanoid_component import Behaviour, HumanoidComponent
+from handover_humanoid.behaviours.component_state import Behaviour
+from handover_humanoid.behaviours.humanoid_component import HumanoidComponent
 from handover_humanoid.behaviours.simulated_walk import FALLEN_SHARE
-from handover_humanoid.behaviours.walking import SIDES, WalkingState
+from handover_humanoid.behaviours.walking import WalkingState
 from handover_humanoid.components.robot import Interpolation, JointCommand, RobotSensors
 from handover_humanoid.cycle.wish import PERSON, WISH
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.patterns.footsteps import StepLimits
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
-from handover_humanoid.patterns.regions import Side, turn
+from handover_humanoid.patterns.regions import SIDES, Side, turn
 from handover_humanoid.simulation.ball import RobotWithBall
 from handover_humanoid.simulation.simulated_robot import TYPICAL_NOISE, SensorNoise
 from handover_humanoid.solvers.problem import Solver
@@ -91,7 +92,7 @@ SCRIPTS: Final[Mapping[str, Sequence[Lead]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class PersonArm:
     """The arm of the person: a spring with damping."""
 
     stiffness_npm: float = 40.0
@@ -131,7 +132,7 @@ class LedWalk:
         seed: int = 1,
         *,
         intention: IntentionName = DEFAULT_INTENTION,
-        hold: Hold | None = None,
+        hold: PersonArm | None = None,
     ) -> None:
         start = HumanoidComponent(humanoid, solver).start
         self.robot = RobotWithBall(humanoid, start, noise, seed)
@@ -139,12 +140,12 @@ class LedWalk:
         if self.component.assistance is None:  # it has a world, so it has one
             raise ValueError(f"{humanoid.name} cannot be led")
         self.assistance = self.component.assistance
-        self._hold = hold or Hold()
+        self._hold = hold or PersonArm()
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
         self._command.positions[:] = start[7:]
         self._between = Interpolation(humanoid, start[7:], self.component.control_s, self.robot.period_s)
-        known = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
-        self._wish = np.array([known.get(name, 0.0) for name in WISH])
+        by_name = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
+        self._wish = np.array([by_name.get(name, 0.0) for name in WISH])
         self._truth = Kinematics(humanoid)
         self._height_m = float(start[2])
         self._body, self._body_velocity, self._drift = np.zeros(3), np.zeros(3), np.zeros(3)

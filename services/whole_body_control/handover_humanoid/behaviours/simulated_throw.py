@@ -11,7 +11,7 @@ from handover_humanoid.engines.choice import DEFAULT_ENGINE, EngineName
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array
 from handover_humanoid.patterns.regions import turn
-from handover_humanoid.patterns.throwing import Throw
+from handover_humanoid.patterns.throwing import PlannedThrow
 from handover_humanoid.simulation.ball import RobotWithBall
 from handover_humanoid.simulation.simulated_robot import QUIET, SensorNoise
 from handover_humanoid.solvers.problem import Solver
@@ -55,7 +55,7 @@ class SimulatedThrow:
             humanoid, self.controller.start[7:], self.controller.settings.control_s, self.robot.period_s
         )
 
-    def throw(self, throw: Throw) -> ThrowRecord:
+    def throw(self, throw: PlannedThrow) -> ThrowRecord:
         """Put the ball into the hand and throw it."""
         robot, controller = self.robot, self.controller
         place, yaw = self._stance()

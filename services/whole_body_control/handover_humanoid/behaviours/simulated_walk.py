@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_humanoid.behaviours.walking import SIDES, WalkingController, WalkingState
+from handover_humanoid.behaviours.walking import WalkingController, WalkingState
 from handover_humanoid.components.robot import Interpolation, JointCommand, RobotSensors
 from handover_humanoid.model.kinematics import Array
 from handover_humanoid.patterns.footsteps import Wish
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 FALLEN_SHARE = 0.75
@@ -109,7 +110,7 @@ class SimulatedWalk:
         planned = stance.region(self._foot).room_m(state.reference.zmp)
         if stance.phase != "single":
             return np.inf, planned
-        side = next(each for each in SIDES if each != stance.swing)
+        side = next(stance_side for stance_side in SIDES if stance_side != stance.swing)
         x, y = controller.estimator.feet[controller.settings.contacts[side]].pressure.tolist()
         (low_x, low_y), (high_x, high_y) = self._low, self._high
         return min(x - low_x, y - low_y, high_x - x, high_y - y), planned

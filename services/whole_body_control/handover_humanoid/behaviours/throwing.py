@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.balance.contact_forces import FeedForward, shares
 from handover_humanoid.balance.estimation import StateEstimator
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors
@@ -24,8 +25,8 @@ from handover_humanoid.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, 
 from handover_humanoid.patterns.ballistics import landing_point
 from handover_humanoid.patterns.minimum_jerk import moved, rate
 from handover_humanoid.patterns.pendulum import Pendulum
-from handover_humanoid.patterns.regions import Footprint, Side, turn
-from handover_humanoid.patterns.throwing import Throw, ThrowPlanner
+from handover_humanoid.patterns.regions import SIDES, Footprint, Side, turn
+from handover_humanoid.patterns.throwing import PlannedThrow, ThrowPlanner
 from handover_humanoid.solvers.problem import Solver
 from handover_humanoid.tasks.base import Level
 from handover_humanoid.tasks.constraints import JointLimits
@@ -41,7 +42,6 @@ HAND, ARM = "hand", "arm"
 SMOOTHED = 3
 """The landing place at the release is that of a line through the last so many predictions."""
 TURNS = (False, False, False, True, True, True)
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class Phase(StrEnum):
@@ -130,7 +130,7 @@ class Practice:
 
 def aimed_throw(
     planner: ThrowPlanner, practice: Practice, grip: str, base: Array, target: Array
-) -> tuple[Array, Throw]:
+) -> tuple[Array, PlannedThrow]:
     """Return where to aim so that the ball lands at `target`, and the throw that does.
 
     Where aiming off is beyond reach, the throw is to the target itself, so that `OutOfReach` names what was
@@ -190,7 +190,7 @@ class ThrowingController:
         self._centre = self._kinematics.centre_of_mass()
         self._pendulum = Pendulum(float(self._centre[2]))
         self._feet, self._sole = self._footprints()
-        self._throw: Throw | None = None
+        self._throw: PlannedThrow | None = None
         self._time_s, self._has_opened, self._is_cancelled = 0.0, False, False
         self.last_step = Step(self._q, self._velocity, {})
         self._stand()
@@ -219,13 +219,13 @@ class ThrowingController:
     @property
     def constraint_names(self) -> frozenset[str]:
         """Return the names of the constraints."""
-        return frozenset(each.name for each in self._engine.stack.constraints)
+        return frozenset(constraint.name for constraint in self._engine.stack.constraints)
 
     def cancel(self) -> None:
         """Open no hand in this throw: what has begun is followed through, and the arm returns."""
         self._is_cancelled = True
 
-    def throw(self, throw: Throw) -> None:
+    def throw(self, throw: PlannedThrow) -> None:
         """Begin a throw; the hand has the ball. Raises `ValueError` while another one is under way."""
         if self._throw is not None:
             raise ValueError("a throw is under way; wait until the robot stands again")
@@ -241,6 +241,7 @@ class ThrowingController:
         stack = stack / self._swing / self._posture << self._limits
         self._engine = self._engine_of(self._kinematics, stack)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> ThrowingState:
         """Compute the command of the next `control_s`; holds the last one for values that are not finite."""
         if not sensors.is_finite:
@@ -277,6 +278,7 @@ class ThrowingController:
         stack = self._soles() / self._com / self._waist / self._posture << self._limits
         self._engine = self._engine_of(self._kinematics, stack)
 
+    @runs_in_cycle
     def _follow(self) -> Phase:
         """Set the targets of hand and arm for the end of this period, and return the phase."""
         throw = self._throw
@@ -295,7 +297,7 @@ class ThrowingController:
         self._com.velocity = self._plan.centre_of_mass_jacobian() @ v
         return phase
 
-    def _arm_at(self, throw: Throw, time_s: float) -> tuple[tuple[Array, Array], Phase]:
+    def _arm_at(self, throw: PlannedThrow, time_s: float) -> tuple[tuple[Array, Array], Phase]:
         reach_s = self.settings.reach_s
         if time_s < reach_s:
             return _between(self._home, throw.start, time_s / reach_s, reach_s), Phase.REACHING
@@ -338,6 +340,7 @@ class ThrowingController:
         velocity[:2] = turned @ velocity[:2]
         return place, velocity
 
+    @runs_in_cycle
     def _send(self, command: JointCommand) -> None:
         estimator, omega = self.estimator, self._pendulum.omega
         reference = self._com.target + self._com.velocity / omega

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.balance.contact_forces import FeedForward, shares
 from handover_humanoid.balance.estimation import StateEstimator
 from handover_humanoid.components.robot import NOT_FINITE, JointCommand, RobotSensors
@@ -34,7 +35,7 @@ from handover_humanoid.patterns.footsteps import (
 )
 from handover_humanoid.patterns.minimum_jerk import moved
 from handover_humanoid.patterns.pendulum import Pendulum, PendulumState
-from handover_humanoid.patterns.regions import Footprint, Side, turn
+from handover_humanoid.patterns.regions import SIDES, Footprint, Side, turn
 from handover_humanoid.patterns.walking import Pattern, WalkingPattern
 from handover_humanoid.patterns.zmp_control import PERIOD_S, ZmpControl
 from handover_humanoid.solvers.problem import Solver
@@ -49,7 +50,6 @@ ZMP_MARGIN_M = 0.01
 """How far inside of the soles the ZMP is planned."""
 FOOT_GAIN, MAX_OFFSET_M = 10.0, 0.02
 """How fast the target of a foot in the air makes up for what it missed, in 1/s, and by how much at most."""
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,18 +184,18 @@ class WalkingController:
         """
         pattern, estimator = self._next, self.estimator
         landing = pattern.landings.get(side)
-        feet = {each: estimator.feet[self.settings.contacts[each]] for each in SIDES}
+        feet = {side_of_foot: estimator.feet[self.settings.contacts[side_of_foot]] for side_of_foot in SIDES}
         if landing is None or not any(foot.share for foot in feet.values()):
             return np.full(3, np.nan)
-        found = np.zeros(3)
-        for each, foot in feet.items():
-            stands = self._planned_footprint(pattern.stance, each)
+        mean = np.zeros(3)
+        for side_of_foot, foot in feet.items():
+            stands = self._planned_footprint(pattern.stance, side_of_foot)
             pose = estimator.kinematics.pose(foot.link)
-            turned = Footprint.below(each, pose).yaw - stands.yaw
+            turned = Footprint.below(side_of_foot, pose).yaw - stands.yaw
             turned = float(np.arctan2(np.sin(turned), np.cos(turned)))
             place = pose.translation[:2] + turn(turned) @ (landing.place - stands.place)
-            found += foot.share * np.array([*place, landing.yaw + turned])
-        return found
+            mean += foot.share * np.array([*place, landing.yaw + turned])
+        return mean
 
     @property
     def fastest(self) -> Wish:
@@ -224,17 +224,21 @@ class WalkingController:
     @property
     def constraint_names(self) -> frozenset[str]:
         """Return the names of the constraints of all stacks."""
-        return frozenset(each.name for engine in self._engines.values() for each in engine.stack.constraints)
+        return frozenset(
+            constraint.name for engine in self._engines.values() for constraint in engine.stack.constraints
+        )
 
     def draw_joints(self, joints: Array, target: Array) -> None:
         """Draw the joints (n,) of these numbers to `target` (n,) in the posture."""
         self._posture.target[joints] = target
 
+    @runs_in_cycle
     def observe(self, sensors: RobotSensors) -> None:
         """Estimate the state while something else controls the standing robot."""
         if sensors.is_finite:
             self.estimator.update(sensors, self.settings.control_s)
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> WalkingState:
         """Compute the command of the next `control_s`.
 
@@ -288,6 +292,7 @@ class WalkingController:
         self._acceleration = np.zeros(self._kinematics.n_velocities)
         self.last_step = Step(self._q, self._velocity, {})
 
+    @runs_in_cycle
     def _move(self, pattern: Pattern, reference: PendulumState, dt_s: float) -> str:
         """Advance the joint references; return what is wrong."""
         stance = pattern.stance
@@ -339,6 +344,7 @@ class WalkingController:
         )
         task.velocity = np.concatenate([(places[1] - places[0]) / dt_s, np.zeros(3)])
 
+    @runs_in_cycle
     def _send(self, command: JointCommand, shift: Array, feet: dict[Side, Footprint]) -> None:
         self._kinematics.update(self._q)
         needed = self._feed_forward.needed(self._velocity, self._acceleration, np.array([*shift, 0.0]))

@@ -41,13 +41,13 @@ def list_humanoids(as_json: AsJson = False) -> None:
     if as_json:
         print_json(listed)
         return
-    for one in listed:
-        if "fault" in one:
-            print(f"{one['name']:<12} not usable: {one['fault']}")
+    for described in listed:
+        if "fault" in described:
+            print(f"{described['name']:<12} not usable: {described['fault']}")
             continue
         print(
-            f"{one['name']:<12} {one['joints']} joints, {one['massKg']:.1f} kg; "
-            f"chains: {', '.join(one['chains'])}; hands: {', '.join(one['hands']) or 'none'}"
+            f"{described['name']:<12} {described['joints']} joints, {described['massKg']:.1f} kg; "
+            f"chains: {', '.join(described['chains'])}; hands: {', '.join(described['hands']) or 'none'}"
         )
 
 
@@ -160,7 +160,7 @@ def rehearse_throws(
     throws = {grip: rehearsed(humanoid, grip) for grip in humanoid.grips}
     file = (into or robots.folder(robot)) / FILE
     write_rehearsals(file, humanoid, throws)
-    print(f"{file}: " + ", ".join(f"{grip} {len(known)} throws" for grip, known in throws.items()))
+    print(f"{file}: " + ", ".join(f"{grip} {len(learned)} throws" for grip, learned in throws.items()))
 
 
 @app.command()
@@ -184,8 +184,8 @@ def lead(
     from handover_humanoid.behaviours.led_walk_report import Followed, followed  # noqa: PLC0415
     from handover_humanoid.behaviours.simulated_person import (  # noqa: PLC0415
         SCRIPTS,
-        Hold,
         LedWalk,
+        PersonArm,
     )
     from handover_humanoid.patterns.intention import INTENTIONS  # noqa: PLC0415
     from handover_humanoid.solvers.compiled import fastest_solver  # noqa: PLC0415
@@ -200,7 +200,7 @@ def lead(
         fastest_solver(),
         seed=seed,
         intention=chosen,
-        hold=Hold(stiffness, stiffness / 5),
+        hold=PersonArm(stiffness, stiffness / 5),
     )
     record = walk.run(SCRIPTS[script])
     for part in followed(record, walk.step_limits):
@@ -208,8 +208,8 @@ def lead(
         said = f"{asked.seconds:4.1f} s  ahead {asked.ahead_m:+.2f} m, left {asked.left_m:+.2f} m: "
         if not isinstance(part, Followed):
             ends = [
-                "never" if each is None else f"after {each:.1f} s"
-                for each in (part.reaction_s, part.standing_s)
+                "never" if duration_s is None else f"after {duration_s:.1f} s"
+                for duration_s in (part.reaction_s, part.standing_s)
             ]
             print(f"{said}velocity 0 {ends[0]}, standing {ends[1]}")
             continue
@@ -241,10 +241,10 @@ def figures(
     humanoid = robots.humanoid(robot)
     into.mkdir(parents=True, exist_ok=True)
     file = into / f"humanoid-throws-{robot}.png"
-    found = draw_throws(humanoid, file, seed)
+    drawn = draw_throws(humanoid, file, seed)
     print(
-        f"{file}: {len(found.errors_mm)} throws, median {np.median(found.errors_mm):.0f} mm off; solver "
-        f"median {np.median(found.solve_us):.0f} µs, 99 % {np.quantile(found.solve_us, 0.99):.0f} µs"
+        f"{file}: {len(drawn.errors_mm)} throws, median {np.median(drawn.errors_mm):.0f} mm off; solver "
+        f"median {np.median(drawn.solve_us):.0f} µs, 99 % {np.quantile(drawn.solve_us, 0.99):.0f} µs"
     )
     for intention in INTENTIONS:
         file = into / f"humanoid-led-{robot}-{intention}.png"

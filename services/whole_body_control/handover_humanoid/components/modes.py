@@ -24,7 +24,7 @@ from handover_humanoid.model.kinematics import Array
 def require_mode(mode: JointMode, offered: Collection[JointMode], thing: str) -> None:
     """Raise `UsageError` if `thing` (a model, a driver) does not have the mode."""
     if mode not in offered:
-        there = ", ".join(each for each in JointMode if each in offered) or "none"
+        there = ", ".join(joint_mode for joint_mode in JointMode if joint_mode in offered) or "none"
         raise UsageError(
             f'{thing} does not have the mode "{mode}" of joints; it has: {there}. Choose one of them'
         )
@@ -56,8 +56,8 @@ class ModeConversion:
         """Return a command of joint impedance in this mode; it is valid until the next call."""
         if mode is JointMode.POSITION:
             servo = [joint.servo or joint.gains for joint in humanoid.joints]
-            self._converted.stiffness[:] = [each.stiffness for each in servo]
-            self._converted.damping[:] = [each.damping for each in servo]
+            self._converted.stiffness[:] = [gains.stiffness for gains in servo]
+            self._converted.damping[:] = [gains.damping for gains in servo]
         elif mode is JointMode.TORQUE:
             self._converted.stiffness[:] = self._converted.damping[:] = 0.0
 
@@ -89,10 +89,10 @@ class ModeConversion:
         converted.positions[:], converted.is_led = positions, command.is_led
         return converted
 
-    def _last_valid(self, measured: Array, known: Array) -> Array:
+    def _last_valid(self, measured: Array, last_valid: Array) -> Array:
         """Return what was measured, with the last valid value where a joint has none; NaN if none has."""
         np.isfinite(measured, out=self._is_valid)
         if not self._is_valid.any():
             return measured
-        np.copyto(known, measured, where=self._is_valid)
-        return known
+        np.copyto(last_valid, measured, where=self._is_valid)
+        return last_valid

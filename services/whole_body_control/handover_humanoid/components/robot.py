@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from handover.messages import number_text
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.humanoid import Grip, Humanoid, JointMode
 from handover_humanoid.model.kinematics import Array
 
@@ -61,8 +62,8 @@ class JointCommand:
         gains = [joint.gains for joint in humanoid.joints]
         self.positions = np.zeros(len(gains))
         self.velocities, self.torques = np.zeros(len(gains)), np.zeros(len(gains))
-        self.stiffness = np.array([each.stiffness for each in gains])
-        self.damping = np.array([each.damping for each in gains])
+        self.stiffness = np.array([gain.stiffness for gain in gains])
+        self.damping = np.array([gain.damping for gain in gains])
 
 
 class Interpolation:
@@ -89,6 +90,7 @@ class Interpolation:
         """Return whether the controller is to compute the next command."""
         return self._left == 0
 
+    @runs_in_cycle
     def start(self, wanted: JointCommand) -> None:
         """Accept a command of the controller."""
         command = self.command
@@ -98,11 +100,13 @@ class Interpolation:
         command.is_led = wanted.is_led
         self._left = self.steps
 
+    @runs_in_cycle
     def rest(self) -> None:
         """Stay at the end of the last command for a period of the controller."""
         self.command.velocities[:] = 0.0
         self._left = self.steps
 
+    @runs_in_cycle
     def next(self) -> JointCommand:
         """Return the command of the next period of the robot."""
         self._left = max(self._left - 1, 0)
@@ -123,10 +127,12 @@ class Robot(Protocol):
     delay_s: float
     """How long ago the newest measurements were made, as far as the link to the robot shows it."""
 
+    @runs_in_cycle
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements into `sensors`."""
         ...
 
+    @runs_in_cycle
     def write(self, command: JointCommand) -> None:
         """Send a command, which holds until the next one.
 

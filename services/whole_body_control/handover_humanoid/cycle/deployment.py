@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
 from handover_humanoid.engines.choice import DEFAULT_ENGINE, EngineName
 from handover_humanoid.model.humanoid import JointMode
 from handover_humanoid.patterns.intention import DEFAULT_INTENTION, IntentionName
@@ -33,11 +34,7 @@ ROBOT_KINDS = frozenset({"driver", "mujoco"})
 """The kinds that are robots: simulated within the cycle, or behind the ports of a process of its own."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Component(_Strict):
+class Component(ClosedModel):
     """One component; `realtime` says where it runs."""
 
     kind: Annotated[str, Field(min_length=1)]
@@ -52,7 +49,7 @@ class Component(_Strict):
     options: Mapping[str, Any] = Field(default_factory=dict)
 
 
-class Deployment(_Strict):
+class Deployment(ClosedModel):
     """A checked deployment."""
 
     folder: Path
@@ -63,12 +60,12 @@ class Deployment(_Strict):
     @property
     def robot(self) -> Component:
         """Return the robot."""
-        return next(each for each in self.components.values() if each.kind in ROBOT_KINDS)
+        return next(component for component in self.components.values() if component.kind in ROBOT_KINDS)
 
     @property
     def controller(self) -> Component:
         """Return the component that controls the joints."""
-        return next(each for each in self.components.values() if each.kind == "walking")
+        return next(component for component in self.components.values() if component.kind == "walking")
 
 
 def read_deployment(file: Path) -> Deployment:

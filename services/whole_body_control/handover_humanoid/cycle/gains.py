@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array
 
@@ -22,7 +23,7 @@ def gain_fields(humanoid: Humanoid) -> tuple[str, ...]:
     return tuple(f"{chain}.{kind}" for chain in humanoid.gain_limits for kind in KINDS)
 
 
-class GainShares:
+class GainTransition:
     """The shares that the joints have now, which move to those that are wanted. Not thread-safe."""
 
     def __init__(self, humanoid: Humanoid) -> None:
@@ -32,15 +33,17 @@ class GainShares:
         self.values = np.ones(2 * len(limits))
         """As `gain_fields` names them."""
         self._wanted = np.ones(2 * len(limits))
-        bounds = [bound for each in limits.values() for bound in (each.stiffness, each.damping)]
+        bounds = [bound for limit in limits.values() for bound in (limit.stiffness, limit.damping)]
         self._lowest, self._highest = np.array(bounds).reshape(-1, 2).T
         self._joints = [list(humanoid.tunable[chain]) for chain in limits]
 
+    @runs_in_cycle
     def want(self, values: Array | None) -> None:
         """Take the values of the port; None changes nothing."""
         if values is not None and len(values) == len(self._wanted):
             np.clip(values, self._lowest, self._highest, out=self._wanted)
 
+    @runs_in_cycle
     def step(self, dt_s: float) -> None:
         """Move towards what is wanted."""
         if np.array_equal(self.values, self._wanted):

@@ -8,7 +8,7 @@ The wish comes from a process that may stall or be killed. When it is older than
 finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
 controller that raises an error, or has no valid sensors for `MAX_FAULTS` of its periods, is stopped for good:
 the joints hold the last command. So do those of a robot that has fallen, or that refuses a command. The state
-says why by `Hold`.
+says why by `HoldReason`.
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.modes import ModeConversion, require_mode
 from handover_humanoid.components.robot import Interpolation, JointCommand, Robot, RobotSensors
 from handover_humanoid.cycle.ports import PortReader, PortWriter
@@ -46,7 +47,7 @@ class Mode(IntEnum):
         return self in {Mode.HOLDING, Mode.DOWN}
 
 
-class Hold(IntEnum):
+class HoldReason(IntEnum):
     """Why the joints hold for good."""
 
     NONE = 0
@@ -68,18 +69,22 @@ class Controller(Protocol):
     is_down: bool
     """Whether the robot has fallen."""
 
+    @runs_in_cycle
     def follow(self, wish: Array | None, person: Array | None) -> None:
         """Accept the values of `WISH` and `PERSON`; None for those that are too old, or not finite."""
         ...
 
+    @runs_in_cycle
     def tune(self, gains: Array | None) -> None:
         """Accept the values of the port `gains`; None for values that were not written, or are not finite."""
         ...
 
+    @runs_in_cycle
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
         ...
 
+    @runs_in_cycle
     def write_state(self, state: Array) -> None:
         """Write the state, as `fields` says."""
         ...
@@ -129,7 +134,7 @@ class ControlLoop(Generic[R, C]):
         self.timing, self._is_paced = Timing(robot.period_s), is_paced
         self._faults = 0
         self._state = np.zeros(len(state_fields(controller)))
-        self.mode, self.fault, self.hold = Mode.STANDING, "", Hold.NONE
+        self.mode, self.fault, self.hold = Mode.STANDING, "", HoldReason.NONE
         self._is_ending = False
 
     def warm_up(self) -> None:
@@ -142,6 +147,7 @@ class ControlLoop(Generic[R, C]):
         """Follow no wish from now on."""
         self._is_ending = True
 
+    @runs_in_cycle
     def cycle(self) -> None:
         """Run one cycle, and wait for the next."""
         if self._between.is_due:
@@ -153,6 +159,7 @@ class ControlLoop(Generic[R, C]):
         else:
             self.timing.cycles += 1
 
+    @runs_in_cycle
     def _control_period(self) -> None:
         age_s = self._read_wish()
         self.robot.read(self._sensors)
@@ -167,6 +174,7 @@ class ControlLoop(Generic[R, C]):
         self.controller.write_state(state[status + len(FIGURES) :])
         self._ports.state.write(state)
 
+    @runs_in_cycle
     def _read_wish(self) -> float:
         ports = self._ports
         wish, age_s = _newest(ports.wish)
@@ -178,15 +186,16 @@ class ControlLoop(Generic[R, C]):
             self.mode = Mode.STANDING if wish is None else Mode.FOLLOWING
         return age_s
 
+    @runs_in_cycle
     def _control(self) -> None:
         """Compute a command; after too many faults, or an error, rest."""
         try:
             fault = self.controller.step(self._sensors, self._command)
         except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
-            self._stop(f"the controller failed: {error!r}", Hold.FAILED)
+            self._stop(f"the controller failed: {error!r}", HoldReason.FAILED)
             return
         if self.controller.is_down:
-            self._stop("the robot has fallen", Hold.FALLEN, Mode.DOWN)
+            self._stop("the robot has fallen", HoldReason.FALLEN, Mode.DOWN)
             return
         if not fault:
             self._faults = 0
@@ -195,8 +204,9 @@ class ControlLoop(Generic[R, C]):
         self.fault, self._faults = fault, self._faults + 1
         self._between.rest()
         if self._faults >= MAX_FAULTS:
-            self._stop(fault, Hold.FAULTS)
+            self._stop(fault, HoldReason.FAULTS)
 
+    @runs_in_cycle
     def _send(self) -> None:
         try:
             if self._modes.needs_sensors:
@@ -204,13 +214,15 @@ class ControlLoop(Generic[R, C]):
             self.robot.write(self._modes.convert(self._between.next(), self._sensors))
         except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
             if not self.mode.is_final:  # else the first reason stays, and the state is written on
-                self._stop(f"the robot refused a command: {error!r}", Hold.REFUSED)
+                self._stop(f"the robot refused a command: {error!r}", HoldReason.REFUSED)
 
-    def _stop(self, fault: str, hold: Hold, mode: Mode = Mode.HOLDING) -> None:
+    @runs_in_cycle
+    def _stop(self, fault: str, hold: HoldReason, mode: Mode = Mode.HOLDING) -> None:
         self.mode, self.fault, self.hold = mode, fault, hold
         self._between.rest()
 
 
+@runs_in_cycle
 def _newest(port: PortReader) -> tuple[Array | None, float]:
     """Return the values of a port, None for those that are too old or not finite, and their age in s."""
     is_read = port.read()
@@ -219,6 +231,7 @@ def _newest(port: PortReader) -> tuple[Array | None, float]:
     return (port.values if is_valid else None), age_s
 
 
+@runs_in_cycle
 def _last(port: PortReader) -> Array | None:
     """Return the values of a port of any age, None for those that are not finite or not written yet."""
     is_valid = port.read() and port.time_ns > 0 and bool(np.isfinite(port.values).all())

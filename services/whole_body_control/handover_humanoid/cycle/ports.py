@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.kinematics import Array
 
 MAGIC = 0x484F504F52543031
@@ -61,6 +62,7 @@ class PortWriter:
         self.write(np.full(len(names), np.nan), 0)
         self._header[_MAGIC] = MAGIC
 
+    @runs_in_cycle
     def write(self, values: Array, time_ns: int | None = None) -> None:
         """Publish values with a time stamp, by default that of the monotonic clock."""
         stamp = time.monotonic_ns() if time_ns is None else time_ns
@@ -97,6 +99,7 @@ class PortReader:
         self.time_ns = 0
         self._copy = np.empty(count)
 
+    @runs_in_cycle
     def read(self) -> bool:
         """Copy the newest values to `values` and `time_ns`; return whether they could be read whole."""
         header = self._header
@@ -112,6 +115,7 @@ class PortReader:
                 return True
         return False
 
+    @runs_in_cycle
     def age_s(self, now_ns: int | None = None) -> float:
         """Return the age of the values; infinite before the first."""
         now = time.monotonic_ns() if now_ns is None else now_ns

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.robot import JointCommand, Robot, RobotSensors
 from handover_humanoid.cycle.ports import PortReader, PortWriter
 from handover_humanoid.cycle.watchdog import Safety, Watchdog
@@ -68,6 +69,7 @@ class PortRobot:
         self.delay_s = np.nan
         self._values = np.zeros(len(self._command.names))
 
+    @runs_in_cycle
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements into `sensors`; NaN where the driver sends none."""
         port = self._sensors
@@ -78,6 +80,7 @@ class PortRobot:
             part[:] = port.values[end : end + len(part)] if is_new else np.nan
             end += len(part)
 
+    @runs_in_cycle
     def write(self, command: JointCommand) -> None:
         """Publish a command."""
         _pack(command, self._values)
@@ -117,6 +120,7 @@ class Driver:
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
         self._values = np.zeros(len(self._port.names))
 
+    @runs_in_cycle
     def cycle(self) -> Safety:
         """Measure, publish, send the newest command or a safe one, and wait for the next period."""
         self.robot.read(self._sensors)
@@ -138,6 +142,7 @@ class Driver:
             return LED_REFUSED
         return self._refusals.get(self._command.mode, "")
 
+    @runs_in_cycle
     def _publish(self) -> None:
         values, end = self._values, self._first
         values[len(_STATUS) : end] = 1.0

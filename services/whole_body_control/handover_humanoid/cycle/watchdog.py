@@ -14,6 +14,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.modes import ModeConversion
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.model.humanoid import Humanoid, JointMode
@@ -52,6 +53,7 @@ class Watchdog:
         self._mode = next(iter(self._conversions))
         self._upwards, self._tilted_s, self._period_s = np.zeros(3), 0.0, period_s
 
+    @runs_in_cycle
     def choose(self, command: JointCommand, age_s: float, sensors: RobotSensors) -> JointCommand | None:
         """Return what to send: the newest command of an age in s, or a safe one.
 
@@ -74,6 +76,7 @@ class Watchdog:
         self._watch(sensors)
         return self._safe(sensors)
 
+    @runs_in_cycle
     def _safe(self, sensors: RobotSensors) -> JointCommand | None:
         held, conversion = self._held, self._conversions[self._mode]
         follows = self._mode is JointMode.POSITION and self.state is Safety.DAMPED
@@ -84,6 +87,7 @@ class Watchdog:
         chosen = conversion.convert(held, sensors)
         return chosen if np.isfinite(chosen.torques).all() else None
 
+    @runs_in_cycle
     def _hold(self, command: JointCommand) -> None:
         held = self._held
         held.positions[:] = command.positions
@@ -95,6 +99,7 @@ class Watchdog:
         # The last torques answer a moment of a motion; held, they may push the robot over.
         held.velocities[:], held.torques[:] = 0.0, 0.0
 
+    @runs_in_cycle
     def _watch(self, sensors: RobotSensors) -> None:
         """Damp the joints of a robot that tips over."""
         strength = np.sqrt(sensors.accelerometer.dot(sensors.accelerometer))

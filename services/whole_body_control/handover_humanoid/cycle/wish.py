@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 
 from handover_humanoid.model.kinematics import Array
-from handover_humanoid.patterns.regions import Side
+from handover_humanoid.patterns.regions import SIDES, Side
 
 PLANNED_JOINTS: Final = 8
 """The most joints of an arm that throws."""
 MAX_SPEED: Final = 10.0
 """Of a velocity that is wanted, in m/s or rad/s; what the robot can do is far below."""
-SIDES: Final[tuple[Side, Side]] = ("left", "right")
 
 WISH: Final = (
     "ahead_mps",
@@ -72,7 +71,7 @@ class Wanted:
     def of(cls, values: Array) -> "Wanted":
         """Return the wish of the values of `WISH`."""
         ahead, left, yaw, behaviour, share, stop, cancel, number, hand = values[:9].tolist()
-        ahead, left, yaw = (min(max(each, -MAX_SPEED), MAX_SPEED) for each in (ahead, left, yaw))
+        ahead, left, yaw = (min(max(speed, -MAX_SPEED), MAX_SPEED) for speed in (ahead, left, yaw))
         flight_s, swing_s, follow_s = values[12:15].tolist()
         return cls(
             ahead,

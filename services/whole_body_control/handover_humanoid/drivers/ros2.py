@@ -28,11 +28,13 @@ from contextlib import suppress
 from typing import Annotated, Final, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from websockets.asyncio.client import ClientConnection
 
 from handover.control.limit_link import exchange, keep_connected
 from handover.errors import UsageError
+from handover.formats.validation import ClosedModel
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from handover_datamodels.humanoid_stream import (
@@ -63,10 +65,8 @@ RESTARTED_S: Final = 1.0
 """A clock that is set back by so much is that of a robot that has started again."""
 
 
-class Ros2Options(BaseModel):
+class Ros2Options(ClosedModel):
     """The settings of the driver: the topics of the robot, and what its controllers accept."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     joint_states: str = "/joint_states"
     imu: str = "/imu"
@@ -135,8 +135,8 @@ class LinkDelay:
             self._newest, self._begun_s = (received_s, way_s), received_s
         elif way_s - self._expected(self._newest, received_s) < 0:
             self._newest = (received_s, way_s)
-        known = [each for each in (self._fastest, self._newest) if each is not None]
-        late_s = way_s - min(self._expected(each, received_s) for each in known)
+        pairs = [pair for pair in (self._fastest, self._newest) if pair is not None]
+        late_s = way_s - min(self._expected(pair, received_s) for pair in pairs)
         late_s /= max(1.0 - self._slope, MIN_RATE)  # while it was late, the clock of the robot went on slowly
         of_link_s = self.round_trip_s / 2 + waited_s
         return of_link_s, max(of_link_s, late_s)
@@ -196,6 +196,7 @@ class Ros2Robot:
         state, received_s, (age_s, _) = self._state
         return state if time.monotonic() - received_s + age_s <= SENSOR_TIMEOUT_S else None
 
+    @runs_in_cycle
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements; NaN where they are too old, or missing."""
         measured = self.fresh
@@ -210,6 +211,7 @@ class Ros2Robot:
         sensors.gyroscope[:], sensors.accelerometer[:] = measured.gyroscope, measured.accelerometer
         sensors.wrenches[:] = measured.wrenches
 
+    @runs_in_cycle
     def write(self, command: JointCommand) -> None:
         """Keep a command, to be sent. Raises `ValueError`; see `Robot.write`."""
         if command.mode not in self.modes:

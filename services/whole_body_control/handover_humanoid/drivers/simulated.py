@@ -1,17 +1,14 @@
 """The driver `simulated`: a robot in MuJoCo that stands, without a ball and without people."""
 
-from pydantic import BaseModel, ConfigDict
-
+from handover.formats.validation import ClosedModel
 from handover_humanoid.behaviours.walking import WalkingSettings
 from handover_humanoid.drivers import DriverContext
 from handover_humanoid.model.kinematics import Kinematics
 from handover_humanoid.simulation.simulated_robot import SimulatedRobot
 
 
-class NoOptions(BaseModel):
+class NoOptions(ClosedModel):
     """It has none."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def make_robot(context: DriverContext) -> SimulatedRobot:

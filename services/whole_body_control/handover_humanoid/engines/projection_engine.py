@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.engines.stack_engine import DAMPING, Step
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.tasks.base import NO_BOUND, Stack
@@ -36,6 +37,7 @@ class ProjectionEngine:
         self._kinematics, self.stack, self._damping = kinematics, stack, damping
         self._names = [level.name for level in stack.levels]
 
+    @runs_in_cycle
     def step(self, q: Array, dt_s: float) -> Step:
         """Return the next configuration after `dt_s`."""
         kinematics = self._kinematics
@@ -43,18 +45,22 @@ class ProjectionEngine:
         kinematics.update(q)
         levels = []
         for level in self.stack.levels:
-            rows = [(each.rows(kinematics), each.weight**0.5) for each in level.tasks]
+            rows = [(task.rows(kinematics), task.weight**0.5) for task in level.tasks]
             levels.append(
                 (
-                    np.vstack([weight * each.jacobian for each, weight in rows]),
-                    np.concatenate([weight * each.velocity for each, weight in rows]),
+                    np.vstack([weight * row.jacobian for row, weight in rows]),
+                    np.concatenate([weight * row.velocity for row, weight in rows]),
                 )
             )
-        bounds = [each.bounds(kinematics, q, dt_s) for each in self.stack.constraints]
-        matrix = np.vstack([np.zeros((0, len(still))), *(each.matrix for each in bounds)])
-        lower = np.concatenate([np.zeros(0), *(each.lower for each in bounds)])
-        upper = np.concatenate([np.zeros(0), *(each.upper for each in bounds)])
-        parts = [*(each for level in levels for each in level), matrix, np.clip(lower, -NO_BOUND, NO_BOUND)]
+        bounds = [limit.bounds(kinematics, q, dt_s) for limit in self.stack.constraints]
+        matrix = np.vstack([np.zeros((0, len(still))), *(bound.matrix for bound in bounds)])
+        lower = np.concatenate([np.zeros(0), *(bound.lower for bound in bounds)])
+        upper = np.concatenate([np.zeros(0), *(bound.upper for bound in bounds)])
+        parts = [
+            *(stacked for level in levels for stacked in level),
+            matrix,
+            np.clip(lower, -NO_BOUND, NO_BOUND),
+        ]
         if not all(np.isfinite(part).all() for part in (*parts, np.clip(upper, -NO_BOUND, NO_BOUND))):
             return Step(q, still, {}, fault="a task or a constraint has values that are not finite")
         mobility: Array = np.asarray(np.linalg.inv(kinematics.mass_matrix()), dtype=np.float64)

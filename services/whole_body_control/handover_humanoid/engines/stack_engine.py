@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.kinematics import Array, Kinematics
 from handover_humanoid.solvers.compiled import fastest_solver
 from handover_humanoid.solvers.problem import Problem, Solution, Solver, Unsolvable
@@ -67,16 +68,16 @@ class _BoundRows:
 
     def write(self, bounds: Sequence[Bounds]) -> int:
         """Copy the rows, and return their number."""
-        count = sum([len(each.lower) for each in bounds])
+        count = sum([len(bound.lower) for bound in bounds])
         if count > len(self.lower):
             self.matrix = np.zeros((count, self.matrix.shape[1]))
             self.lower, self.upper = np.zeros(count), np.zeros(count)
         end = 0
-        for each in bounds:
-            part = slice(end, end + len(each.lower))
-            self.matrix[part] = each.matrix
-            np.maximum(each.lower, -NO_BOUND, out=self.lower[part])
-            np.minimum(each.upper, NO_BOUND, out=self.upper[part])
+        for bound in bounds:
+            part = slice(end, end + len(bound.lower))
+            self.matrix[part] = bound.matrix
+            np.maximum(bound.lower, -NO_BOUND, out=self.lower[part])
+            np.minimum(bound.upper, NO_BOUND, out=self.upper[part])
             end = part.stop
         return count
 
@@ -97,12 +98,13 @@ class StackEngine:
         self._rows = _Rows(stack, kinematics.n_velocities)
         self._bounds = _BoundRows(kinematics.n_velocities)
 
+    @runs_in_cycle
     def step(self, q: Array, dt_s: float) -> Step:
         """Return the next configuration after `dt_s`."""
         self._kinematics.update(q)
         constraints = self.stack.constraints
         try:
-            bounds = [each.bounds(self._kinematics, q, dt_s) for each in constraints]
+            bounds = [constraint.bounds(self._kinematics, q, dt_s) for constraint in constraints]
             problem = self._problem(bounds)
             began_s = time.perf_counter()
             solution = self._solver.solve(problem)
@@ -113,7 +115,9 @@ class StackEngine:
         residuals = dict(zip(self._names, solution.residuals, strict=True))
         if not solution.is_relaxed:
             return Step(moved, solution.velocity, residuals, solve_s=solve_s)
-        owners = [(one.name, len(rows.lower)) for one, rows in zip(constraints, bounds, strict=True)]
+        owners = [
+            (constraint.name, len(rows.lower)) for constraint, rows in zip(constraints, bounds, strict=True)
+        ]
         relaxed = tuple(_relaxed(solution, owners))
         return Step(moved, solution.velocity, residuals, relaxed, solve_s=solve_s)
 

@@ -136,10 +136,10 @@ class Humanoid:
 
     def index(self, joint: str) -> int:
         """Return where a joint stands in vectors of joints. Raises `UsageError`."""
-        found = self._indices.get(joint)
-        if found is None:
+        place = self._indices.get(joint)
+        if place is None:
             raise UsageError(f'{self.name} has no joint "{joint}"; it has: {", ".join(self.joint_names)}')
-        return found
+        return place
 
     def indices(self, name: str) -> tuple[int, ...]:
         """Return where the joints of a chain or group stand in vectors of joints. Raises `UsageError`."""
@@ -148,11 +148,11 @@ class Humanoid:
     @cached_property
     def tunable(self) -> Mapping[str, tuple[int, ...]]:
         """Return the joints whose gains a chain decides: a joint of two chains belongs to the first."""
-        found: dict[str, tuple[int, ...]] = {}
+        by_chain: dict[str, tuple[int, ...]] = {}
         for chain in self.chains:
-            taken = {joint for joints in found.values() for joint in joints}
-            found[chain] = tuple(index for index in self.indices(chain) if index not in taken)
-        return found
+            taken = {joint for joints in by_chain.values() for joint in joints}
+            by_chain[chain] = tuple(index for index in self.indices(chain) if index not in taken)
+        return by_chain
 
     def members(self, name: str) -> tuple[str, ...]:
         """Return the joints of a chain or group. Raises `UsageError`."""

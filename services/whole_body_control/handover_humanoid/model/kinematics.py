@@ -66,9 +66,9 @@ class Kinematics:
         self.n_velocities = BASE_VELOCITIES + self.n_joints
         # pinocchio sorts the children of a link by name; these say where it keeps each of our joints.
         ids = [free.getJointId(name) for name in humanoid.joint_names]
-        self._v_of = np.array([free.joints[each].idx_v for each in ids])
+        self._v_of = np.array([free.joints[joint_id].idx_v for joint_id in ids])
         self._columns = np.concatenate([np.arange(BASE_VELOCITIES), self._v_of])
-        positions = [*range(BASE_POSITIONS), *(free.joints[each].idx_q for each in ids)]
+        positions = [*range(BASE_POSITIONS), *(free.joints[joint_id].idx_q for joint_id in ids)]
         # Of a vector in our order, what stands where in one of pinocchio: `take` copies in a quarter of the
         # time of an assignment to indices.
         self._to_q, self._to_v = np.argsort(positions), np.argsort(self._columns)
@@ -134,18 +134,18 @@ class Kinematics:
 
     def pose(self, link: str) -> Any:
         """Return the pose of a link as a `pinocchio.SE3`. Raises `UsageError` for an unknown link."""
-        found = self._poses.get(link)
-        return found if found is not None else self.data.oMf[self._frame(link)]
+        of_link = self._poses.get(link)
+        return of_link if of_link is not None else self.data.oMf[self._frame(link)]
 
     def translation(self, link: str) -> Array:
         """Return the place (3,) of a link in m, which the next `update` changes."""
-        found = self._translations.get(link)
-        return found if found is not None else np.asarray(self.pose(link).translation)
+        place = self._translations.get(link)
+        return place if place is not None else np.asarray(self.pose(link).translation)
 
     def rotation(self, link: str) -> Array:
         """Return the orientation (3, 3) of a link, which the next `update` changes."""
-        found = self._rotations.get(link)
-        return found if found is not None else np.asarray(self.pose(link).rotation)
+        orientation = self._rotations.get(link)
+        return orientation if orientation is not None else np.asarray(self.pose(link).rotation)
 
     def jacobian(self, link: str) -> Array:
         """Return the Jacobian of a link: (6, n_velocities), linear first, in axes of the world."""
@@ -234,12 +234,12 @@ class Kinematics:
 
     def moving(self, joint_id: int) -> NDArray[np.bool_]:
         """Return whether each velocity moves what is fixed to a joint of pinocchio."""
-        found = np.zeros(self.n_velocities, dtype=np.bool_)
-        for each in self.pin_model.supports[joint_id]:
-            joint = self.pin_model.joints[each]
-            if each:
-                found[joint.idx_v : joint.idx_v + joint.nv] = True
-        return np.asarray(found[self._columns])
+        is_moved = np.zeros(self.n_velocities, dtype=np.bool_)
+        for support in self.pin_model.supports[joint_id]:
+            joint = self.pin_model.joints[support]
+            if support:
+                is_moved[joint.idx_v : joint.idx_v + joint.nv] = True
+        return np.asarray(is_moved[self._columns])
 
     def joint_number(self, joint_id: int) -> int:
         """Return our number of a joint of pinocchio."""
@@ -253,10 +253,10 @@ class Kinematics:
         """Return the mass matrix (n_velocities, n_velocities), with the inertia of the drives."""
         upper = np.triu(pin.crba(self.pin_model, self.data, self._q))
         full = upper + np.triu(upper, 1).T
-        found = np.asarray(full[np.ix_(self._columns, self._columns)])
+        matrix = np.asarray(full[np.ix_(self._columns, self._columns)])
         joints = np.arange(BASE_VELOCITIES, self.n_velocities)
-        found[joints, joints] += self.humanoid.drive_inertia
-        return found
+        matrix[joints, joints] += self.humanoid.drive_inertia
+        return matrix
 
     def joint_damping(self) -> Array:
         """Return the viscous damping of each joint as the URDF has it, in N m s/rad."""
@@ -341,7 +341,7 @@ class Kinematics:
             self._has_centre_jacobian = True
 
     def _frame(self, link: str) -> int:
-        found = self._frames.get(link)
-        if found is None:
+        frame = self._frames.get(link)
+        if frame is None:
             raise UsageError(f'{self.humanoid.name} has no link "{link}"')
-        return found
+        return frame

@@ -27,12 +27,12 @@ DATA = "cmeel.prefix/share"
 def packaged_file(package: str, path: str, extra: str) -> Path:
     """Return a data file of an installed package. Raises `UsageError`, which names the extra, without it."""
     try:
-        found = Path(str(metadata.distribution(package).locate_file(f"{DATA}/{package}/{path}")))
+        file = Path(str(metadata.distribution(package).locate_file(f"{DATA}/{package}/{path}")))
     except metadata.PackageNotFoundError:
         raise UsageError(f"the robot model needs the package {package}; {install_command(extra)}") from None
-    if not found.is_file():
+    if not file.is_file():
         raise UsageError(f"the package {package} has no file {path}; install the version of the lock file")
-    return found
+    return file
 
 
 def adapted(urdf: str, locked: Sequence[str], capsules: Mapping[str, Sequence[Capsule]]) -> str:
@@ -41,7 +41,7 @@ def adapted(urdf: str, locked: Sequence[str], capsules: Mapping[str, Sequence[Ca
     faults = list(_unknown(root, locked, capsules))
     if faults:
         raise UsageError("\n".join(faults))
-    for element in [each for each in root if each.tag not in {"link", "joint"}]:
+    for element in [child for child in root if child.tag not in {"link", "joint"}]:
         root.remove(element)
     for joint in root.findall("joint"):
         if joint.get("name") in locked:
@@ -59,7 +59,7 @@ def adapted(urdf: str, locked: Sequence[str], capsules: Mapping[str, Sequence[Ca
 
 
 def _unknown(root: Any, locked: Sequence[str], capsules: Mapping[str, Any]) -> Iterator[str]:
-    names = {kind: {each.get("name") for each in root.findall(kind)} for kind in ("link", "joint")}
+    names = {kind: {element.get("name") for element in root.findall(kind)} for kind in ("link", "joint")}
     for kind, wanted in (("joint", locked), ("link", capsules)):
         for name in wanted:
             if name not in names[kind]:
@@ -75,7 +75,10 @@ def _add_capsule(link: Any, name: str, start: Sequence[float], end: Sequence[flo
     for tag in ("visual", "collision"):
         shape = etree.SubElement(link, tag, name=name)
         etree.SubElement(
-            shape, "origin", xyz=" ".join(f"{each:.6g}" for each in middle), rpy=f"0 {pitch:.9g} {yaw:.9g}"
+            shape,
+            "origin",
+            xyz=" ".join(f"{coordinate:.6g}" for coordinate in middle),
+            rpy=f"0 {pitch:.9g} {yaw:.9g}",
         )
         geometry = etree.SubElement(shape, "geometry")
         etree.SubElement(geometry, "cylinder", radius=f"{radius:g}", length=f"{length:.6g}")

@@ -24,11 +24,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.formats.robot_xml import parse_robot_xml
-from handover.formats.validation import fault_lines
+from handover.formats.validation import ClosedModel, fault_lines
 from handover_humanoid.model.humanoid import (
     Chain,
     ContactSurface,
@@ -56,27 +56,23 @@ MIN_SOLE_M2 = 1e-4
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Gains(_Strict):
+class _Gains(ClosedModel):
     stiffness: Positive
     damping: Positive
 
 
-class _GainLimits(_Strict):
+class _GainLimits(ClosedModel):
     stiffness: tuple[Positive, Positive]
     damping: tuple[Positive, Positive]
 
 
-class _Contact(_Strict):
+class _Contact(ClosedModel):
     link: str
     corners: Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], Field(min_length=3)]
     friction: Positive = 0.7
 
 
-class _Grip(_Strict):
+class _Grip(ClosedModel):
     arm: str
     link: str
     point: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -85,7 +81,7 @@ class _Grip(_Strict):
 _Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class _PackagedUrdf(_Strict):
+class _PackagedUrdf(ClosedModel):
     package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
     path: Annotated[str, Field(pattern=r"^([A-Za-z0-9_-][A-Za-z0-9._-]*/)*[A-Za-z0-9_-][A-Za-z0-9._-]*$")]
     extra: str
@@ -93,7 +89,7 @@ class _PackagedUrdf(_Strict):
     capsules: dict[str, tuple[tuple[_Point, _Point, Positive], ...]] = Field(default_factory=dict)
 
 
-class _RobotFile(_Strict):
+class _RobotFile(ClosedModel):
     name: Annotated[str, Field(min_length=1)]
     urdf: Path | _PackagedUrdf
     srdf: Path
@@ -119,10 +115,12 @@ def read_folder(folder: Path) -> Humanoid:
     return read(entry, _urdf(entry.urdf, folder), _text(folder / entry.srdf))
 
 
-def _urdf(given: Path | _PackagedUrdf, folder: Path) -> str:
-    if isinstance(given, Path):
-        return _text(folder / given)
-    return adapted(_text(packaged_file(given.package, given.path, given.extra)), given.locked, given.capsules)
+def _urdf(source: Path | _PackagedUrdf, folder: Path) -> str:
+    if isinstance(source, Path):
+        return _text(folder / source)
+    return adapted(
+        _text(packaged_file(source.package, source.path, source.extra)), source.locked, source.capsules
+    )
 
 
 def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
@@ -134,7 +132,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
     if faults:
         raise UsageError("\n".join(faults))
     joints = tuple(_joint(element, entry, semantics) for element in tree.moving)
-    found = Humanoid(
+    humanoid = Humanoid(
         name=entry.name,
         root=tree.root,
         joints=joints,
@@ -158,7 +156,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         modes=tuple(dict.fromkeys(entry.modes)),
         notes=(*entry.notes, *changed),
     )
-    return require_stance(found)
+    return require_stance(humanoid)
 
 
 class _Semantics:
@@ -175,15 +173,15 @@ class _Semantics:
         for group in root.findall("group"):
             name = str(group.get("name"))
             if name == INERTIAL_GROUP:
-                inertial = tuple(self._link(each.get("name"), name) for each in group.findall("link"))
+                inertial = tuple(self._link(link.get("name"), name) for link in group.findall("link"))
             elif name == FORCE_TORQUE_GROUP:
                 force_torque = {joint: self._below(joint, name) for joint in _names(group, "joint")}
             else:
                 self._read_group(name, group)
         self.sensors = Sensors(inertial, force_torque)
         self.end_effectors = {
-            str(each.get("name")): self._link(each.get("parent_link"), str(each.get("name")))
-            for each in root.findall("end_effector")
+            str(effector.get("name")): self._link(effector.get("parent_link"), str(effector.get("name")))
+            for effector in root.findall("end_effector")
         }
 
     def faults(self) -> Iterator[str]:
@@ -191,19 +189,19 @@ class _Semantics:
         yield from self._found
         if not self.chains:
             yield "the SRDF names no chain; a humanoid needs its arms, legs and torso as <chain>"
-        states = [str(each.get("name")) for each in self._root.findall("group_state")]
+        states = [str(state.get("name")) for state in self._root.findall("group_state")]
         if STAND not in states:
             there = ", ".join(states) or "none"
             yield (
                 f'the SRDF has no <group_state name="{STAND}">, the pose to start from, with both soles on '
                 f"the ground; it has: {there}"
             )
-        groups = [str(each.get("name")) for each in self._root.findall("group")]
+        groups = [str(group.get("name")) for group in self._root.findall("group")]
         for kind, names in (("group", groups), ("group_state", states)):
-            for name in sorted({each for each in names if names.count(each) > 1}):
+            for name in sorted({repeated for repeated in names if names.count(repeated) > 1}):
                 yield f'the SRDF has two elements <{kind} name="{name}">; remove one'
         for joint in _names(self._root, "passive_joint"):
-            if any(joint == each.get("name") for each in self._tree.moving):
+            if any(joint == moving.get("name") for moving in self._tree.moving):
                 yield f'the SRDF calls the joint "{joint}" passive; each joint is driven: make it fixed'
         for pair in self._root.findall("disable_collisions"):
             for end in ("link1", "link2"):
@@ -212,14 +210,14 @@ class _Semantics:
 
     def poses(self, joints: tuple[Joint, ...]) -> dict[str, dict[str, float]]:
         """Return each pose; joints that it leaves out are at 0 or the nearest limit. Raises `UsageError`."""
-        found: dict[str, dict[str, float]] = {}
+        by_pose: dict[str, dict[str, float]] = {}
         faults: list[str] = []
         by_name = {joint.name: joint for joint in joints}
         for state in self._root.findall("group_state"):
             pose = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
             where, named = f'the pose "{state.get("name")}"', set[str]()
-            for each in state.findall("joint"):
-                name, value = str(each.get("name")), number(each, "value")
+            for element in state.findall("joint"):
+                name, value = str(element.get("name")), number(element, "value")
                 joint = by_name.get(name)
                 if name in named:
                     faults.append(f'{where} has two values for "{name}"; remove one')
@@ -228,20 +226,20 @@ class _Semantics:
                     faults.append(f'{where} names the joint "{name}", which does not move or exist')
                 elif value is None or not joint.lower - 1e-9 <= value <= joint.upper + 1e-9:
                     limits = f"{joint.lower:g} to {joint.upper:g}"
-                    faults.append(f"{where} has {each.get('value')} for {name}; its limits are {limits}")
+                    faults.append(f"{where} has {element.get('value')} for {name}; its limits are {limits}")
                 else:
                     pose[name] = value
-            found[str(state.get("name"))] = pose
+            by_pose[str(state.get("name"))] = pose
         if faults:
             raise UsageError("\n".join(faults))
-        return found
+        return by_pose
 
     @property
     def collision_pairs(self) -> frozenset[LinkPair]:
         """Return all pairs of links with a shape that the SRDF does not disable."""
         disabled = {
-            frozenset((str(each.get("link1")), str(each.get("link2"))))
-            for each in self._root.findall("disable_collisions")
+            frozenset((str(element.get("link1")), str(element.get("link2"))))
+            for element in self._root.findall("disable_collisions")
         }
         shaped = self._tree.links_with_shape
         every = {frozenset((a, b)) for i, a in enumerate(shaped) for b in shaped[i + 1 :]}
@@ -261,10 +259,10 @@ class _Semantics:
             self._below(joint, name)
             members.append(joint)
         for other in _names(group, "group"):
-            known = self.chains[other].joints if other in self.chains else self.groups.get(other)
-            if known is None:
+            joints = self.chains[other].joints if other in self.chains else self.groups.get(other)
+            if joints is None:
                 self._found.append(f'the group "{name}" names the group "{other}", which is not above it')
-            members += known or ()
+            members += joints or ()
         if members:
             self.groups[name] = tuple(dict.fromkeys(members))
 
@@ -283,13 +281,13 @@ class _Semantics:
 
 
 def _names(group: Any, tag: str) -> list[str]:
-    return [str(each.get("name")) for each in group.findall(tag)]
+    return [str(element.get("name")) for element in group.findall(tag)]
 
 
 def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Iterator[str]:
     if DEFAULT_GAINS not in entry.gains:
         yield f'{FILE} has no gains "{DEFAULT_GAINS}"; every joint needs a stiffness and a damping'
-    known = {
+    names = {
         DEFAULT_GAINS,
         *semantics.chains,
         *semantics.groups,
@@ -297,7 +295,7 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
     }
     if JointMode.POSITION in entry.modes and DEFAULT_GAINS not in entry.servo:
         yield f'{FILE} has the mode position without "servo: {{{DEFAULT_GAINS}: …}}", the gains of its drives'
-    for name in sorted((entry.gains.keys() | entry.servo.keys()) - known):
+    for name in sorted((entry.gains.keys() | entry.servo.keys()) - names):
         yield f'{FILE} has gains for "{name}", which is no chain, group or joint'
     yield from _gain_limit_faults(entry, semantics)
     for name, contact in entry.contacts.items():
@@ -323,7 +321,7 @@ def _sole_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Iterat
             there = ", ".join(entry.contacts) or "none"
             yield f'{FILE} has no contact "{name}", a sole that it stands on; it has: {there}'
             continue
-        leg = next((each for each in semantics.chains.values() if each.tip == contact.link), None)
+        leg = next((chain for chain in semantics.chains.values() if chain.tip == contact.link), None)
         if contact.link in tree.links and (leg is None or not leg.joints):
             yield f'no chain of the SRDF ends at "{contact.link}", the link of "{name}"; its leg has to'
         elif leg is not None:
@@ -382,23 +380,25 @@ def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
 
 
 def _gain_limits(entry: _RobotFile, semantics: _Semantics) -> dict[str, GainLimits]:
-    found = {
+    limits = {
         chain: entry.gain_limits.get(chain, entry.gain_limits.get(DEFAULT_GAINS))
         for chain in semantics.chains
     }
     return {
-        chain: GainLimits(each.stiffness, each.damping) for chain, each in found.items() if each is not None
+        chain: GainLimits(bounds.stiffness, bounds.damping)
+        for chain, bounds in limits.items()
+        if bounds is not None
     }
 
 
 def _gains_of(joint: str, gains: Mapping[str, _Gains], semantics: _Semantics) -> Gains:
     """Return the most specific entry: a joint's own, then its chain's or group's in the order of the file."""
-    found = gains[DEFAULT_GAINS]
-    for key, each in gains.items():
+    most_specific = gains[DEFAULT_GAINS]
+    for key, gain in gains.items():
         if joint in semantics.groups.get(key, ()):
-            found = each
-    found = gains.get(joint, found)
-    return Gains(found.stiffness, found.damping)
+            most_specific = gain
+    most_specific = gains.get(joint, most_specific)
+    return Gains(most_specific.stiffness, most_specific.damping)
 
 
 def _text(path: Path) -> str:

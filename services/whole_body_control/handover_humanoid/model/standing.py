@@ -52,10 +52,10 @@ def stretched_legs(kinematics: Kinematics) -> tuple[str, ...]:
     """Return the chains of the legs that are near a singularity in the pose `stand`."""
     humanoid = kinematics.humanoid
     kinematics.update(kinematics.standing(STAND))
-    found = []
+    stretched = []
     for sole in SOLES:
         link = humanoid.contacts[sole].link
-        leg = next(each for each in humanoid.chains.values() if each.tip == link)
+        leg = next(chain for chain in humanoid.chains.values() if chain.tip == link)
         columns = 6 + np.array([humanoid.index(joint) for joint in leg.joints])
         moves = kinematics.jacobian(link)[:3, columns]
         length_m = float(
@@ -63,8 +63,8 @@ def stretched_legs(kinematics: Kinematics) -> tuple[str, ...]:
         )
         weakest = np.linalg.svd(moves, compute_uv=False)[-1] if len(columns) >= 3 else 0.0
         if weakest < MIN_LEG_SHARE * length_m:
-            found.append(leg.name)
-    return tuple(found)
+            stretched.append(leg.name)
+    return tuple(stretched)
 
 
 def _stance_faults(kinematics: Kinematics) -> Iterator[str]:
@@ -114,7 +114,11 @@ def _sensor_faults(kinematics: Kinematics) -> Iterator[str]:
     for sole in SOLES:
         link = humanoid.contacts[sole].link
         # Balance reads the first sensor of the foot.
-        sensor = next(each for each in humanoid.sensors.force_torque.values() if joints[each] == joints[link])
+        sensor = next(
+            sensor_link
+            for sensor_link in humanoid.sensors.force_torque.values()
+            if joints[sensor_link] == joints[link]
+        )
         turned = kinematics.pose(sensor).actInv(kinematics.pose(link)).rotation
         angle = float(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1.0, 1.0)))
         if angle > MAX_TILT_RAD:

@@ -69,7 +69,7 @@ class Tree:
 
     def child(self, joint: str) -> str | None:
         """Return the link below a joint; None if there is no such joint."""
-        return next((link for link, each in self._above.items() if each.get("name") == joint), None)
+        return next((link for link, element in self._above.items() if element.get("name") == joint), None)
 
     def path(self, base: str, tip: str) -> tuple[str, ...] | None:
         """Return the moving joints from `base` to `tip`; None if `tip` is not below `base`."""
@@ -139,13 +139,13 @@ def _shape_faults(geometry: Any) -> Iterator[str]:
     sizes = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
     for attribute in sizes.get(shape.tag, ()):
         written, count = str(shape.get(attribute)), 3 if attribute == "size" else 1
-        if not _are_numbers(written, count) or not all(float(each) >= SMALLEST_M for each in written.split()):
+        if not _are_numbers(written, count) or not all(float(size) >= SMALLEST_M for size in written.split()):
             yield f'with a {shape.tag} whose {attribute} is "{written}"; it must be above 0'
 
 
 def _are_numbers(written: str, count: int) -> bool:
     try:
-        numbers = [float(each) for each in written.split()]
+        numbers = [float(digits) for digits in written.split()]
     except ValueError:
         return False
     return len(numbers) == count and all(map(math.isfinite, numbers))

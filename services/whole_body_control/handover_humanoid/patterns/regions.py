@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from handover_humanoid.model.kinematics import Array
 
 Side = Literal["left", "right"]
+SIDES: Final[tuple[Side, Side]] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +69,9 @@ def turn(yaw: float) -> Array:
 def _region(footprints: tuple[Footprint, ...], sole: bytes) -> Region:
     """Return the hull of soles; feet stand for many periods, and their hull takes longer than the rest."""
     shape = np.frombuffer(sole, dtype=np.float64).reshape(-1, 2)
-    corners = np.vstack([each.to_ground(shape) for each in footprints])
+    corners = np.vstack([footprint.to_ground(shape) for footprint in footprints])
     equations = ConvexHull(corners).equations
-    found = Region(equations[:, :2].copy(), -equations[:, 2], corners.mean(axis=0))
-    for values in (found.normals, found.offsets, found.centre):
+    region = Region(equations[:, :2].copy(), -equations[:, 2], corners.mean(axis=0))
+    for values in (region.normals, region.offsets, region.centre):
         values.flags.writeable = False
-    return found
+    return region

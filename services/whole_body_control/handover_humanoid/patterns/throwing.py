@@ -56,7 +56,7 @@ class ThrowLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Throw:
+class PlannedThrow:
     """A throw of one arm, in its joints (n,): at the release they are at `release`, moving with `velocity`.
 
     `start` and `end` are where the arm is at rest. `position` and `ball_velocity` (3,) are those of the ball
@@ -119,7 +119,7 @@ class ThrowPlanner:
         self._weights = self._fastest * np.where(weak, self.limits.wrist_share, 1.0)
         self._middle = np.clip(q[BASE_POSITIONS + self._arm], self._lower, self._upper)
 
-    def plan(self, landing: Array, flight_s: float | None = None) -> Throw:
+    def plan(self, landing: Array, flight_s: float | None = None) -> PlannedThrow:
         """Return a throw that lands at `landing` (3,) in m, in the frame of `q`.
 
         The time of flight is chosen, or is `flight_s`: a longer one makes a higher arc. Raises `OutOfReach`
@@ -173,20 +173,20 @@ class ThrowPlanner:
 
     def _best(
         self, target: Array, flight_s: float | None, weights: Sequence[float] = CONTORTION_WEIGHTS
-    ) -> Throw | None:
+    ) -> PlannedThrow | None:
         """Return the throw with the smallest use of the velocity limits whose arm touches nothing."""
         for weight in weights:
             throws = [
                 throw
                 for first in self._first_guesses()
-                if (found := self._improved(target, flight_s, first, weight)) is not None
-                and (throw := self._gentlest(found)) is not None
+                if (released := self._improved(target, flight_s, first, weight)) is not None
+                and (throw := self._gentlest(released)) is not None
             ]
             if throws:
                 return min(throws, key=lambda throw: throw.usage)
         return None
 
-    def _gentlest(self, throw: Throw) -> Throw | None:
+    def _gentlest(self, throw: PlannedThrow) -> PlannedThrow | None:
         """Return the throw with the longest swing and follow-through in which the arm touches nothing."""
         for swing_s in self.limits.durations_s:
             slower = replace(throw, swing_s=swing_s)
@@ -204,7 +204,7 @@ class ThrowPlanner:
     def _is_within(self, joints: Array) -> bool:
         return bool((joints >= self._lower - 1e-3).all() and (joints <= self._upper + 1e-3).all())
 
-    def _is_clear(self, throw: Throw, start_s: float, end_s: float) -> bool:
+    def _is_clear(self, throw: PlannedThrow, start_s: float, end_s: float) -> bool:
         """Return whether the arm touches nothing of the robot in a part of its way."""
         q = self._q
         for time_s in np.linspace(start_s, end_s, CHECKED):
@@ -218,13 +218,15 @@ class ThrowPlanner:
         """Return arm positions to start from: below the shoulder and above it, turned as the pose has it."""
         below, above = self._middle.copy(), self._middle.copy()
         above[0] -= 1.7
-        return [np.clip(each, self._lower, self._upper) for each in (below, above)]
+        return [np.clip(bound, self._lower, self._upper) for bound in (below, above)]
 
-    def _improved(self, target: Array, flight_s: float | None, first: Array, weight: float) -> Throw | None:
+    def _improved(
+        self, target: Array, flight_s: float | None, first: Array, weight: float
+    ) -> PlannedThrow | None:
         flight = flight_s or 0.4
         bounds = [*zip(self._lower, self._upper, strict=True)]
         bounds.append((flight, flight) if flight_s else (MIN_FLIGHT_S, MAX_FLIGHT_S))
-        found = minimize(
+        optimum = minimize(
             lambda x: self._cost(x, target) + weight * np.sum((x[:-1] - first) ** 2),
             np.append(first, flight),
             method="SLSQP",
@@ -232,15 +234,15 @@ class ThrowPlanner:
             constraints=[{"type": "ineq", "fun": lambda x: self._room(x, target)}],
             options={"maxiter": ROUNDS, "ftol": 1e-5},
         )
-        if not np.isfinite(found.x).all() or self._room(found.x, target).min() < -1e-3:
+        if not np.isfinite(optimum.x).all() or self._room(optimum.x, target).min() < -1e-3:
             return None
-        position, ball_velocity, velocity = self._release(found.x, target)
+        position, ball_velocity, velocity = self._release(optimum.x, target)
         shortest = min(self.limits.durations_s)
-        return Throw(
+        return PlannedThrow(
             self.grip,
             target,
-            float(found.x[-1]),
-            found.x[:-1],
+            float(optimum.x[-1]),
+            optimum.x[:-1],
             velocity,
             position,
             ball_velocity,

@@ -15,7 +15,7 @@ from handover_humanoid.model.kinematics import Array
 from handover_humanoid.patterns.footsteps import Footsteps, Stance, StepLimits, Wish
 from handover_humanoid.patterns.pendulum import PendulumState
 from handover_humanoid.patterns.regions import Footprint, Region, Side, turn
-from handover_humanoid.patterns.zmp_control import Plan, ZmpControl
+from handover_humanoid.patterns.zmp_control import ZmpControl, ZmpPlan
 
 LOCKED = 2
 TOLERATED_M = 0.01
@@ -33,7 +33,7 @@ class Pattern:
     """
 
     stance: Stance
-    plan: Plan
+    plan: ZmpPlan
     region: Region
     landings: Mapping[Side, Footprint]
 
@@ -82,16 +82,16 @@ class WalkingPattern:
 
     def _regions(self, stances: Sequence[Stance]) -> list[Region]:
         """Return the region of this period, and the one of each sample: where both its periods allow it."""
-        known: dict[tuple[Footprint, ...], Region] = {}
-        found = []
+        by_feet: dict[tuple[Footprint, ...], Region] = {}
+        regions = []
         for index, stance in enumerate(stances):
             before = stances[max(index - 1, 0)]
             smaller = before if before.phase == "single" else stance
             feet = (smaller.support,) if smaller.phase == "single" else (smaller.left, smaller.right)
-            if feet not in known:
-                known[feet] = Region.of(feet, self._sole)
-            found.append(known[feet])
-        return found
+            if feet not in by_feet:
+                by_feet[feet] = Region.of(feet, self._sole)
+            regions.append(by_feet[feet])
+        return regions
 
 
 def _next_landings(stances: Sequence[Stance]) -> dict[Side, Footprint]:

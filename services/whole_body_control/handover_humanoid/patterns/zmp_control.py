@@ -44,7 +44,7 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ZmpPlan:
     """The states at each sample, the present one first, and the velocity of the ZMP in between (samples, 2).
 
     `excess_m` is by how much the bounds of the ZMP or the last capture point are exceeded at most.
@@ -86,10 +86,10 @@ class ZmpControl:
         self._of_state, self._of_input = of_state, of_input
         velocity, zmp = of_input[:, 1], of_input[:, 2]
         w = self._weights
-        one = w.velocity * velocity.T @ velocity + w.centre * zmp.T @ zmp + w.effort * np.eye(samples)
-        self._hessian = np.kron(np.eye(2), one)
+        hessian = w.velocity * velocity.T @ velocity + w.centre * zmp.T @ zmp + w.effort * np.eye(samples)
+        self._hessian = np.kron(np.eye(2), hessian)
 
-    def plan(self, state: PendulumState, regions: Sequence[Region], wanted: Array) -> Plan:
+    def plan(self, state: PendulumState, regions: Sequence[Region], wanted: Array) -> ZmpPlan:
         """Return the motion from a state, with the region of each sample and the wanted velocity (2,).
 
         Raises `Unplannable`.
@@ -114,8 +114,8 @@ class ZmpControl:
         excess = float(np.maximum(rows @ inputs - upper, 0.0).max(initial=0.0))
         velocities = np.asarray(inputs).reshape(2, self.samples).T
         moved = drift + np.einsum("ksj,ja->ksa", self._of_input, velocities)
-        states = (state, *(PendulumState(*each) for each in moved))
-        return Plan(states, velocities, excess if excess > 10 * TOLERANCE else 0.0)
+        states = (state, *(PendulumState(*values) for values in moved))
+        return ZmpPlan(states, velocities, excess if excess > 10 * TOLERANCE else 0.0)
 
     def _gradient(self, drift: Array, regions: Sequence[Region], wanted: Array) -> Array:
         centres = np.array([region.centre for region in regions])

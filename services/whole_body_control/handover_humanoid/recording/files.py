@@ -82,7 +82,9 @@ def read_frames(path: Path, from_s: float, to_s: float) -> Frames:
                 raise McapFileError(f"{path.name} has no index; was it changed?")
             start_ns: int = summary.statistics.message_start_time
             duration_s = (summary.statistics.message_end_time - start_ns) / 1e9
-            first_ns, end_ns = (start_ns + round(min(each, duration_s + 1) * 1e9) for each in (from_s, to_s))
+            first_ns, end_ns = (
+                start_ns + round(min(time_s, duration_s + 1) * 1e9) for time_s in (from_s, to_s)
+            )
             for _, _, item in reader.iter_messages(LIVE_TOPIC, first_ns, end_ns):
                 at_s = (item.log_time - start_ns) / 1e9
                 if len(frames) == MAX_FRAMES:

@@ -27,7 +27,7 @@ JOIN_WITHIN_S: Final = 30.0
 Document = Callable[[], Mapping[str, Any]]
 
 
-class EndReason(StrEnum):
+class RecordingEnd(StrEnum):
     """Why a recording has ended."""
 
     STOPPED = "stopped"
@@ -41,7 +41,7 @@ class EndReason(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class RecordingLimits:
     """How long and how large a recording may be, and how often the ports are read."""
 
     max_s: float
@@ -81,8 +81,10 @@ class _Port:
 class Recorder:
     """Records until `stop`, or until a bound is reached: then `reason` says so."""
 
-    def __init__(self, path: Path, ports: Path, document: Document, bounds: Bounds, name: str) -> None:
-        self.reason: EndReason | None = None
+    def __init__(
+        self, path: Path, ports: Path, document: Document, bounds: RecordingLimits, name: str
+    ) -> None:
+        self.reason: RecordingEnd | None = None
         self.messages = 0
         self._stream: IO[bytes] = path.open("xb")
         self._bounds, self._document = bounds, document
@@ -114,13 +116,13 @@ class Recorder:
             self._writer.close()
         except (OSError, ValueError):
             log.exception("recording failed")
-            self.reason = EndReason.DISK
+            self.reason = RecordingEnd.DISK
         finally:
             self.messages = self._writer.messages
             try:
                 self._stream.close()
             except OSError:
-                self.reason = EndReason.DISK
+                self.reason = RecordingEnd.DISK
 
     def _record(self) -> None:
         bounds, began_s = self._bounds, time.monotonic()
@@ -137,10 +139,10 @@ class Recorder:
                 frame_s = max(frame_s + FRAME_PERIOD_S, now_s)
                 self._writer.write_document(self._document(), time.monotonic_ns() + offset_ns)
             if now_s - began_s > bounds.max_s:
-                self.reason = EndReason.TOO_LONG
+                self.reason = RecordingEnd.TOO_LONG
                 return
             if self._stream.tell() > bounds.max_bytes:
-                self.reason = EndReason.DISK
+                self.reason = RecordingEnd.DISK
                 return
             due_s = max(due_s + period_s, now_s)
             self._end.wait(max(0.0, due_s - time.monotonic()))

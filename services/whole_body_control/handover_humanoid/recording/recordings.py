@@ -18,7 +18,7 @@ from handover.formats.mcap_files import McapFileError, rewrite
 from handover.messages import message
 from handover.telemetry import get_logger
 from handover_humanoid.recording.files import Frames, read_frames
-from handover_humanoid.recording.recorder import Bounds, Document, EndReason, Recorder
+from handover_humanoid.recording.recorder import Document, Recorder, RecordingEnd, RecordingLimits
 from handover_humanoid.recording.store import RecordingRow, RecordingStore
 
 log = get_logger(__name__)
@@ -62,9 +62,9 @@ class Recordings:
         for row in rows:
             if row.ended_s is None:
                 self._complete(row)
-        known = {row.id for row in rows}
+        stored = {row.id for row in rows}
         for path in self._keep.folder.iterdir():
-            if path.name.partition(".")[0] not in known:
+            if path.name.partition(".")[0] not in stored:
                 path.unlink()  # its deletion was interrupted
 
     async def run(self) -> None:
@@ -73,7 +73,7 @@ class Recordings:
         while True:
             if self._recorder is not None and not self._recorder.is_running:
                 async with self._turn:
-                    await self._end(EndReason.STOPPED)
+                    await self._end(RecordingEnd.STOPPED)
             if time.monotonic() - expire_s > EXPIRE_EVERY_S:
                 expire_s = time.monotonic()
                 await asyncio.to_thread(self._expire)
@@ -133,20 +133,20 @@ class Recordings:
                     "Not recording",
                     message("humanoid.not_recording", "the recording has ended already"),
                 )
-            return await self._end(EndReason.STOPPED)
+            return await self._end(RecordingEnd.STOPPED)
 
     async def close(self) -> None:
         """End the recording that runs, since the service ends."""
         async with self._turn:
             if self._row is not None:
-                await self._end(EndReason.SERVICE)
+                await self._end(RecordingEnd.SERVICE)
 
     async def delete(self, recording: str) -> None:
         """Delete a recording with its file; one that runs is ended. Raises `Problem` 404."""
         row = await self.find(recording)
         async with self._turn:
             if self.is_running(row):
-                await self._end(EndReason.STOPPED)
+                await self._end(RecordingEnd.STOPPED)
             await asyncio.to_thread(self._delete, row)
 
     async def file(self, recording: str) -> tuple[RecordingRow, Path]:
@@ -196,7 +196,7 @@ class Recordings:
                     megabytes=MIN_FREE_BYTES // 2**20,
                 ),
             )
-        bounds = Bounds(keep.max_s, min(keep.keep_bytes, free), keep.hz)
+        bounds = RecordingLimits(keep.max_s, min(keep.keep_bytes, free), keep.hz)
         self._store.add(asdict(row))
         try:
             return Recorder(self._path(row), self._ports, self._document, bounds, row.id)
@@ -204,14 +204,14 @@ class Recordings:
             self._store.delete(row.id)
             raise
 
-    async def _end(self, reason: EndReason) -> RecordingRow:
+    async def _end(self, reason: RecordingEnd) -> RecordingRow:
         recorder, row = self._recorder, self._row
         assert recorder is not None and row is not None  # noqa: PT018, S101 - the caller has looked
         await asyncio.to_thread(recorder.stop)
         self._recorder, self._row = None, None
         return await asyncio.to_thread(self._close, row, recorder.reason or reason, recorder.messages)
 
-    def _close(self, row: RecordingRow, reason: EndReason, messages: int) -> RecordingRow:
+    def _close(self, row: RecordingRow, reason: RecordingEnd, messages: int) -> RecordingRow:
         path = self._path(row)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -236,7 +236,7 @@ class Recordings:
                 unfinished.chmod(0o600)
                 done = rewrite(source, target)
             unfinished.replace(path)
-            self._close(row, EndReason.INTERRUPTED, done.messages)
+            self._close(row, RecordingEnd.INTERRUPTED, done.messages)
         except (McapFileError, OSError):
             log.exception("interrupted recording lost", recording=row.id)
             unfinished.unlink(missing_ok=True)

@@ -6,8 +6,8 @@ from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.formats.strict_json import StrictModel
+from handover_datamodels.robot_messages import Vector
 
-Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Reason = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
 
 

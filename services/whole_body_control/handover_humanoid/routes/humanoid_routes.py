@@ -17,7 +17,8 @@ from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
-from handover_humanoid.behaviours.humanoid_component import Behaviour, behaviours_of
+from handover_humanoid.behaviours.component_state import Behaviour
+from handover_humanoid.behaviours.humanoid_component import behaviours_of
 from handover_humanoid.robots import HUMANOIDS, humanoid
 from handover_humanoid.routes.access import of_humanoid
 from handover_humanoid.routes.bodies import (
@@ -137,7 +138,7 @@ def _add_gains(app: FastAPI, control: HumanoidControl) -> None:
     @app.put("/gains", tags=["gains"], dependencies=change)
     async def change_gains(body: GainsRequest) -> list[ChainGainsView]:
         """Change the gains of chains; the joints follow within a second or so. 422 outside of the limits."""
-        wanted = {chain: Shares(each.stiffness, each.damping) for chain, each in body.chains.items()}
+        wanted = {chain: Shares(shares.stiffness, shares.damping) for chain, shares in body.chains.items()}
         await control.change_gains(wanted)
         return _gains_view(control)
 
@@ -169,12 +170,12 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
         """Return the sources of speed limits; none of them is a safety-rated function."""
         return [
             LimitSourceView(
-                source=one.rule,
-                fraction=round(one.fraction, 4),
-                reason=str(one.reason),
-                needs_reset=one.needs_reset,
+                source=limit.rule,
+                fraction=round(limit.fraction, 4),
+                reason=str(limit.reason),
+                needs_reset=limit.needs_reset,
             )
-            for one in control.limits.limits.allowed(time.monotonic())
+            for limit in control.limits.limits.allowed(time.monotonic())
         ]
 
     @app.delete(
@@ -224,9 +225,9 @@ async def _send(socket: WebSocket, control: HumanoidControl, period_s: float) ->
             await pace.next()
 
 
-def _rate(given: str | None) -> float:
+def _rate(written: str | None) -> float:
     try:
-        hz = LIVE_HZ if given is None else float(given)
+        hz = LIVE_HZ if written is None else float(written)
     except ValueError:
         hz = math.nan
     return min(hz, MAX_LIVE_HZ) if hz > 0 else LIVE_HZ
@@ -256,7 +257,7 @@ def _humanoid_view(name: str, control: HumanoidControl) -> HumanoidView:
         joints=len(model.joints),
         mass_kg=round(model.mass_kg, 3),
         hands=list(model.grips),
-        behaviours=[each for each, code in NAMES.items() if Behaviour(code) in offered],
+        behaviours=[behaviour for behaviour, code in NAMES.items() if Behaviour(code) in offered],
         drivers=["simulated"],
         problem=_problem(control) if runs else "",
     )

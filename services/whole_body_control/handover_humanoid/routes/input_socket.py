@@ -27,7 +27,7 @@ from handover_humanoid.running.inputs import (
     WishMessage,
 )
 from handover_humanoid.running.motion import Motion
-from handover_humanoid.running.signals import PatientSignals
+from handover_humanoid.running.sessions.signals import PatientSignals
 
 MAX_MESSAGE_CHARS: Final = 4096
 MAX_REASON_CHARS: Final = 300
@@ -92,16 +92,19 @@ def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSig
 
 def _take(control: HumanoidControl, role: str, turns: Turns, who: object, text: str) -> dict[str, Any] | None:
     """Take a message; return the answer, if it has one."""
-    given = _read(text, role)
-    if isinstance(given, str) or not turns.takes(who):
+    received = _read(text, role)
+    if isinstance(received, str) or not turns.takes(who):
         INPUTS.labels("refused").inc()
-        return {"kind": "error", **with_code("reason", given if isinstance(given, str) else TAKEN[role])}
+        return {
+            "kind": "error",
+            **with_code("reason", received if isinstance(received, str) else TAKEN[role]),
+        }
     INPUTS.labels("accepted").inc()
-    if isinstance(given, WishMessage):
-        control.motion.walk(given.ahead, given.left, given.yaw, is_held=given.held)
-        return shortfall(control.motion, given)
-    control.receive(given)
-    return {"kind": "echo", "t": given.t} if isinstance(given, PoseMessage) else None
+    if isinstance(received, WishMessage):
+        control.motion.walk(received.ahead, received.left, received.yaw, is_held=received.held)
+        return shortfall(control.motion, received)
+    control.receive(received)
+    return {"kind": "echo", "t": received.t} if isinstance(received, PoseMessage) else None
 
 
 def shortfall(motion: Motion, wish: WishMessage) -> dict[str, Any] | None:
@@ -110,7 +113,7 @@ def shortfall(motion: Motion, wish: WishMessage) -> dict[str, Any] | None:
     is_same = all(math.isclose(*pair, abs_tol=SAME_SPEED) for pair in zip(wanted, walked, strict=True))
     if is_same or not wish.held:
         return None
-    ahead, left, yaw = (round(each, 4) for each in walked)
+    ahead, left, yaw = (round(velocity, 4) for velocity in walked)
     return {"kind": "walked", "ahead": ahead, "left": left, "yaw": yaw, "because": motion.why_less()}
 
 
@@ -119,12 +122,12 @@ def _read(text: str, role: str) -> PoseMessage | PullMessage | WishMessage | str
     if len(text) > MAX_MESSAGE_CHARS:
         return f"a message has at most {MAX_MESSAGE_CHARS} characters"
     try:
-        given: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text, strict=True)
+        received: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text, strict=True)
     except ValidationError as error:
         return fault_text(error)[:MAX_REASON_CHARS]
-    if isinstance(given, WishMessage) is not (role == "therapist"):
-        return f'a {role} does not send "{given.kind}"'
-    return given
+    if isinstance(received, WishMessage) is not (role == "therapist"):
+        return f'a {role} does not send "{received.kind}"'
+    return received
 
 
 async def _send_signals(socket: WebSocket, signals: PatientSignals) -> None:

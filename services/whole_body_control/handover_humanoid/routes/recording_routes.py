@@ -124,11 +124,11 @@ def add_recording_routes(app: FastAPI, recordings: Recordings) -> None:
                 "Bad span",
                 message("humanoid.bad_span", "the span is empty: from must not be after to; swap them"),
             )
-        found = await recordings.frames(recording, from_s, end_s)
+        part = await recordings.frames(recording, from_s, end_s)
         return FramesView(
-            duration_s=found.duration_s,
-            frames=[FrameView(t=t, document=document) for t, document in found.frames],
-            next_from=found.next_s,
+            duration_s=part.duration_s,
+            frames=[FrameView(t=t, document=document) for t, document in part.frames],
+            next_from=part.next_s,
         )
 
 

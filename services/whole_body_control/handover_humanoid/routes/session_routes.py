@@ -21,10 +21,10 @@ from handover.security.guard import guard_of, require, require_signed_in
 from handover.security.permissions import Permission
 from handover_humanoid.routes.access import of_humanoid
 from handover_humanoid.routes.bodies import Body
-from handover_humanoid.running.plans import Name, SessionRequest, plan_of
-from handover_humanoid.running.session_store import StoredSession
-from handover_humanoid.running.session_writer import SessionWriter
-from handover_humanoid.running.training import Training
+from handover_humanoid.running.sessions.plans import Name, SessionRequest, plan_of
+from handover_humanoid.running.sessions.store import StoredSession
+from handover_humanoid.running.sessions.training import Training
+from handover_humanoid.running.sessions.writer import SessionWriter
 from handover_humanoid.sessions.exercise import EndReason, SessionError
 from handover_humanoid.sessions.report import progress
 
@@ -135,7 +135,9 @@ def _add_reading(app: FastAPI, training: Training) -> None:
             await _require_seen(request, caller, wanted)
         humanoid = str(of_humanoid(request))
         listed = await asyncio.to_thread(store.newest, humanoid.rpartition(":")[2], wanted)
-        return [_view(one, training) for one in listed if _may_see(caller, one["person"], humanoid)]
+        return [
+            _view(session, training) for session in listed if _may_see(caller, session["person"], humanoid)
+        ]
 
     @app.get("/sessions/{session}", tags=["sessions"])
     async def one_session(session: str, caller: SignedIn, request: Request) -> SessionView:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from handover.broker import BrokerClient
 from handover.broker.latest_value_writer import LatestValueWriter
-from handover.files.content_digest import with_digest
+from handover.control.robot_entities import robot_device, robot_specification
 from handover_datamodels.entities import DeviceState
 from handover_datamodels.times import iso
 from handover_humanoid.running.humanoid_control import HumanoidControl
@@ -58,21 +58,10 @@ class HumanoidDevice:
         return DeviceState.BUSY if self.is_busy or is_walking else DeviceState.IDLE
 
     def _device(self) -> dict[str, Any]:
-        now, values = iso(datetime.now(UTC)), self._links.values
+        values = self._links.values
         place = {axis: round(values[f"base.{axis}"], 3) for axis in "xyz" if f"base.{axis}" in values}
         value = {"behaviour": self._motion.behaviour.name.lower(), "base": place, "simulated": True}
-        return {
-            "id": self.id,
-            "type": "Device",
-            "category": {"type": "Property", "value": ["robot"]},
-            "controlledProperty": {"type": "Property", "value": ["pose"]},
-            "deviceState": {"type": "Property", "value": self.state.value, "observedAt": now},
-            "value": {"type": "Property", "value": value, "observedAt": now},
-            "isSpecifiedBy": {
-                "type": "Property",
-                "value": [{"type": "Relationship", "object": self.specification_id}],
-            },
-        }
+        return robot_device(self.id, self.specification_id, self.state, value)
 
     def _limit(self) -> dict[str, Any]:
         limit, now = self._motion.limit, datetime.now(UTC)
@@ -105,13 +94,4 @@ class HumanoidDevice:
             "urdf": f"{self._settings.whole_body}/model/urdf",
             "simulated": True,
         }
-        return with_digest(
-            {
-                "id": self.specification_id,
-                "type": "ResourceSpecification",
-                "name": {"type": "Property", "value": model.name},
-                "resourceType": {"type": "Property", "value": "robot"},
-                "skills": {"type": "Property", "value": list(OPERATIONS)},
-                "parameters": {"type": "Property", "value": parameters},
-            }
-        )
+        return robot_specification(self.specification_id, model.name, parameters, OPERATIONS)

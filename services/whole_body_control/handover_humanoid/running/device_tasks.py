@@ -17,9 +17,9 @@ from handover.formats.validation import fault_text
 from handover.messages import message
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover_humanoid.running.humanoid_control import HumanoidControl
-from handover_humanoid.running.plans import JuggleParameters, WalkParameters, plan_of
-from handover_humanoid.running.session_writer import SessionWriter
-from handover_humanoid.running.training import Session, Training
+from handover_humanoid.running.sessions.plans import JuggleParameters, WalkParameters, plan_of
+from handover_humanoid.running.sessions.training import Session, Training
+from handover_humanoid.running.sessions.writer import SessionWriter
 from handover_humanoid.sessions.exercise import EndReason, PauseReason, SessionError, State
 from handover_humanoid.settings import WholeBodySettings
 
@@ -61,9 +61,9 @@ class HumanoidTasks(Performer):
                     known=", ".join(_PARAMETERS),
                 )
             )
-        given = {name: value for name, value in job.parameters.items() if name not in _NOT_PARAMETERS}
+        wanted = {name: value for name, value in job.parameters.items() if name not in _NOT_PARAMETERS}
         try:
-            plan = plan_of(parameters.model_validate(given), self.settings, task=job.task.id)
+            plan = plan_of(parameters.model_validate(wanted), self.settings, task=job.task.id)
             session = await self._writer.begin(plan)
         except ValidationError as error:
             raise TaskFailed(fault_text(error, "parameters")) from None

@@ -39,15 +39,15 @@ class ChainGains:
 
     def restore(self, stored: Mapping[str, Shares]) -> None:
         """Take what was stored; what the model does not permit any more is left out."""
-        found = self.defaults()
+        by_chain = self.defaults()
         for chain, shares in stored.items():
             try:
                 self._require(chain, shares)
             except Problem as problem:
                 log.warning("stored gains left out", chain=chain, reason=str(problem.detail))
             else:
-                found[chain] = shares
-        self.by_chain = found
+                by_chain[chain] = shares
+        self.by_chain = by_chain
 
     def changed(self, wanted: Mapping[str, Shares]) -> dict[str, Shares]:
         """Return all shares with the wanted ones. Raises `Problem` 422 for one beyond the limits."""
@@ -57,9 +57,9 @@ class ChainGains:
 
     def port_values(self, names: Sequence[str]) -> list[float]:
         """Return the values of the port `gains`."""
-        known = {f"{chain}.stiffness": shares.stiffness for chain, shares in self.by_chain.items()}
-        known |= {f"{chain}.damping": shares.damping for chain, shares in self.by_chain.items()}
-        return [known.get(name, 1.0) for name in names]
+        by_name = {f"{chain}.stiffness": shares.stiffness for chain, shares in self.by_chain.items()}
+        by_name |= {f"{chain}.damping": shares.damping for chain, shares in self.by_chain.items()}
+        return [by_name.get(name, 1.0) for name in names]
 
     def _require(self, chain: str, shares: Shares) -> None:
         limits = self._model.gain_limits

@@ -14,11 +14,12 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
-from handover_humanoid.behaviours.humanoid_component import Behaviour, Fault, behaviours_of
+from handover_humanoid.behaviours.component_state import Behaviour, Fault
+from handover_humanoid.behaviours.humanoid_component import behaviours_of
 from handover_humanoid.behaviours.rehearsal import FILE as REHEARSALS
 from handover_humanoid.behaviours.throwing import Practice
 from handover_humanoid.behaviours.walking import footsteps_of
-from handover_humanoid.cycle.loop import Hold, Mode
+from handover_humanoid.cycle.loop import HoldReason, Mode
 from handover_humanoid.metrics import FRACTION
 from handover_humanoid.robots import folder, humanoid
 from handover_humanoid.running.cycle_process import CycleProcess
@@ -63,14 +64,14 @@ FAULTS: Final[Mapping[int, str]] = {
     ),
 }
 HOLDS: Final[Mapping[int, str]] = {
-    Hold.FAULTS: message(
+    HoldReason.FAULTS: message(
         "humanoid.hold_faults", "no valid values for too long; the joints hold. Restart the control cycle"
     ),
-    Hold.FAILED: message(
+    HoldReason.FAILED: message(
         "humanoid.hold_failed",
         "the controller failed, and the joints hold; the log of the control cycle says why. Restart it",
     ),
-    Hold.REFUSED: message(
+    HoldReason.REFUSED: message(
         "humanoid.hold_refused",
         "the robot refused a command, and the joints hold; the log of the control cycle says why. Restart it",
     ),
@@ -237,9 +238,9 @@ class HumanoidControl:
         self.gains.by_chain = gains
         log.info("gains changed", humanoid=self.name)
 
-    def receive(self, given: PoseMessage | PullMessage) -> None:
+    def receive(self, contact: PoseMessage | PullMessage) -> None:
         """Take what a person does, and pass it on at once: a hand that leads is not late by a period."""
-        self.inputs.receive(given)
+        self.inputs.receive(contact)
         self.links.write_person()
 
     def update_limit(self) -> None:

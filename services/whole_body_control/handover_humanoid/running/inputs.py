@@ -1,6 +1,6 @@
 """What people send while they exercise or steer: poses of the patient, pulls, and wishes of the therapist.
 
-Places are in m in the frame of the ground, in which the live document has the base of the robot: z is up.
+Vectors are in m in the frame of the ground, in which the live document has the base of the robot: z is up.
 """
 
 import math
@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
-from pydantic.alias_generators import to_camel
+from pydantic import Field, FiniteFloat, TypeAdapter
 
-from handover_humanoid.patterns.regions import Side
+from handover_datamodels.robot_messages import Vector
+from handover_datamodels.streams import StreamMessage
+from handover_humanoid.patterns.footsteps import OTHER
+from handover_humanoid.patterns.regions import SIDES, Side
 from handover_humanoid.running.live_pace import Poses
 from handover_humanoid.sessions.plausible import HEAD, Plausibility, Problem
 
@@ -21,22 +23,14 @@ SILENT_S: Final = 0.5
 HELD_S: Final = 0.3
 """After so long without a message the hands of the person have let go."""
 CLOSED_GRIP: Final = 0.5
-SIDES: Final[tuple[Side, Side]] = ("left", "right")
-OTHER: Final[Mapping[Side, Side]] = {"left": "right", "right": "left"}
-"""The patient faces the robot: the left hand of one is before the right hand of the other."""
 
-Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Rotation = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
-
-
-class Headset(_Message):
+class Headset(StreamMessage):
     """Where the headset is; the rotation is a quaternion (x, y, z, w)."""
 
-    position: Place
+    position: Vector
     rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -46,14 +40,14 @@ class HandPose(Headset):
     grip: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.0
 
 
-class HandPoses(_Message):
+class HandPoses(StreamMessage):
     """The hands that are tracked."""
 
     left: HandPose | None = None
     right: HandPose | None = None
 
 
-class PoseMessage(_Message):
+class PoseMessage(StreamMessage):
     """Poses of the patient at the time `t` of the sender, in s; the echo has the same `t`."""
 
     kind: Literal["pose"]
@@ -66,15 +60,15 @@ class PoseMessage(_Message):
     """Whether the person has recentred the view, which moves all places at once."""
 
 
-class PullMessage(_Message):
+class PullMessage(StreamMessage):
     """Forces of the hands of a person on those of the robot, by the robot's side, in N; null lets go."""
 
     kind: Literal["pull"]
-    left: Place | None = None
-    right: Place | None = None
+    left: Vector | None = None
+    right: Vector | None = None
 
 
-class WishMessage(_Message):
+class WishMessage(StreamMessage):
     """The dead-man control of the therapist: velocities in m/s and rad/s count while `held`."""
 
     kind: Literal["wish"]
@@ -123,17 +117,19 @@ class PersonInputs:
     poses: Poses = field(default_factory=Poses)
     """Reports each pose that is received."""
 
-    def receive(self, given: PoseMessage | PullMessage) -> None:
+    def receive(self, message: PoseMessage | PullMessage) -> None:
         """Take a message."""
         now_s = time.monotonic()
-        if isinstance(given, PoseMessage):
-            self.pose, self.pose_s = given, now_s
+        if isinstance(message, PoseMessage):
+            self.pose, self.pose_s = message, now_s
             robot = (self.values.get("base.x", 0.0), self.values.get("base.y", 0.0))
-            self.plausibility.see(now_s, _places(given), robot, is_moved=given.recentred)
+            self.plausibility.see(now_s, _places(message), robot, is_moved=message.recentred)
             self.poses.report()
         else:
-            self.pull, self.pull_s = given, now_s
-            self.plausibility.feel(now_s, [force for force in (given.left, given.right) if force is not None])
+            self.pull, self.pull_s = message, now_s
+            self.plausibility.feel(
+                now_s, [force for force in (message.left, message.right) if force is not None]
+            )
 
     def feel(self) -> None:
         """Take the forces at the hands that the robot measures."""
@@ -171,21 +167,21 @@ class PersonInputs:
         now_s = time.monotonic()
         if self.pose is None and self.pull is None:
             return None
-        known: dict[str, float] = {}
+        by_name: dict[str, float] = {}
         hands = self.hands(now_s)
         pulls = self.pull is not None and now_s - self.pull_s <= HELD_S and self.problem(now_s) is None
         for side in SIDES:
-            hand = hands.get(OTHER[side])
+            hand = hands.get(OTHER[side])  # the patient faces the robot
             if self.pull is not None and pulls:
                 force = self.pull.left if side == "left" else self.pull.right
-                known.update(_pulled(side, force))
+                by_name.update(_pulled(side, force))
             elif hand is not None and hand.grip >= CLOSED_GRIP:
                 place = self._at_feet(hand.position)
-                known[f"{side}.held"] = 1.0
-                known.update({f"{side}.{axis}_m": value for axis, value in zip("xyz", place, strict=True)})
-        return [known.get(name, 0.0) for name in names]
+                by_name[f"{side}.held"] = 1.0
+                by_name.update({f"{side}.{axis}_m": value for axis, value in zip("xyz", place, strict=True)})
+        return [by_name.get(name, 0.0) for name in names]
 
-    def _at_feet(self, place: Place) -> Place:
+    def _at_feet(self, place: Vector) -> Vector:
         """Return a place of the ground in the frame of the feet."""
         yaw = self.values.get("feet.yaw", 0.0)
         x, y = place[0] - self.values.get("feet.x", 0.0), place[1] - self.values.get("feet.y", 0.0)
@@ -193,13 +189,13 @@ class PersonInputs:
         return cosine * x + sine * y, cosine * y - sine * x, place[2]
 
 
-def _pulled(side: Side, force: Place | None) -> dict[str, float]:
+def _pulled(side: Side, force: Vector | None) -> dict[str, float]:
     if force is None:
         return {f"{side}.held": 0.0}
     forces = {f"{side}.force_{axis}_n": value for axis, value in zip("xyz", force, strict=True)}
     return {f"{side}.held": 2.0, **forces}
 
 
-def _places(pose: PoseMessage) -> dict[str, Place]:
+def _places(pose: PoseMessage) -> dict[str, Vector]:
     parts = {HEAD: pose.headset, "left": pose.hands.left, "right": pose.hands.right}
     return {name: part.position for name, part in parts.items() if part is not None}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from handover.messages import with_code
+from handover_humanoid.patterns.regions import SIDES
 from handover_humanoid.running.inputs import PersonInputs
 from handover_humanoid.running.motion import Motion
 
@@ -14,7 +15,6 @@ MODES: Final = ("following", "standing", "holding", "stopped", "down")
 PHASES: Final = ("standing", "double", "single")
 BEHAVIOURS: Final = ("walking", "assistedWalking", "juggling")
 CAUSES: Final = ("computing", "preempted", "woken late")
-SIDES: Final = ("left", "right")
 RESIDUAL, SLACK, SOLVER, GAIN = "residual.", "slack.", "solver_us.", "gain."
 BALL_PHASES: Final = (None, "held", "flying", "landed", "lost")
 _PLACES: Final = 5
@@ -140,12 +140,12 @@ def _hand(values: Mapping[str, float], side: str) -> dict[str, Any]:
 
 
 def _stack(values: Mapping[str, float]) -> list[dict[str, Any]]:
-    found = []
+    rows = []
     for name, value in values.items():
         if name.startswith(RESIDUAL) and math.isfinite(value):
             level, _, task = name.removeprefix(RESIDUAL).partition(".")
-            found.append({"level": int(level), "task": task, "residual": _round(value)})
-    return found
+            rows.append({"level": int(level), "task": task, "residual": _round(value)})
+    return rows
 
 
 def _relaxed(values: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -194,12 +194,12 @@ def _cycle(values: Mapping[str, float]) -> dict[str, Any]:
 
 def _gains(values: Mapping[str, float]) -> dict[str, dict[str, float | None]]:
     """Return the shares of the gains of the model that the joints have now, by chain."""
-    found: dict[str, dict[str, float | None]] = {}
+    by_chain: dict[str, dict[str, float | None]] = {}
     for name, value in values.items():
         if name.startswith(GAIN):
             chain, _, kind = name.removeprefix(GAIN).rpartition(".")
-            found.setdefault(chain, {})[kind] = _round(value)
-    return found
+            by_chain.setdefault(chain, {})[kind] = _round(value)
+    return by_chain
 
 
 def _count(values: Mapping[str, float], name: str) -> int:
@@ -214,8 +214,12 @@ def _name(names: Sequence[Any], code: float | None) -> Any:
 
 def _vector(values: Mapping[str, float], name: str, axes: Sequence[str]) -> list[float] | None:
     """Return a vector, None if a value is missing or not finite."""
-    found = [values.get(f"{name}.{axis}", math.nan) for axis in axes]
-    return [round(each, _PLACES) for each in found] if all(map(math.isfinite, found)) else None
+    coordinates = [values.get(f"{name}.{axis}", math.nan) for axis in axes]
+    return (
+        [round(coordinate, _PLACES) for coordinate in coordinates]
+        if all(map(math.isfinite, coordinates))
+        else None
+    )
 
 
 def _round(value: float | None) -> float | None:

@@ -17,10 +17,10 @@ from handover.control.dead_man import DeadMan
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.messages import message
-from handover_humanoid.behaviours.humanoid_component import Behaviour
+from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.metrics import STOPS
 from handover_humanoid.patterns.footsteps import Footsteps, Wish
-from handover_humanoid.patterns.throwing import Throw as PlannedThrow
+from handover_humanoid.patterns.throwing import PlannedThrow
 
 HOLD_TIMEOUT_S: Final = 0.25
 """Clients send 20 times a second or more."""
@@ -43,7 +43,7 @@ class Stopped:
 
 
 @dataclass(frozen=True, slots=True)
-class Throw:
+class RequestedThrow:
     """A throw of `hand` to `target` in m, in the frame of the feet: x ahead, y to the left, z up.
 
     `plan` has the values of the wish that describe the motion, by their names.
@@ -69,7 +69,7 @@ class Motion:
         """Whether a session or a Task pauses the motion: the robot stands on both feet meanwhile."""
         self.is_finishing = False
         """Whether a session has ended, and the robot walks by wishes again as soon as it stands."""
-        self.throw = Throw(0, (0.8, 0.0, 0.5), "right")
+        self.throw = RequestedThrow(0, (0.8, 0.0, 0.5), "right")
         self.limit = Allowed("body")
         self._velocity = (0.0, 0.0, 0.0)
         self._dead_man = DeadMan(HOLD_TIMEOUT_S)
@@ -107,7 +107,7 @@ class Motion:
     def walked(self) -> tuple[float, float, float]:
         """What the robot walks of the wish, as `velocity`: after the limit and within what it can step."""
         share = max(0.0, min(1.0, self.limit.fraction))
-        ahead, left, yaw = (share * each for each in self.velocity)
+        ahead, left, yaw = (share * speed for speed in self.velocity)
         if self._footsteps is None:
             return ahead, left, yaw
         steps = self._footsteps.walked(Wish(np.array([ahead, left]), yaw))
@@ -151,7 +151,7 @@ class Motion:
         plan = {"flight_s": planned.flight_s, "swing_s": planned.swing_s, "follow_s": planned.follow_s}
         plan |= {f"release_{index}_rad": float(value) for index, value in enumerate(planned.release)}
         plan |= {f"velocity_{index}_radps": float(value) for index, value in enumerate(planned.velocity)}
-        self.throw = Throw(number, (x, y, z), hand, plan)
+        self.throw = RequestedThrow(number, (x, y, z), hand, plan)
 
     def require_free(self) -> None:
         """Raise `Problem` 409 while a stop or a limit of 0 keeps the robot where it is."""
@@ -196,7 +196,7 @@ class Motion:
         share = max(0.0, min(1.0, self.limit.fraction))
         ahead, left, yaw = self.velocity
         is_stopped = self.stopped is not None or self.is_paused or share <= 0
-        known = {
+        by_name = {
             "ahead_mps": ahead,
             "left_mps": left,
             "yaw_radps": yaw,
@@ -211,7 +211,7 @@ class Motion:
             "stop": float(is_stopped),
             "cancel": float(is_stopped),
         }
-        return [known.get(name, 0.0) for name in names]
+        return [by_name.get(name, 0.0) for name in names]
 
 
 def _within(value: float, most: float) -> float:

@@ -111,7 +111,7 @@ class RosLink:
         shown = {name: str(document[name]) for name in _SHOWN}
         shown["speed_share"] = f"{document['limit']['factor']:.3f}"
         shown["needs_release"] = str(bool(document["needsRelease"])).lower()
-        shown["walked"] = " ".join(f"{each:.3f}" for each in self._control.motion.walked)
+        shown["walked"] = " ".join(f"{velocity:.3f}" for velocity in self._control.motion.walked)
         shown["wish_delay_s"] = f"{self._delay_s:.3f}"
         return shown
 

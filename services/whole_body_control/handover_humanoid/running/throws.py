@@ -25,7 +25,7 @@ from handover.telemetry import get_logger
 from handover_humanoid.behaviours.throwing import Practice, aimed_throw
 from handover_humanoid.model.humanoid import Humanoid
 from handover_humanoid.model.kinematics import Array, Kinematics
-from handover_humanoid.patterns.throwing import OutOfReach, Throw, ThrowPlanner
+from handover_humanoid.patterns.throwing import OutOfReach, PlannedThrow, ThrowPlanner
 from handover_humanoid.running.motion import Motion
 from handover_humanoid.running.rehearsals import Rehearsals
 
@@ -160,8 +160,9 @@ class Throws:
                 message("humanoid.throw_planned", "another throw is being planned; wait for it"),
             )
         self._motion.require_throwing(target)
-        known = int(self._values().get("throw_number", 0.0))  # of a cycle that an earlier service started
-        self._number = max(self._number, known) + 1
+        # Of a cycle that an earlier service started.
+        last_number = int(self._values().get("throw_number", 0.0))
+        self._number = max(self._number, last_number) + 1
         x, y, z = target
         self._newest = _Request(self._number, (x, y, z), hand)
         self._planning = asyncio.create_task(self._plan(self._newest))
@@ -207,7 +208,7 @@ class Throws:
     async def _in_worker(self, function: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._worker, function)
 
-    def _planned(self, grip: str, target: Array) -> tuple[Array, Throw]:
+    def _planned(self, grip: str, target: Array) -> tuple[Array, PlannedThrow]:
         """Return where to aim, and the throw that does; runs in the worker."""
         return aimed_throw(self._planner(grip), self._practice, grip, self._base, target)
 

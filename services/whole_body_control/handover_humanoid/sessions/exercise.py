@@ -76,7 +76,7 @@ class Goal:
 
 
 @dataclass(frozen=True, slots=True)
-class Throw:
+class SessionThrow:
     """A throw of the session with its outcome: `at_s` since the start, and the difficulty that it had."""
 
     at_s: float
@@ -93,7 +93,7 @@ class Exercise:
     started_s: float
     state: State = State.RUNNING
     reasons: set[PauseReason] = field(default_factory=set)
-    throws: list[Throw] = field(default_factory=list)
+    throws: list[SessionThrow] = field(default_factory=list)
     score: int = 0
     ended_by: EndReason | None = None
     _exercised_s: float = 0.0
@@ -149,7 +149,7 @@ class Exercise:
         A throw that was under way when the session paused or ended counts as well.
         """
         points = round(POINTS * (1.0 + level)) if outcome.result == "caught" else 0
-        self.throws.append(Throw(max(now_s - self.started_s, 0.0), level, outcome))
+        self.throws.append(SessionThrow(max(now_s - self.started_s, 0.0), level, outcome))
         self.score += points
         self.check(now_s)
         return points

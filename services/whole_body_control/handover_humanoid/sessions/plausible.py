@@ -58,7 +58,7 @@ class Plausibility:
     def problem(self, now_s: float) -> Problem | None:
         """Return what is wrong now, the worst first."""
         order: tuple[Problem, ...] = ("force", "far", "jump")
-        return next((each for each in order if self._until_s.get(each, -math.inf) > now_s), None)
+        return next((reason for reason in order if self._until_s.get(reason, -math.inf) > now_s), None)
 
     def _note(self, problem: Problem, until_s: float) -> None:
         self._until_s[problem] = until_s

@@ -7,10 +7,8 @@ from datetime import datetime
 
 import numpy as np
 
-from handover_humanoid.patterns.regions import Side
-from handover_humanoid.sessions.exercise import Exercise, Throw
-
-SIDES: tuple[Side, Side] = ("left", "right")
+from handover_humanoid.patterns.regions import SIDES, Side
+from handover_humanoid.sessions.exercise import Exercise, SessionThrow
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,25 +95,25 @@ def progress(sessions: Iterable[SessionFigures]) -> list[Week]:
     return [
         Week(
             week=f"{year}-W{week:02d}",
-            sessions=len(each),
-            throws=sum(session.throws for session in each),
-            caught=sum(session.caught for session in each),
-            score=sum(session.score for session in each),
-            exercised_s=sum(session.exercised_s for session in each),
-            best_level=max(session.level for session in each),
-            distance_m=sum(session.distance_m for session in each),
+            sessions=len(week_sessions),
+            throws=sum(session.throws for session in week_sessions),
+            caught=sum(session.caught for session in week_sessions),
+            score=sum(session.score for session in week_sessions),
+            exercised_s=sum(session.exercised_s for session in week_sessions),
+            best_level=max(session.level for session in week_sessions),
+            distance_m=sum(session.distance_m for session in week_sessions),
         )
-        for (year, week), each in sorted(by_week.items())
+        for (year, week), week_sessions in sorted(by_week.items())
     ]
 
 
-def _of_side(throws: Sequence[Throw], side: Side) -> SideFigures:
+def _of_side(throws: Sequence[SessionThrow], side: Side) -> SideFigures:
     outcomes = [throw.outcome for throw in throws if throw.outcome.side == side]
     caught = sum(outcome.result == "caught" for outcome in outcomes)
     return SideFigures(len(outcomes), caught, _median(outcome.closest_m for outcome in outcomes))
 
 
-def _longest_run(throws: Sequence[Throw]) -> int:
+def _longest_run(throws: Sequence[SessionThrow]) -> int:
     """Return the most balls that were caught one after the other."""
     longest = run = 0
     for throw in throws:

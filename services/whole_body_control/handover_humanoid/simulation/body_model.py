@@ -58,7 +58,7 @@ def build(humanoid: Humanoid, ground_friction: float = 1.0, add: Callable[[Any],
 def _without_meshes(humanoid: Humanoid) -> tuple[Any, set[str]]:
     """Return the URDF with options for MuJoCo, and the names of the collision shapes that are capsules."""
     root = parse_robot_xml(humanoid.urdf, "URDF")
-    capsules = {str(each.get("name")) for each in root.iterfind("link/collision_checking/capsule")}
+    capsules = {str(capsule.get("name")) for capsule in root.iterfind("link/collision_checking/capsule")}
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision_checking")]:
             link.remove(shape)
@@ -122,8 +122,8 @@ def _change_shapes(spec: Any, humanoid: Humanoid, capsules: set[str]) -> None:
 def _moving_link(humanoid: Humanoid, link: str) -> str:
     """Return the link that carries this one: below its next moving joint towards the root."""
     above = {
-        each.find("child").get("link"): each
-        for each in parse_robot_xml(humanoid.urdf, "URDF").findall("joint")
+        joint.find("child").get("link"): joint
+        for joint in parse_robot_xml(humanoid.urdf, "URDF").findall("joint")
     }
     while link in above and above[link].get("type") == "fixed":
         link = above[link].find("parent").get("link")

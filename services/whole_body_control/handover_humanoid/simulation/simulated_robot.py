@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.components.robot import JointCommand, RobotSensors
 from handover_humanoid.model.humanoid import Humanoid, JointMode
 from handover_humanoid.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array
@@ -51,8 +52,8 @@ class SimulatedRobot:
         self.humanoid, self.modes = humanoid, humanoid.modes
         self.period_s = STEP_S
         servo = [joint.servo or joint.gains for joint in humanoid.joints]
-        self._servo_stiffness = np.array([each.stiffness for each in servo])
-        self._servo_damping = np.array([each.damping for each in servo])
+        self._servo_stiffness = np.array([gains.stiffness for gains in servo])
+        self._servo_damping = np.array([gains.damping for gains in servo])
         self._target, self._stiffness, self._zeros = np.zeros((3, len(servo)))
         self.model = build(humanoid) if model is None else model
         self._data = mujoco.MjData(self.model)
@@ -94,6 +95,7 @@ class SimulatedRobot:
         self._data.ctrl[:] = q[BASE_POSITIONS:]
         mujoco.mj_forward(self.model, self._data)
 
+    @runs_in_cycle
     def read(self, sensors: RobotSensors) -> None:
         """Write the present measurements into `sensors`."""
         sensed, noise = self._sensed, self._noise
@@ -107,6 +109,7 @@ class SimulatedRobot:
         if noise is not QUIET:
             self._disturb(sensors)
 
+    @runs_in_cycle
     def write(self, command: JointCommand) -> None:
         """Set the drives. Raises `ValueError` for a command that it cannot follow; the last one holds."""
         if command.mode not in self.modes:

@@ -12,6 +12,7 @@ import numpy as np
 
 from handover.distribution import install_command
 from handover.errors import UsageError
+from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_humanoid.solvers.cascade import Cascade, needed_slack
 from handover_humanoid.solvers.hierarchical import Hierarchical
@@ -27,7 +28,7 @@ from handover_humanoid.solvers.problem import (
 log = get_logger(__name__)
 
 
-class _Memory:
+class _CompiledArrays:
     """The arrays of one shape of problem: `n` velocities, `m` bounds, and `counts` rows of the levels."""
 
     def __init__(self, n: int, m: int, counts: tuple[int, ...]) -> None:
@@ -35,7 +36,7 @@ class _Memory:
         rows = int(self.ends[-1])
         longest = max(n, m, rows)
         self.rows, self.targets = np.empty((rows, n)), np.empty(rows)
-        self.spans = [slice(*each) for each in zip(self.ends[:-1], self.ends[1:], strict=True)]
+        self.spans = [slice(*ends) for ends in zip(self.ends[:-1], self.ends[1:], strict=True)]
         self.squares, self.equal_rows = np.zeros((5, n, n)), np.zeros((m, n))
         self.reduced = np.zeros((n, rows))
         self.vectors, self.whole = np.zeros((15, longest)), np.zeros((6, longest), dtype=np.int64)
@@ -52,11 +53,12 @@ class Compiled:
     def __init__(self) -> None:
         self._kernels = _kernels()
         self._reference = Cascade()
-        self._memory: dict[tuple[int, int, tuple[int, ...]], _Memory] = {}
+        self._memory: dict[tuple[int, int, tuple[int, ...]], _CompiledArrays] = {}
         self.fallbacks = 0
         """How many problems the reference had to solve since rounding errors led in a circle."""
         self._compile()
 
+    @runs_in_cycle
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         memory = self._fill(problem)
@@ -94,11 +96,11 @@ class Compiled:
         self.fallbacks += 1
         return self._reference.solve(problem)
 
-    def _fill(self, problem: Problem) -> _Memory:
+    def _fill(self, problem: Problem) -> _CompiledArrays:
         shape = require_shapes(problem)
         memory = self._memory.get(shape)
         if memory is None:
-            memory = self._memory[shape] = _Memory(*shape)
+            memory = self._memory[shape] = _CompiledArrays(*shape)
         if problem.stacked is not None:
             np.copyto(memory.rows, problem.stacked[0])
             np.copyto(memory.targets, problem.stacked[1])

@@ -9,6 +9,7 @@ from itertools import pairwise
 import daqp
 import numpy as np
 
+from handover.runtime.control_cycle import runs_in_cycle
 from handover_humanoid.model.kinematics import Array
 from handover_humanoid.solvers.problem import (
     Problem,
@@ -27,14 +28,14 @@ REACHED = 5e-4
 SAME_LENGTH = 1e-9
 
 
-class _Memory:
+class _HierarchyArrays:
     """The arrays of one shape of problem: bounds first, then the rows of the levels, in one matrix."""
 
     def __init__(self, n: int, m: int, counts: tuple[int, ...]) -> None:
         ends = np.cumsum([m, *counts])
         self.break_points = np.array([0, *ends], dtype=np.int32)
         self.starts = ends[:-1] - m
-        self.spans = [slice(*each) for each in pairwise(ends)]
+        self.spans = [slice(*ends_of_level) for ends_of_level in pairwise(ends)]
         self.bounds, self.levels = slice(0, m), slice(m, int(ends[-1]))
         self.rows = np.zeros((int(ends[-1]), n))
         self.lower, self.upper = np.zeros(len(self.rows)), np.zeros(len(self.rows))
@@ -99,14 +100,15 @@ class Hierarchical:
     name = "daqp, hierarchical"
 
     def __init__(self) -> None:
-        self._memory: dict[tuple[int, int, tuple[int, ...]], _Memory] = {}
+        self._memory: dict[tuple[int, int, tuple[int, ...]], _HierarchyArrays] = {}
 
+    @runs_in_cycle
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         shape = require_shapes(problem)
         memory = self._memory.get(shape)
         if memory is None:
-            memory = self._memory[shape] = _Memory(*shape)
+            memory = self._memory[shape] = _HierarchyArrays(*shape)
         memory.fill(problem)
         solution = memory.solve(problem.epsilon)
         return memory.solve(problem.epsilon) if memory.turn(solution.residuals) else solution

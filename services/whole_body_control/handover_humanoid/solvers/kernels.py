@@ -19,6 +19,9 @@ whose multiplier is then negative. What is left is the minimum on its active bou
 not negative, where the method could have come to by itself; so the solution is the same.
 
 All arrays are made by the caller; nothing is allocated here.
+
+This is one file on purpose: numba keeps machine code on the disk by the time of the file of a function, and
+would use old code for a function that calls a changed one of another file.
 """
 
 from collections.abc import Callable
@@ -382,20 +385,20 @@ def warm_start(
     `guess` has their number, then each as the number of its row from 1 on: positive for the lower bound,
     negative for the upper one. The multipliers in vectors[1] are not negative afterwards.
     """
-    size, count, known = z.shape[0] - done, 0, 0
+    size, count, remembered = z.shape[0] - done, 0, 0
     gaps, duals, along, direction, work = vectors[0], vectors[1], vectors[2], vectors[3], vectors[6]
-    for each in range(guess[0]):
-        row = abs(guess[1 + each]) - 1
-        if known < size and is_used[row] == 0:
-            signs[known] = 1 if guess[1 + each] > 0 else -1
-            active[known] = row
-            turned[known] = matrix[row]
-            known += 1
-    reflect_rows(turned[:known], reflections, scales, 0, last)
-    for each in range(known):
-        row, sign = active[each], signs[each]
+    for place in range(guess[0]):
+        row = abs(guess[1 + place]) - 1
+        if remembered < size and is_used[row] == 0:
+            signs[remembered] = 1 if guess[1 + place] > 0 else -1
+            active[remembered] = row
+            turned[remembered] = matrix[row]
+            remembered += 1
+    reflect_rows(turned[:remembered], reflections, scales, 0, last)
+    for place in range(remembered):
+        row, sign = active[place], signs[place]
         for index in range(size):
-            direction[index] = sign * dot(inverse[index, :size], turned[each, done:])
+            direction[index] = sign * dot(inverse[index, :size], turned[place, done:])
         total = dot(direction[:size], direction[:size])
         if dot(direction[count:size], direction[count:size]) <= INDEPENDENT * total:
             continue
@@ -582,16 +585,16 @@ def last_level(
         missing[index] = targets[index] - product(rows[index], column, fixed)
         if column >= 0:
             entry = rows[index, column]
-            for each in range(free):
-                reduced[each, index] = entry * basis[each, column]
+            for direction in range(free):
+                reduced[direction, index] = entry * basis[direction, column]
         else:
-            for each in range(free):
-                reduced[each, index] = dot(rows[index], basis[each])
-    for each in range(free):
-        step[each] = dot(reduced[each, :count], missing[:count])
-        for other in range(each + 1):
-            hessian[each, other] = dot(reduced[each, :count], reduced[other, :count])
-        hessian[each, each] += epsilon
+            for direction in range(free):
+                reduced[direction, index] = dot(rows[index], basis[direction])
+    for direction in range(free):
+        step[direction] = dot(reduced[direction, :count], missing[:count])
+        for other in range(direction + 1):
+            hessian[direction, other] = dot(reduced[direction, :count], reduced[other, :count])
+        hessian[direction, direction] += epsilon
     if not factor(hessian, free):
         return False
     substitute(hessian, free, step)
@@ -837,7 +840,7 @@ def solve(
             multiply(matrix, columns, velocity, reached)
             if not are_held(low, high, is_equal, reached):
                 start_factor(hessian, rank, n - done, epsilon, inverse)
-                found = satisfy(
+                outcome = satisfy(
                     matrix,
                     columns,
                     low,
@@ -856,9 +859,9 @@ def solve(
                     vectors[:7],
                     guesses[level],
                 )
-                if found == CIRCLE:
+                if outcome == CIRCLE:
                     return STUCK
-                if found == NO_STEP:
+                if outcome == NO_STEP:
                     z[:] = before
                 velocity[:] = z
                 reflect_back(velocity, reflections, scales, last)

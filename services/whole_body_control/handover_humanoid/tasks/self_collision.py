@@ -47,7 +47,7 @@ class SelfCollision(Constraint):
         self._geometry = _geometry(kinematics)
         self._data = pin.GeometryData(self._geometry)
         frames = kinematics.pin_model.frames
-        self._links = [frames[each.parentFrame].name for each in self._geometry.geometryObjects]
+        self._links = [frames[shape.parentFrame].name for shape in self._geometry.geometryObjects]
         self._pairs = [(pair.first, pair.second) for pair in self._geometry.collisionPairs]
         self._signs = _signs(kinematics, self._geometry)
         self._levers = np.abs(self._signs[:, BASE_VELOCITIES:]) * _levers(kinematics, self._geometry)
@@ -61,12 +61,12 @@ class SelfCollision(Constraint):
 
     def distances(self, kinematics: Kinematics) -> dict[tuple[str, str], float]:
         """Return the distance in m between the shapes of each pair of links, negative where they overlap."""
-        found: dict[tuple[str, str], float] = {}
+        by_links: dict[tuple[str, str], float] = {}
         self._compute_all(kinematics)
         for (first, second), result in zip(self._pairs, self._data.distanceResults, strict=True):
             links = (self._links[first], self._links[second])
-            found[links] = min(result.min_distance, found.get(links, np.inf))
-        return found
+            by_links[links] = min(result.min_distance, by_links.get(links, np.inf))
+        return by_links
 
     def smallest_m(self, kinematics: Kinematics) -> float:
         """Return the smallest distance in m of all pairs."""
@@ -74,20 +74,20 @@ class SelfCollision(Constraint):
 
     def bounds(self, kinematics: Kinematics, q: Array, dt_s: float) -> Bounds:
         """Return one row for each near pair: the rate at which its distance grows."""
-        found = self._find_near(kinematics, q)
-        count = -(-found // ROW_BLOCK) * ROW_BLOCK
+        near_count = self._find_near(kinematics, q)
+        count = -(-near_count // ROW_BLOCK) * ROW_BLOCK
         matrix, at_least = np.zeros((count, kinematics.n_velocities)), np.full(count, -NO_BOUND)
-        if found:
-            wrenches, points = self._wrenches[:found], self._points[:found]
+        if near_count:
+            wrenches, points = self._wrenches[:near_count], self._points[:near_count]
             (x, y, z), (a, b, c) = points.T, wrenches[:, :3].T
             wrenches[:, 3], wrenches[:, 4], wrenches[:, 5] = y * c - z * b, z * a - x * c, x * b - y * a
             # The nearest points lie on the normal, so that one wrench serves both links: the distance grows
             # with its power in the joints that move the second link, and shrinks with that of the first.
-            rows = matrix[:found]
+            rows = matrix[:near_count]
             kinematics.write_powers(wrenches, rows)
-            rows *= self._signs[self._near[:found]]
-            of_gap = (self._min_distance_m - self._distances_m[:found]) / max(self._margin_s, dt_s)
-            np.minimum(of_gap, self.MAX_PARTING_MPS, out=at_least[:found])
+            rows *= self._signs[self._near[:near_count]]
+            of_gap = (self._min_distance_m - self._distances_m[:near_count]) / max(self._margin_s, dt_s)
+            np.minimum(of_gap, self.MAX_PARTING_MPS, out=at_least[:near_count])
         return Bounds(matrix, at_least, np.full(count, NO_BOUND))
 
     def _find_near(self, kinematics: Kinematics, q: Array) -> int:
@@ -97,17 +97,17 @@ class SelfCollision(Constraint):
         self._joints[:] = q[BASE_POSITIONS:]
         np.abs(self._moved, out=self._moved)
         self._used_m += np.dot(self._levers, self._moved, out=self._more_m)
-        found = 0
+        count = 0
         # A joint that is not a number makes a sum that is none, which is not below the room.
         for index in np.flatnonzero(~(self._used_m < self._room_m)).tolist():
             result = pin.computeDistance(self._geometry, self._data, index)
             distance_m = result.min_distance
             self._room_m[index], self._used_m[index] = distance_m - self._near_m, 0.0
             if distance_m < self._near_m:
-                self._near[found], self._distances_m[found] = index, distance_m
-                self._wrenches[found, :3], self._points[found] = result.normal, result.getNearestPoint1()
-                found += 1
-        return found
+                self._near[count], self._distances_m[count] = index, distance_m
+                self._wrenches[count, :3], self._points[count] = result.normal, result.getNearestPoint1()
+                count += 1
+        return count
 
     def _compute_all(self, kinematics: Kinematics) -> int:
         """Compute the distances of all pairs, and return the number of the nearest one."""
@@ -118,7 +118,7 @@ class SelfCollision(Constraint):
 def _signs(kinematics: Kinematics, geometry: Any) -> Array:
     """Return for each pair and velocity 1 where it moves the second link alone, and -1 for the first."""
     moves = np.array(
-        [kinematics.moving(each.parentJoint) for each in geometry.geometryObjects], dtype=np.float64
+        [kinematics.moving(shape.parentJoint) for shape in geometry.geometryObjects], dtype=np.float64
     )
     pairs: NDArray[np.int64] = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs])
     return np.asarray(moves[pairs[:, 1]] - moves[pairs[:, 0]])
@@ -160,12 +160,12 @@ def _geometry(kinematics: Kinematics) -> Any:
             f"the collision shapes of {humanoid.name} cannot be used: {error}; give its links capsules"
         ) from None
     shapes: dict[str, list[int]] = {}
-    for index, each in enumerate(geometry.geometryObjects):
-        shapes.setdefault(kinematics.pin_model.frames[each.parentFrame].name, []).append(index)
+    for index, shape in enumerate(geometry.geometryObjects):
+        shapes.setdefault(kinematics.pin_model.frames[shape.parentFrame].name, []).append(index)
     for first, second in sorted(tuple(sorted(pair)) for pair in humanoid.collision_pairs):
-        for one in shapes.get(first, ()):
+        for index_of_first in shapes.get(first, ()):
             for other in shapes.get(second, ()):
-                geometry.addCollisionPair(pin.CollisionPair(one, other))
+                geometry.addCollisionPair(pin.CollisionPair(index_of_first, other))
     if not len(geometry.collisionPairs):
         raise UsageError(
             f"{humanoid.name} has no collision shapes in pairs; its self-collision is not checked"

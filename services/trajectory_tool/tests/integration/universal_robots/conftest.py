@@ -11,8 +11,8 @@ import pytest
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.driver_contract import context_of
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.universal_robots.driver import UniversalRobot
-from handover_robots.universal_robots.simulator.controller import SimulatedController
+from handover_ur.driver import UniversalRobot
+from handover_ur.simulator.controller import SimulatedController
 from tests.kit.ur_controllers import RunningController, running_controller
 from tests.kit.waiting import until
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from handover.command_line.main import app
 from handover.errors import UsageError
 from handover_robots.driver_base.context import RobotContext
-from handover_robots.universal_robots.driver import UniversalRobot
+from handover_ur.driver import UniversalRobot
 from tests.kit.ports import next_free_port
 from tests.kit.ur_controllers import HOST
 from tests.kit.waiting import scaled, until

@@ -20,14 +20,14 @@ from handover_robots.driver_base.context import RobotContext
 from handover_robots.model.faults import RobotFault
 from handover_robots.robots.panda import ROBOT as PANDA
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.universal_robots import rtde
-from handover_robots.universal_robots.arm_model import expected_model, other_series
-from handover_robots.universal_robots.driver import UniversalRobot
-from handover_robots.universal_robots.exchange import INPUTS
-from handover_robots.universal_robots.options import UrOptions, with_environment
-from handover_robots.universal_robots.routes import view_of
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
+from handover_ur import rtde
+from handover_ur.arm_model import expected_model, other_series
+from handover_ur.driver import UniversalRobot
+from handover_ur.exchange import INPUTS
+from handover_ur.options import UrOptions, with_environment
+from handover_ur.routes import view_of
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.states import RobotMode, RuntimeState, UrSafetyStatus
 from services.trajectory_tool.tests.integration.universal_robots.conftest import HOME, NewRobot
 from tests.kit.ur_controllers import RunningController
 from tests.kit.waiting import until, wait_for
@@ -64,9 +64,9 @@ async def test_a_protective_stop_is_named_and_only_a_person_ends_it(
     assert "protective stop; remove the cause, then unlock the arm at the teach pendant" in why
     with pytest.raises(RobotFault, match="protective stop"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.PROTECTIVE_STOP
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.PROTECTIVE_STOP
     controller.do(SimulatedController.clear_stop)
-    await until(lambda: robot.exchange.report().safety_status == SafetyStatus.NORMAL)
+    await until(lambda: robot.exchange.report().safety_status == UrSafetyStatus.NORMAL)
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
 
@@ -94,7 +94,7 @@ async def test_an_emergency_stop_is_named_and_the_arm_stays_off(
     why = await interrupted(robot, controller, SimulatedController.emergency_stop)
     assert "emergency stop is active (ROBOT_EMERGENCY_STOP)" in why
     controller.do(SimulatedController.clear_stop)
-    await until(lambda: robot.exchange.report().safety_status == SafetyStatus.NORMAL)
+    await until(lambda: robot.exchange.report().safety_status == UrSafetyStatus.NORMAL)
     with pytest.raises(RobotFault, match="powered off; power it on at the teach pendant"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
     assert controller.do(lambda each: each.robot_mode) is RobotMode.POWER_OFF
@@ -121,7 +121,7 @@ async def test_safety_functions_inputs_and_force_of_the_controller_are_shown_and
     controller.do(SimulatedController.release_safeguard)
     controller.do(SimulatedController.emergency_stop)
     await until(lambda: robot.safety_status().emergency_stop)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.ROBOT_EMERGENCY_STOP
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.ROBOT_EMERGENCY_STOP
 
 
 async def test_without_reports_the_inputs_and_the_force_are_unknown(new_robot: NewRobot) -> None:
@@ -180,7 +180,7 @@ async def test_the_speed_slider_slows_the_motion(
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
     assert controller.do(lambda each: each.peak_speed_rad_s) <= 0.3 * ROBOT.limits.velocity[0] + 0.02
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
 
 
 async def test_a_speed_slider_at_zero_is_a_fault(
@@ -294,7 +294,7 @@ async def test_late_packages_of_the_controller_do_not_disturb_a_motion(
     controller.do(lambda _: setattr(controller.simulator.rtde, "output_delay_s", 0.008))
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -332,7 +332,7 @@ async def test_the_arm_stops_when_no_setpoints_arrive_and_the_motion_can_be_cont
         assert not await robot.move(FAR, 0.5, stall_once)
         assert stalled.is_set()
         await at_rest(controller)
-        assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+        assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
         assert 0.28 < robot.state().positions[0] < FAR[0]
         while not await robot.move(AWAY, 1.0, lambda: 1.0):
             pass  # a busy machine may delay the setpoints again

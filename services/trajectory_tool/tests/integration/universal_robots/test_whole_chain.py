@@ -7,7 +7,7 @@ import httpx
 import pytest
 
 from handover_datamodels.entities import TaskStatus
-from handover_robots.universal_robots.states import RuntimeState, SafetyStatus
+from handover_ur.states import RuntimeState, UrSafetyStatus
 from services.trajectory_tool.tests.integration.test_tasks import AWAY, HOME, Shop, at_work
 from tests.kit.cell import Cell
 from tests.kit.ur_controllers import RunningController
@@ -76,7 +76,7 @@ async def test_a_process_moves_the_arm(shop: Shop, controller: RunningController
         await until(is_completed, 60.0, "the process does not end")
     assert moved[0] == pytest.approx(0.6, abs=0.02)
     assert controller.do(lambda each: tuple(each.positions)) == pytest.approx(HOME, abs=0.005)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -90,7 +90,7 @@ async def test_a_paused_task_continues_after_the_arm_was_moved_by_hand(
     controller.do(lambda each: each.move_by_hand((0.1, 0.1, -0.1, 0.0, 0.0, 0.2)))
     await shop.wish(task, "inProgress")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -124,4 +124,4 @@ async def test_the_arm_stops_when_the_tool_is_killed_and_continues_when_it_is_ba
     assert controller.do(lambda each: each.positions[0]) == rest
     shop.cell.start("trajectory_tool")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL

@@ -13,7 +13,7 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.performer import Job, TaskFailed
 from handover_datamodels.entities import DeviceState, Task
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.driver_base.context import RobotContext
 from handover_robots.drivers import DRIVERS
@@ -50,11 +50,11 @@ BETWEEN = {"position": [0.5, 0.05, 0.25]}
 
 
 @pytest.fixture
-def cell_of(settings: TrajectorySettings, tmp_path: Path, time: Any) -> Callable[[str], Cell]:
-    def make(text: str) -> Cell:
+def cell_of(settings: TrajectorySettings, tmp_path: Path, time: Any) -> Callable[[str], RobotCell]:
+    def make(text: str) -> RobotCell:
         file = tmp_path / "cell.yaml"
         file.write_text(text)
-        return Cell(settings.model_copy(update={"cell_file": file, "neighbour_wait_s": 0.5}), time.clock)
+        return RobotCell(settings.model_copy(update={"cell_file": file, "neighbour_wait_s": 0.5}), time.clock)
 
     return make
 
@@ -92,7 +92,7 @@ async def test_robots_that_move_at_the_same_time_never_meet(
     file = tmp_path / "cell.yaml"
     file.write_text(TWO_ARMS)
     seen: list[tuple[Any, Any]] = []
-    async with Cell(settings.model_copy(update={"cell_file": file})) as cell:
+    async with RobotCell(settings.model_copy(update={"cell_file": file})) as cell:
         left, right = cell.units.values()
 
         async def repeat(unit: RobotUnit, x: float, *sides: float) -> None:
@@ -233,7 +233,7 @@ async def test_a_faulty_cell_file_is_refused_with_the_place(
     file.write_text(text)
     async with BrokerClient(settings) as broker:
         with pytest.raises(UsageError, match=complaint):
-            Cell(settings.model_copy(update={"cell_file": file}), broker=broker)
+            RobotCell(settings.model_copy(update={"cell_file": file}), broker=broker)
 
 
 class UnpoweredRobot(SimulatedRobot):

@@ -8,7 +8,7 @@ from handover_robots.cell.memory import Act, Memory, MemoryFile, RobotMemory
 from handover_robots.model.poses import pointing_down
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.scene.contents import initial
-from handover_robots.scene.scene import load
+from handover_robots.scene.reading import load
 
 SCENE = load(None, ROBOT)
 ROBOTS = {"ur10-1": ROBOT.joint_names}

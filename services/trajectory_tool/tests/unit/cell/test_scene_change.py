@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.model.poses import pointing_down
 from handover_robots.planning import is_available
 from handover_robots.routes.scenes import drawn_shapes
@@ -20,7 +20,7 @@ OVER_THE_FIXTURE = {"position": [-0.55, 0.45, 0.4]}
 CRATE = {"box": [0.2, 0.06, 0.6], "position": [-0.75, 0.2, 0.3]}
 
 
-def written(cell: Cell, **changed: Any) -> dict[str, Any]:
+def written(cell: RobotCell, **changed: Any) -> dict[str, Any]:
     """Return the scene as GET answers, some of it changed."""
     return {**cell.scene.model_dump(mode="json"), "digest": "x", "revision": 1, "parts": [], **changed}
 
@@ -59,14 +59,14 @@ async def test_an_obstacle_that_appears_on_the_way_is_avoided(worker: Any, time:
 
 
 async def test_a_change_is_kept_and_counted(settings: TrajectorySettings) -> None:
-    first = Cell(settings)
+    first = RobotCell(settings)
     before = first.scene.digest
     notified: list[int] = []
     first.on_scene_change = lambda: notified.append(first.revision)
     await first.change_scene(written(first, obstacles={"crate": CRATE}))
     assert notified == [1]
     assert first.scene.digest != before
-    again = Cell(settings)
+    again = RobotCell(settings)
     assert again.revision == 1
     assert again.scene.digest == first.scene.digest
     assert "crate" in again.scene.obstacles
@@ -82,15 +82,15 @@ async def test_a_change_is_kept_and_counted(settings: TrajectorySettings) -> Non
 async def test_another_scene_file_takes_the_place_of_a_change(
     settings: TrajectorySettings, tmp_path: Path
 ) -> None:
-    await (first := Cell(settings)).change_scene(written(first, obstacles={"crate": CRATE}))
+    await (first := RobotCell(settings)).change_scene(written(first, obstacles={"crate": CRATE}))
     file = tmp_path / "scene.yaml"
     file.write_text("name: other\n")
-    other = Cell(settings.model_copy(update={"scene_file": file}))
+    other = RobotCell(settings.model_copy(update={"scene_file": file}))
     assert (other.scene.name, other.revision, other.scene.obstacles) == ("other", 0, {})
 
 
 async def test_parts_follow_the_bins_and_fixtures(settings: TrajectorySettings) -> None:
-    cell = Cell(settings)
+    cell = RobotCell(settings)
     bin_1 = cell.scene.model_dump(mode="json")["bins"]["bin-1"]
     moved = {**bin_1, "parts": bin_1["parts"][:2]}
     await cell.change_scene(written(cell, bins={"bin-1": bin_1, "bin-2": moved}))
@@ -117,16 +117,16 @@ async def test_parts_follow_the_bins_and_fixtures(settings: TrajectorySettings) 
 async def test_a_faulty_change_is_refused_and_nothing_changes(
     settings: TrajectorySettings, changed: dict[str, Any], fault: str
 ) -> None:
-    cell = Cell(settings)
+    cell = RobotCell(settings)
     before = cell.scene.digest
     with pytest.raises(UsageError, match=fault):
         await cell.change_scene(written(cell, **changed))
     assert (cell.scene.digest, cell.revision) == (before, 0)
-    assert Cell(settings).revision == 0
+    assert RobotCell(settings).revision == 0
 
 
 async def test_a_robot_that_a_new_obstacle_touches_is_named(settings: TrajectorySettings) -> None:
-    cell = Cell(settings)
+    cell = RobotCell(settings)
     x, y, z = cell.only.tool_pose.position
     around_tool = {"box": [0.3, 0.3, 0.3], "position": [x, y, z]}
     await cell.change_scene(written(cell, obstacles={"crate": around_tool}))
@@ -137,14 +137,14 @@ async def test_a_robot_that_a_new_obstacle_touches_is_named(settings: Trajectory
 
 @pytest.mark.parametrize("text", ["", "{}", '{"origin": 1}'])
 async def test_a_damaged_change_is_refused_with_the_way_out(settings: TrajectorySettings, text: str) -> None:
-    await (cell := Cell(settings)).change_scene(written(cell))
+    await (cell := RobotCell(settings)).change_scene(written(cell))
     (settings.data_dir / "trajectory_tool" / "scene.json").write_text(text)
     with pytest.raises(UsageError, match=r"scene\.json is damaged; delete it"):
-        Cell(settings)
+        RobotCell(settings)
 
 
 async def test_each_thing_is_drawn_and_written(settings: TrajectorySettings) -> None:
-    cell = Cell(settings)
+    cell = RobotCell(settings)
     sphere = {"sphere": 0.1, "position": [1, 1, 1]}
     await cell.change_scene(
         written(

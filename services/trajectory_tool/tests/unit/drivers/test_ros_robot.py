@@ -3,8 +3,8 @@
 import pytest
 
 from handover_datamodels.arm_stream import MAX_POINTS as MAX_MESSAGE_POINTS
+from handover_robots.drivers.ros_goals import FOLLOWING_RAD, MAX_POINTS, Way, points
 from handover_robots.drivers.ros_link import in_order
-from handover_robots.drivers.ros_robot import FOLLOWING_RAD, MAX_POINTS, Way, points
 from handover_robots.limits.limiter import JointLimiter
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.trajectory import Course, Setpoint

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from handover.performer import TaskFailed
 from handover_datamodels.streams import PeopleReport
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.limits.contact_table import BodyRegion, ContactEntry, ContactSpeed, speed_mps
 from handover_robots.limits.robot_limits import RobotLimits
 from handover_robots.limits.store import LimitStore
@@ -45,11 +45,11 @@ def entry(**values: Any) -> ContactEntry:
 
 def cell_with(
     folder: Path, contact: dict[str, Any], table: Any = TABLE, clock: Any = None, **scene: Any
-) -> Cell:
+) -> RobotCell:
     (folder / "contact.yaml").write_text(table if isinstance(table, str) else yaml.safe_dump(table))
     robots = {"ur10-1": {"contact": {**ENTRY, **contact}}}
     (folder / "cell.yaml").write_text(yaml.safe_dump({"scene": {"name": "cell", **scene}, "robots": robots}))
-    return Cell(TrajectorySettings.load(data_dir=folder, cell_file=folder / "cell.yaml"), clock)
+    return RobotCell(TrajectorySettings.load(data_dir=folder, cell_file=folder / "cell.yaml"), clock)
 
 
 def test_the_force_of_the_two_body_model_is_the_limit() -> None:

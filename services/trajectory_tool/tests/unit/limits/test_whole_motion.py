@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.drivers.simulated_robot import SimulatedRobot
 from handover_robots.limits.guards import tool_speed_mps
@@ -52,7 +52,7 @@ class Recorded:
         file.write_text(
             yaml.safe_dump({"scene": {"name": "cell", **scene}, "robots": {"ur10-1": {"speed": 1.0}}})
         )
-        self.cell = Cell(TrajectorySettings.load(data_dir=folder, cell_file=file), time.clock)
+        self.cell = RobotCell(TrajectorySettings.load(data_dir=folder, cell_file=file), time.clock)
         self.setpoints: list[Setpoint] = []
         robot = self.unit.robot
         assert isinstance(robot, SimulatedRobot)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from handover.command_line.main import app
 from handover.errors import UsageError
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.model.obstacles import Mesh, World
 from handover_robots.planning import is_available
 from handover_robots.robots import ROBOTS, ur5e
@@ -99,7 +99,7 @@ def test_an_added_robot_is_found_by_name_and_moves(added: Any, tmp_path: Path) -
     plan = Planner(model).to_joints(model.home, (0.5, 0.4, 0.3, 0.2, 0.5, 0.1))
     assert plan.trajectory.duration_s > 0
     settings = TrajectorySettings.load(data_dir=tmp_path, robot_model="arm-1")
-    assert Cell(settings).only.name == "arm-1-1"
+    assert RobotCell(settings).only.name == "arm-1-1"
 
 
 def test_neighbours_in_the_tree_and_pairs_that_never_touch_are_not_checked(added: Any) -> None:

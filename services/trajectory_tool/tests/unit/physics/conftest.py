@@ -14,7 +14,8 @@ else:
     from handover_robots.physics.world_model import build
 
 from handover_robots.robots.ur10 import FOLDER, ROBOT
-from handover_robots.scene.scene import Scene, load
+from handover_robots.scene.reading import load
+from handover_robots.scene.scene import Scene
 
 
 @pytest.fixture(scope="session")

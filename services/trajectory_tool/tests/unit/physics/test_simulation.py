@@ -9,8 +9,9 @@ import pytest
 from handover_robots.model.poses import Pose
 from handover_robots.model.trajectory import Course, Setpoint
 from handover_robots.physics.parts import Parts
+from handover_robots.physics.robot_bodies import STEP_S
 from handover_robots.physics.simulation import Simulation
-from handover_robots.physics.world_model import GRAVITY_MPS2, STEP_S, build
+from handover_robots.physics.world_model import GRAVITY_MPS2, build
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.scene.scene import Scene, Thing
 

@@ -11,7 +11,8 @@ from handover.errors import HandoverError
 from handover_robots.model.faults import Unreachable
 from handover_robots.model.obstacles import Attached, Box, World
 from handover_robots.model.poses import Pose, pointing_down
-from handover_robots.planning.planner import NoPath, Options, Plan, Planner, Tilt
+from handover_robots.planning.planner import NoPath, Options, Plan, Planner
+from handover_robots.planning.tilt import Tilt
 from handover_robots.robots import ROBOTS
 
 EVERY_S = 0.001

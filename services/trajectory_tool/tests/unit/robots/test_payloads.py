@@ -16,7 +16,7 @@ from handover_robots.model.obstacles import World
 from handover_robots.planning.planner import Planner
 from handover_robots.robots import ROBOTS
 from handover_robots.robots.folder import read_folder
-from handover_robots.scene.scene import read_scene
+from handover_robots.scene.reading import read_scene
 
 OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
 PLANNERS = {name: Planner(model) for name, model in OWN.items()}

@@ -3,7 +3,7 @@ import pytest
 from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.robots.ur10 import ROBOT
 from handover_robots.scene.contents import Contents, Grip, initial
-from handover_robots.scene.scene import load
+from handover_robots.scene.reading import load
 
 SCENE = load(None, ROBOT)
 

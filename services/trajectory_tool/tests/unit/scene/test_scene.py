@@ -5,7 +5,7 @@ import pytest
 
 from handover.errors import UsageError
 from handover_robots.robots.ur10 import ROBOT
-from handover_robots.scene.scene import load
+from handover_robots.scene.reading import load
 
 assert ROBOT.scene is not None
 BUILT_IN = ROBOT.scene

@@ -13,7 +13,7 @@ import pytest
 from handover.errors import UsageError
 from handover.performer import TaskFailed
 from handover_robots.cell import motion
-from handover_robots.cell.cell import Cell
+from handover_robots.cell.cell import RobotCell
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.model.obstacles import Box, Obstacle
 from handover_robots.model.poses import Pose, pointing_down
@@ -149,9 +149,9 @@ def test_a_cell_without_obstacles_does_not_load_the_planner(settings: Trajectory
     program = (
         "import sys\n"
         "import handover_robots.app\n"
-        "from handover_robots.cell.cell import Cell\n"
+        "from handover_robots.cell.cell import RobotCell\n"
         "from handover_robots.settings import TrajectorySettings\n"
-        "unit = Cell(TrajectorySettings.load()).only\n"
+        "unit = RobotCell(TrajectorySettings.load()).only\n"
         "assert not unit.planning.avoids_obstacles\n"
         "print(sorted({'pinocchio', 'coal', 'ompl', 'toppra'} & sys.modules.keys()))\n"
     )
@@ -165,18 +165,18 @@ def test_a_cell_without_obstacles_does_not_load_the_planner(settings: Trajectory
 def test_obstacles_need_the_extra(settings: TrajectorySettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion, "is_available", lambda: False)
     with pytest.raises(UsageError, match=r"has obstacles, which need motion planning; install the extra"):
-        Cell(settings)
+        RobotCell(settings)
 
 
 def test_a_scene_names_faulty_obstacles(settings: TrajectorySettings, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("name: cell\nobstacles:\n  post: {box: [1, 1, 1], sphere: 0.1, position: [0, 0, 9]}\n")
     with pytest.raises(UsageError, match=r"obstacles\.post: .* needs one of"):
-        Cell(settings.model_copy(update={"scene_file": file}))
+        RobotCell(settings.model_copy(update={"scene_file": file}))
 
 
 def test_the_walls_of_a_bin_are_inside_its_size(settings: TrajectorySettings) -> None:
-    walls = [one for one in Cell(settings).scene.solids() if one.name == "bin-1"]
+    walls = [one for one in RobotCell(settings).scene.solids() if one.name == "bin-1"]
     assert len(walls) == 5
     for wall in walls:
         assert isinstance(wall.shape, Box)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handover_robots.universal_robots.states import RobotMode, SafetyStatus
+from handover_ur.states import RobotMode, UrSafetyStatus
 from tests.kit.paths import REPOSITORY
 
 
@@ -12,5 +12,5 @@ from tests.kit.paths import REPOSITORY
 def test_the_page_names_each_mode_and_safety_state(language: str) -> None:
     file = REPOSITORY / f"webui/app/src/i18n/{language}/system.json"
     words = json.loads(file.read_text(encoding="utf-8"))["limit"]["state"]
-    assert words.keys() == {*RobotMode.__members__, *SafetyStatus.__members__}
+    assert words.keys() == {*RobotMode.__members__, *UrSafetyStatus.__members__}
     assert all(words.values())

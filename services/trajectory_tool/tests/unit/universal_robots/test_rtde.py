@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots import rtde
-from handover_robots.universal_robots.rtde import (
+from handover_ur import rtde
+from handover_ur.rtde import (
     Package,
     PackageReader,
     PackageType,

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots.shared_memory import (
+from handover_ur.shared_memory import (
     SIZE_BYTES,
     Command,
     Report,
     SharedMemory,
 )
-from handover_robots.universal_robots.states import Mode
+from handover_ur.states import ExchangeMode
 
 six = st.tuples(*[st.floats(allow_nan=False)] * 6)
 numbers = st.integers(-(2**31), 2**31 - 1)
@@ -29,7 +29,7 @@ def memory() -> Iterator[SharedMemory]:
 commands = st.builds(
     Command,
     st.floats(allow_nan=False),
-    st.sampled_from(Mode),
+    st.sampled_from(ExchangeMode),
     numbers,
     six,
     six,

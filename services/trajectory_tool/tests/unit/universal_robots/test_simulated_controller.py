@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots.program import Payload, ProgramParameters, program
-from handover_robots.universal_robots.simulator.controller import SimulatedController
-from handover_robots.universal_robots.simulator.urscript import Program, ScriptError
-from handover_robots.universal_robots.states import (
-    Mode,
+from handover_ur.program import Payload, ProgramParameters, program
+from handover_ur.simulator.controller import SimulatedController
+from handover_ur.simulator.urscript import Program, ScriptError
+from handover_ur.states import (
+    ExchangeMode,
     ProgramState,
     RobotMode,
     RuntimeState,
-    SafetyStatus,
+    UrSafetyStatus,
 )
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -30,7 +30,7 @@ class Driver:
         self.heartbeat = 0
         self.controller.load_script(program(PARAMETERS))
 
-    def send(self, mode: Mode, target: tuple[float, ...] = HOME) -> None:
+    def send(self, mode: ExchangeMode, target: tuple[float, ...] = HOME) -> None:
         self.heartbeat += 1
         self.controller.input_ints[24:26] = [self.heartbeat, mode]
         self.controller.input_floats[24:30] = target
@@ -42,13 +42,13 @@ class Driver:
         begin, goal = self.controller.positions[0], 0.0
         for cycle in range(round(seconds / 0.002)):
             goal = begin + rad_s * 0.002 * (cycle + 1)
-            self.send(Mode.SERVO, (goal, *HOME[1:]))
+            self.send(ExchangeMode.SERVO, (goal, *HOME[1:]))
         return goal
 
 
 def test_the_program_reports_its_id_and_sets_the_payload() -> None:
     driver = Driver()
-    driver.send(Mode.HOLD)
+    driver.send(ExchangeMode.HOLD)
     assert driver.controller.output_ints[24:26] == [ProgramState.READY, 4711]
     assert driver.controller.payload_kg == 1.5
     assert driver.controller.payload_centre_m == (0.0, 0.0, 0.05)
@@ -60,7 +60,7 @@ def test_the_joints_follow_and_hold_stops_them() -> None:
     assert driver.controller.output_ints[24] == ProgramState.SERVOING
     assert driver.controller.positions[0] == pytest.approx(goal, abs=0.02)
     for _ in range(200):
-        driver.send(Mode.HOLD)
+        driver.send(ExchangeMode.HOLD)
     assert driver.controller.is_at_rest
     assert driver.controller.output_ints[24] == ProgramState.READY
     assert driver.controller.positions[0] < goal + 0.1
@@ -103,9 +103,9 @@ def test_the_rtde_watchdog_ends_the_program_when_nothing_is_written() -> None:
 def test_a_jump_of_the_target_causes_a_protective_stop_which_only_a_person_ends() -> None:
     driver = Driver()
     driver.turn(1.0, 0.1)
-    driver.send(Mode.SERVO, (1.0, *HOME[1:]))
+    driver.send(ExchangeMode.SERVO, (1.0, *HOME[1:]))
     controller = driver.controller
-    assert controller.safety is SafetyStatus.PROTECTIVE_STOP
+    assert controller.safety is UrSafetyStatus.PROTECTIVE_STOP
     assert "sudden change in target position" in controller.messages[-1]
     for _ in range(100):
         controller.step()
@@ -123,7 +123,7 @@ def test_a_position_limit_causes_a_protective_stop() -> None:
     driver.controller = controller
     controller.load_script(program(PARAMETERS))
     driver.turn(0.5, 0.1)
-    assert controller.safety is SafetyStatus.PROTECTIVE_STOP
+    assert controller.safety is UrSafetyStatus.PROTECTIVE_STOP
     assert "position limit" in controller.messages[-1]
 
 
@@ -147,12 +147,12 @@ def test_a_program_continues_after_a_safeguard_stop() -> None:
     driver.turn(1.0, 0.2)
     driver.controller.safeguard_stop()
     for _ in range(100):
-        driver.send(Mode.HOLD)
+        driver.send(ExchangeMode.HOLD)
     assert driver.controller.is_at_rest
     assert driver.controller.runtime is RuntimeState.PAUSED
     driver.controller.release_safeguard()
     for _ in range(5):
-        driver.send(Mode.HOLD)
+        driver.send(ExchangeMode.HOLD)
     assert driver.controller.runtime is RuntimeState.PLAYING
     assert driver.controller.output_ints[24] == ProgramState.READY
 
@@ -161,7 +161,7 @@ def test_the_speed_slider_slows_a_servo_motion() -> None:
     driver = Driver()
     driver.controller.speed_slider = 0.3
     driver.turn(0.5, 0.5)
-    assert driver.controller.safety is SafetyStatus.NORMAL
+    assert driver.controller.safety is UrSafetyStatus.NORMAL
     assert driver.controller.peak_speed_rad_s <= 0.3 * 2.0944 + 1e-9
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_robots.universal_robots.tracking import CycleClock, Tracker
+from handover_ur.tracking import CycleClock, TargetTracker
 
 CYCLE_S = 0.002
 SPEED, ACCELERATION = 2.0, 16.0
@@ -23,7 +23,7 @@ def sine(time_s: float) -> tuple[list[float], list[float], list[float]]:
 
 
 def test_regular_setpoints_are_followed_exactly() -> None:
-    tracker = Tracker([SPEED], [ACCELERATION])
+    tracker = TargetTracker([SPEED], [ACCELERATION])
     tracker.start([0.0])
     worst = 0.0
     for cycle in range(2000):
@@ -45,7 +45,7 @@ def test_regular_setpoints_are_followed_exactly() -> None:
 def test_no_setpoint_causes_more_than_the_limits(
     setpoints: list[tuple[float, float, float, int]],
 ) -> None:
-    tracker = Tracker([SPEED], [ACCELERATION])
+    tracker = TargetTracker([SPEED], [ACCELERATION])
     tracker.start([0.0])
     positions = [0.0]
     for position, velocity, acceleration, cycles in setpoints:
@@ -60,7 +60,7 @@ def test_no_setpoint_causes_more_than_the_limits(
 
 @pytest.mark.parametrize("goal", [0.001, 0.3, -1.0])
 def test_a_setpoint_that_stays_is_reached(goal: float) -> None:
-    tracker = Tracker([SPEED], [ACCELERATION])
+    tracker = TargetTracker([SPEED], [ACCELERATION])
     tracker.start([0.0])
     for _ in range(1500):
         tracker.step(([goal], [0.0], [0.0]), 1.0, CYCLE_S)
@@ -69,7 +69,7 @@ def test_a_setpoint_that_stays_is_reached(goal: float) -> None:
 
 
 def test_setpoints_that_end_bring_the_joint_to_rest() -> None:
-    tracker = Tracker([SPEED], [ACCELERATION])
+    tracker = TargetTracker([SPEED], [ACCELERATION])
     tracker.start([0.0])
     for cycle in range(500):
         time_s = cycle * CYCLE_S
@@ -81,7 +81,7 @@ def test_setpoints_that_end_bring_the_joint_to_rest() -> None:
 
 
 def test_a_joint_does_not_move_backwards_after_a_gap() -> None:
-    tracker = Tracker([SPEED], [ACCELERATION])
+    tracker = TargetTracker([SPEED], [ACCELERATION])
     tracker.start([0.0])
     positions = []
     for cycle in range(3000):
