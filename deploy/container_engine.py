@@ -18,7 +18,7 @@ DISTRIBUTIONS = (
     "handover-broker[federation]",
     "handover-processes",
     "handover-gloves[gif]",
-    "handover-robots[physics]",
+    "handover-robots[physics,ur]",
     "handover-study",
     "handover-alerts[messengers]",
     "handover-devices",
