@@ -45,7 +45,7 @@ def _rule_name(name: Any) -> str:
 RuleName = Annotated[str, BeforeValidator(_rule_name)]
 
 
-class Qos(Part):
+class RuleQos(Part):
     """A quality of service: a named one (`preset`), with changes by the other keys.
 
     `match` takes reliability and durability from the publishers of the topic, unless the rule sets one of
@@ -59,7 +59,7 @@ class Qos(Part):
     depth: int | None = Field(None, ge=1, le=10_000)
 
 
-QosGiven = Annotated[Qos, short_form("preset")]
+QosGiven = Annotated[RuleQos, short_form("preset")]
 
 
 class EntityTemplate(Part):
@@ -165,7 +165,7 @@ class RosToNgsild(Part):
     topic: TopicPattern
     type: MessageType | None = None
     """May be left out if a node publishes the topic already."""
-    qos: QosGiven = Qos()
+    qos: QosGiven = RuleQos()
     each: PathText | None = None
     """An array of the message: the rule applies to each of its elements, `status[]`."""
     json_text: tuple[PathText, ...] = ()
@@ -207,7 +207,7 @@ class NgsildToRos(Part):
     topic: TemplateText
     """A name; `{id}` is the last part of the entity's id, for one topic per entity."""
     type: MessageType
-    qos: QosGiven = Qos()
+    qos: QosGiven = RuleQos()
     fields: dict[PathText, SourceGiven] = Field(min_length=1)
     at_start: bool | None = None
     """Whether the state in the broker is published at the start; by default only on latched topics."""

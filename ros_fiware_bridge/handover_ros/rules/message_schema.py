@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from handover_ros.mapping.paths import Each, Field, Getter, Index, Path, Step, Where, getter
+from handover_ros.mapping.paths import Each, FieldStep, Getter, Index, Path, Step, Where, getter
 from handover_ros.types.definition import TEXTS, Definition, FieldType, Many
 from handover_ros.types.excerpt import FieldNames
 
@@ -135,7 +135,7 @@ class MessageSchema:
             if Path(path.steps[:place]) in self._json_text:
                 return PathTarget(None)
             so_far = str(Path(path.steps[:place])) if place else "the message"
-            if isinstance(step, Field):
+            if isinstance(step, FieldStep):
                 holder = self._definition_of(here, so_far, step.name)
                 here = _field_of(holder, step.name, so_far)
             elif isinstance(step, Each):
@@ -180,7 +180,7 @@ def _names(steps: Sequence[Step]) -> FieldNames:
     """Return the fields of a path up to its first array."""
     names: list[str] = []
     for step in steps:
-        if not isinstance(step, Field):
+        if not isinstance(step, FieldStep):
             break
         names.append(step.name)
     return tuple(names)

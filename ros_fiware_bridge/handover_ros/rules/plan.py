@@ -168,7 +168,7 @@ def compile_rule(plan: Plan, rule: RosToNgsild, type_name: str, report: ReportEr
     return EntityExtractor(rule, type_name, plan.definitions, plan.settings, report)
 
 
-def qos_of(given: model.Qos) -> Qos:
+def qos_of(given: model.RuleQos) -> Qos:
     """Return the quality of service of a rule."""
     preset = Qos.named("default" if given.preset == "match" else given.preset)
     return Qos(

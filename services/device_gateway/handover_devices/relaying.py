@@ -36,7 +36,7 @@ from handover_devices.protocol.relaying import (
     parse_relayed,
 )
 from handover_devices.protocol.times import TimeRule
-from handover_devices.refusals import Refused
+from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Device, Link
 from handover_devices.storage.history_writer import EdgeMark
 
@@ -334,14 +334,16 @@ class EdgeRelays:
         self._clock = clock
 
     def begin(self, session: Session, link: Link, hello: Hello) -> EdgeSession:
-        """Begin the session of an edge; raise `Refused`."""
+        """Begin the session of an edge; raise `HelloRefused`."""
         edge, relay = session.device, hello.relay
         assert relay is not None  # noqa: S101 - the caller has looked
         if edge.stored.description.kind is not DeviceKind.EDGE:
-            raise Refused("noEdge", f"{edge.name} is registered as no edge; register a device of kind edge")
+            raise HelloRefused(
+                "noEdge", f"{edge.name} is registered as no edge; register a device of kind edge"
+            )
         ahead_s = relay.time - self._clock()
         if abs(ahead_s) > self.times.max_ahead_s:
-            raise Refused(
+            raise HelloRefused(
                 "clock",
                 f"the clock of {edge.name} differs from that of the centre by {ahead_s:.0f} s, and at most "
                 f"{self.times.max_ahead_s:g} s are allowed; set it (NTP). What is buffered waits",

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal, cast
 
 from fastapi import FastAPI, Response, WebSocket
 from fastapi.responses import StreamingResponse
-from pydantic import ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 from starlette.requests import HTTPConnection
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.formats.strict_json import StrictJson, StrictModel
+from handover.formats.strict_json import RequestBody, StrictJson
 from handover.http.api_description import sends
 from handover.http.body_limit import max_body
 from handover.http.websocket_closing import close_websocket
@@ -63,32 +63,28 @@ NO_CONTROL_CHARACTERS = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
 Thresholds = Annotated[dict[str, dict[str, FiniteFloat]], StrictJson()]
 
 
-class _Body(StrictModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Declaration(_Body):
+class Declaration(RequestBody):
     """A glove that is declared before its first hello."""
 
     hand: Literal["left", "right"] | None = None
     person: Annotated[str, Field(min_length=1)] | None = None
 
 
-class CalibrationFrames(_Body):
+class CalibrationFrames(RequestBody):
     """Frames of a fist and of an open hand, five raw values each, thumb first."""
 
     fist: Frames
     open: Frames
 
 
-class Modes(_Body):
+class Modes(RequestBody):
     """The modes to change; a mode that is left out stays unchanged."""
 
     testing: bool | None = None
     filtering: bool | None = None
 
 
-class Completion(_Body):
+class Completion(RequestBody):
     """An answer on the screen; `task` is the Task that the person saw, the current one if left out."""
 
     by: Annotated[str, Field(min_length=1, max_length=100)]
@@ -97,7 +93,7 @@ class Completion(_Body):
     note: Annotated[str, Field(max_length=MAX_NOTE, pattern=NO_CONTROL_CHARACTERS)] | None = None
 
 
-class GivenPin(_Body):
+class GivenPin(RequestBody):
     """The PIN of the person who answers a Task; `task` is the Task that the person saw."""
 
     pin: Annotated[str, Field(min_length=1, max_length=MAX_PIN_CHARACTERS)]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from handover.errors import Problem
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.formats.validation import fault_lines
 from handover_study.questionnaires import (
     SUS_ITEMS,
@@ -45,32 +45,28 @@ STEPS = (
 FINISHED = "finished"
 
 
-class _Answer(StrictModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Consent(_Answer):
+class Consent(RequestBody):
     """Whether the participant agrees; `text` is the version of the text that was shown."""
 
     agreed: bool
     text: Annotated[str, Field(min_length=1, max_length=40)]
 
 
-class Introduction(_Answer):
+class Introduction(RequestBody):
     """Data about the participant; all of it is optional."""
 
     age_years: Annotated[int, Field(ge=16, le=120)] | None = None
     experience: Literal["low", "medium", "high"] | None = None
 
 
-class Done(_Answer):
+class Done(RequestBody):
     """A task is done, or was given up."""
 
     completed: bool = True
     notes: Annotated[str, Field(max_length=2000)] = ""
 
 
-class Sus(_Answer):
+class Sus(RequestBody):
     """Ten answers from 1 (strongly disagree) to 5 (strongly agree), in the order of the statements."""
 
     answers: Annotated[
@@ -78,14 +74,14 @@ class Sus(_Answer):
     ]
 
 
-class Choice(_Answer):
+class Choice(RequestBody):
     """Which of two scales contributed more to the workload."""
 
     of: Annotated[list[str], Field(min_length=2, max_length=2)]
     chosen: str
 
 
-class Tlx(_Answer):
+class Tlx(RequestBody):
     """Six ratings from 0 to 100 in steps of 5, and a choice for each of the 15 pairs of scales."""
 
     ratings: dict[str, Annotated[int, Field(ge=0, le=100, multiple_of=TLX_STEP)]]
@@ -113,7 +109,7 @@ class Tlx(_Answer):
         return self
 
 
-class Preference(_Answer):
+class Preference(RequestBody):
     """Which interaction was preferred, and whether the glove had to be calibrated again."""
 
     preferred: Literal["personal", "predefined", "none"]
@@ -121,7 +117,7 @@ class Preference(_Answer):
     comment: Annotated[str, Field(max_length=4000)] = ""
 
 
-ANSWERS: Mapping[str, type[_Answer]] = {
+ANSWERS: Mapping[str, type[RequestBody]] = {
     "consent": Consent,
     "introduction": Introduction,
     "sample": Done,

@@ -9,11 +9,11 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, cast
 
 from fastapi import Body, FastAPI, Query, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from handover.distribution import install_command
 from handover.errors import Problem
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.http.api_description import sends
 from handover.messages import message
 from handover.runtime.offload import Offload, OffloadFailed
@@ -40,10 +40,8 @@ MAX_ANALYSES_KEPT = 8
 of_person = in_path("Person", "person")
 
 
-class NewSession(StrictModel):
+class NewSession(RequestBody):
     """A participant with a pseudonym, the next free one if none is given; never a name."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     study: Name = DEFAULT_STUDY
     pseudonym: Name | None = None

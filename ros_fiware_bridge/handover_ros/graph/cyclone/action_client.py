@@ -16,7 +16,7 @@ from handover_ros.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
 OnFeedback = Callable[[Message], None]
 
 
-class ActionTransport(Protocol):
+class ActionClientTransport(Protocol):
     """Creates the services and topics of an action; see `CycloneGraph`."""
 
     goals: OwnGoals
@@ -71,7 +71,7 @@ class CycloneActionClient:
     """An action that goals are sent to; see `port.ActionClient`."""
 
     def __init__(
-        self, transport: ActionTransport, action: str, type_name: str, closed: Callable[[Any], None]
+        self, transport: ActionClientTransport, action: str, type_name: str, closed: Callable[[Any], None]
     ) -> None:
         self.name = action
         self.type_name = type_name

@@ -26,7 +26,7 @@ _ANY = bytes(16)
 _AGREED, _REFUSED, _UNKNOWN, _OVER = 0, 1, 2, 3  # the constants of action_msgs/srv/CancelGoal
 
 
-class ActionTransport(Protocol):
+class ActionServerTransport(Protocol):
     """Creates the services and topics of an action; see `CycloneGraph`."""
 
     store: TypeStore
@@ -73,7 +73,7 @@ class CycloneActionServer(BaseActionServer):
 
     def __init__(
         self,
-        transport: ActionTransport,
+        transport: ActionServerTransport,
         action: str,
         type_name: str,
         handler: ActionHandler,

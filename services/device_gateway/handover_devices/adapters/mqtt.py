@@ -38,7 +38,7 @@ from handover_devices import metrics
 from handover_devices.gateway import DeviceGateway, Session
 from handover_devices.protocol.messages import MAX_LINE_BYTES, BadMessage, parse_hello
 from handover_devices.protocol.rates import DeviceRates, TokenBucket
-from handover_devices.refusals import Refused, WrongToken
+from handover_devices.refusals import HelloRefused, WrongToken
 from handover_devices.registry.device import Device
 from handover_devices.settings import GatewaySettings
 
@@ -339,7 +339,7 @@ class MqttAdapter:
                 self.links[device.name] = link
         except BadMessage as bad:
             self.put(device.name, _error(bad.code, str(bad), None))
-        except Refused as refused:
+        except HelloRefused as refused:
             self.put(device.name, {**_error(refused.code, str(refused), None), "retry": refused.retry})
         else:
             self.put(device.name, self._gateway.greeting(hello, device))

@@ -33,7 +33,7 @@ from handover_devices.protocol.relaying import (
     ReplicaHello,
     parse_replica_hello,
 )
-from handover_devices.refusals import Refused
+from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Link
 from handover_devices.relaying import SILENCE_S, EdgeRelays, EdgeSession, RelaySession
 from handover_devices.settings import GatewaySettings
@@ -54,7 +54,7 @@ class Replicas(Protocol):
     """The other replicas of this gateway, which relay to it while it leads."""
 
     def begin(self, hello: ReplicaHello, link: Link) -> RelaySession:
-        """Begin the session of a replica; raise `Refused`."""
+        """Begin the session of a replica; raise `HelloRefused`."""
         ...
 
 
@@ -212,7 +212,7 @@ class DeviceConnection(asyncio.Protocol):
         try:
             hello = parse_hello(line, needs_token=not certificate)
             gateway.authenticated(hello, certificate)
-        except (BadMessage, Refused):
+        except (BadMessage, HelloRefused):
             return False
         return hello.relay is not None
 
@@ -333,7 +333,7 @@ class DeviceConnection(asyncio.Protocol):
         except BadMessage as bad:
             self.refuse(bad.code, str(bad), retry=False)
             return
-        except Refused as refused:
+        except HelloRefused as refused:
             self.refuse(refused.code, str(refused), retry=refused.retry)
             return
         self._server.waiting.pop(self, None)
@@ -360,7 +360,7 @@ class DeviceConnection(asyncio.Protocol):
             return
         try:
             session = self._server.replicas.begin(hello, self)
-        except Refused as refused:
+        except HelloRefused as refused:
             self.refuse(refused.code, str(refused), retry=refused.retry)
             return
         self._session = session

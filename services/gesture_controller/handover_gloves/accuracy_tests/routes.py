@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import FastAPI, Request, Response
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.http.api_description import sends
 from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
@@ -28,10 +28,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class NewTest(StrictModel):
+class NewTest(RequestBody):
     """The gestures of a test (all if none are named), its rounds, and the time limits."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     glove: str
     gestures: Annotated[list[str], Field(min_length=1, max_length=250)] | None = None

@@ -3,10 +3,10 @@
 from typing import Annotated, Any
 
 from fastapi import FastAPI
-from pydantic import ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 
 from handover.errors import Problem
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import in_path, require, require_somewhere
@@ -31,11 +31,7 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 of_glove = in_path("Device", "glove")
 
 
-class _Body(StrictModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class NewSession(_Body):
+class NewSession(RequestBody):
     """What to calibrate: fist and open hand, or a sample of `gesture` (its name or code)."""
 
     gesture: Name | None = None
@@ -43,14 +39,14 @@ class NewSession(_Body):
     countdownMs: float = Field(3000, ge=0, le=30_000)  # noqa: N815 - as it stands in JSON
 
 
-class NewSample(_Body):
+class NewSample(RequestBody):
     """Frames of a gesture (its name or code), five raw values each, thumb first."""
 
     gesture: Name
     frames: Frames
 
 
-class Choice(_Body):
+class Choice(RequestBody):
     """The name of a recognizer."""
 
     name: Name

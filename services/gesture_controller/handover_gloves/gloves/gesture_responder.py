@@ -13,7 +13,7 @@ from handover_datamodels.states import Outcome
 from handover_gloves import metrics
 from handover_gloves.gloves.connection_state import ConnectionState
 from handover_gloves.prompting import composite
-from handover_gloves.prompting.modes import Modes
+from handover_gloves.prompting.modes import GloveModes
 from handover_gloves.prompting.prompt import (
     CannotComplete,
     GesturePrompt,
@@ -50,7 +50,7 @@ class GestureResponder:
         self,
         connection: ConnectionState,
         reader: HandReader,
-        modes: Modes,
+        modes: GloveModes,
         commands: Commands,
         on_change: OnChange,
     ) -> None:

@@ -9,7 +9,7 @@ from handover_gloves.gloves.connection_state import ConnectionState
 from handover_gloves.gloves.gesture_responder import GestureResponder
 from handover_gloves.gloves.glove_listener import GloveLink, GloveListener
 from handover_gloves.gloves.glove_observers import GloveObservers
-from handover_gloves.prompting.modes import Modes
+from handover_gloves.prompting.modes import GloveModes
 from handover_gloves.recognition.frames import Frame, Hello
 from handover_gloves.recognition.gestures import Commands, Gestures, codes_in_use
 from handover_gloves.recognition.hand_reader import HandReader
@@ -34,7 +34,7 @@ class Glove:
         self.person = person
         self.connection = ConnectionState(Hello(name, hand))
         self.reader = HandReader(name, config)
-        self.modes = Modes(filtering)
+        self.modes = GloveModes(filtering)
         self.observers = GloveObservers()
         self.responder = GestureResponder(self.connection, self.reader, self.modes, commands, self._changed)
         self._listener = listener

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Self, cast
 
 import orjson
 from fastapi import FastAPI, Request, Response
-from pydantic import ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from handover.errors import Problem
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.http.api_description import sends
 from handover.http.body_limit import max_body
 from handover.messages import message, text_of
@@ -57,29 +57,25 @@ CommandId = Annotated[int, Field(ge=0, le=2**31 - 1)]
 of_person = in_path("Person", "person")
 
 
-class _Body(StrictModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Title(_Body):
+class Title(RequestBody):
     """The title of a person; left out it stays unchanged, an empty one is removed."""
 
     title: Annotated[str, Field(max_length=200)] | None = None
 
 
-class Wearer(_Body):
+class Wearer(RequestBody):
     """The wearer of a glove; null for nobody by name."""
 
     person: Name | None
 
 
-class CommandGesture(_Body):
+class CommandGesture(RequestBody):
     """The gesture of a person for a command; null: no gesture."""
 
     gesture: GestureName | None
 
 
-class Recording(_Body):
+class Recording(RequestBody):
     """An own gesture: a `code`, a part for each hand, two gestures in `sequence`, or a recording.
 
     For a recording, name the `glove` and either send `frames` (five raw values each, thumb first) or let it

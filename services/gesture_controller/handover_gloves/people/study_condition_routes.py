@@ -3,9 +3,9 @@
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from handover.formats.strict_json import StrictModel
+from handover.formats.strict_json import RequestBody
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_gloves.people.study_conditions import StudyCondition
@@ -15,10 +15,8 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 OWN, SITE = "own", "site"
 
 
-class NewCondition(StrictModel):
+class NewCondition(RequestBody):
     """A condition; `gestures` null: the usual ones. `participant` is a pseudonym for messages."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     participant: Name
     glove: Name | None = None

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
-from handover_gloves.prompting.modes import Modes
+from handover_gloves.prompting.modes import GloveModes
 from handover_gloves.prompting.prompt import GesturePrompt
 from handover_gloves.prompting.sequence_gesture import SequenceProgress
 from handover_gloves.prompting.two_hand_gesture import ShownHand, TwoHandProgress
@@ -37,7 +37,7 @@ class CompositeHand(Protocol):
         """Its progress with composite gestures that are commands."""
 
     @property
-    def modes(self) -> Modes:
+    def modes(self) -> GloveModes:
         """Which of its gestures count."""
 
     @property

@@ -58,7 +58,7 @@ class FingerLevels:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class CalibrationSample:
     """A person's gesture with `code`: position and noise of each finger as shares of the span."""
 
     code: str
@@ -72,7 +72,7 @@ class Calibration:
 
     thresholds: Thresholds
     levels: tuple[FingerLevels, ...]
-    samples: tuple[Sample, ...] = ()
+    samples: tuple[CalibrationSample, ...] = ()
     """Samples of gestures."""
 
     def as_dict(self) -> dict[str, dict[str, float]]:

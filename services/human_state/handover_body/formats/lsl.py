@@ -41,7 +41,7 @@ _UNITS: Final = {
 """Codes of UN/CEFACT of the units that streams of others use; a code itself is taken as it is."""
 
 
-class ClockMap:
+class LslClock:
     """The offset between the clock of LSL and s since 1970, measured once: both run alike on one machine."""
 
     def __init__(self) -> None:

@@ -32,7 +32,7 @@ MAX_DT_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class BedParameters:
     """Bounds of the bed. The 45 degrees are those of the paper, the others ours."""
 
     period_at_60_bpm_s: float = 4.0
@@ -61,7 +61,7 @@ class Signals:
 class Bed:
     """The controller at the time of the last step. `amplitude` is 0 to 1, `backrest_deg` a command."""
 
-    parameters: Parameters = field(default_factory=Parameters)
+    parameters: BedParameters = field(default_factory=BedParameters)
     is_enabled: bool = False
     is_restless: bool = False
     """Latched: the backrest rises, until a person starts the bed again."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from handover.messages import message
 from handover_cases.machine import Case, Machine, MachineState, Seen
-from handover_cases.machines.wheelchair.controller import Centre, Parameters, Wheelchair
+from handover_cases.machines.wheelchair.controller import Centre, Wheelchair, WheelchairParameters
 from handover_cases.machines.wheelchair.simulation import Chair, Driver
 from handover_cases.model.command import Command, VelocityCommand
 from handover_cases.model.sensor import Sensor
@@ -142,7 +142,7 @@ class WheelchairMachine(Machine):
         await trial.calm(CHAIR_DRIVES, lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
         trial.say(message("case.wheelchair.leans", "the person leans forwards and drives along the course"))
         await trial.calm(BODY_IS_CALM, lambda: self.fraction >= 0.99, PATIENCE_S)
-        calm = Parameters().max_speed_mps * 0.75
+        calm = WheelchairParameters().max_speed_mps * 0.75
         fast = message("case.wheelchair.wait.calm_speed", "the speed of a calm body")
         await trial.until(fast, lambda: self.chair.linear_mps >= calm, PATIENCE_S)
         fastest = self.chair.linear_mps

@@ -29,7 +29,7 @@ MAX_DT_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class WheelchairParameters:
     """Limits of the chair, in SI units; lengths of the mat in mm. The paper names none but vmax(HR)."""
 
     max_speed_mps: float = 1.2
@@ -57,7 +57,7 @@ class Centre:
 class Wheelchair:
     """The controller at the time of the last step; `linear` (m/s) and `angular` (rad/s, left) go out."""
 
-    parameters: Parameters = Parameters()
+    parameters: WheelchairParameters = WheelchairParameters()
     is_enabled: bool = False
     linear: float = 0.0
     angular: float = 0.0
