@@ -17,12 +17,12 @@ from glove_sdk_bridge.controller_client import ControllerClient
 from glove_sdk_bridge.errors import BridgeError, Say
 from glove_sdk_bridge.forward import Forward
 from glove_sdk_bridge.replay import RATE_HZ, Replay
-from glove_sdk_bridge.screen import Screen
 from glove_sdk_bridge.serial_port import BAUD, FULL_SCALE, SerialGlove
-from glove_sdk_bridge.simulated_glove import SimulatedGlove
-from glove_sdk_bridge.simulated_hand import RATE_HZ as HAND_RATE_HZ
-from glove_sdk_bridge.simulated_hand import SimulatedHand
-from glove_sdk_bridge.simulated_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.glove import SimulatedGlove
+from glove_sdk_bridge.simulation.glove_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.hand import RATE_HZ as HAND_RATE_HZ
+from glove_sdk_bridge.simulation.hand import SimulatedHand
+from glove_sdk_bridge.simulation.screen import Screen
 from glove_sdk_bridge.source import Source
 
 GROUP = "handover.glove_sources"

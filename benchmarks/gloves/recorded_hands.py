@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 from pathlib import Path
 
-from glove_sdk_bridge.simulated_assembly import assembly
-from glove_sdk_bridge.simulated_hand import SENSORS, SimulatedHand, minimum_jerk
+from glove_sdk_bridge.simulation.assembly import assembly
+from glove_sdk_bridge.simulation.hand import SENSORS, SimulatedHand, minimum_jerk
 from handover_gloves.calibration.samples import sample_of, with_sample
 from handover_gloves.recognition.finger_states import finger_states
 from handover_gloves.recognition.frames import Frame

@@ -2,7 +2,8 @@
 
 `benchmarks.humanoid.whole_body_peers` starts this file, writes one JSON line for each request, and reads one
 for each answer. It imports nothing of the product. A cascade solves one quadratic program for each level,
-with the levels above as equalities, as OpenSoT does; only the calls of the solver are timed, not what prepares them.
+with the levels above as equalities, as OpenSoT does; only the calls of the solver are timed, not what
+prepares them.
 """
 
 import json

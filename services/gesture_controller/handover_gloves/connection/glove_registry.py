@@ -18,10 +18,9 @@ from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.calibration.glove_store import GloveStore, StoredGlove
 from handover_gloves.configuration.gestures_file import GloveConfiguration
 from handover_gloves.connection.admission import Admission, TokenStore
-from handover_gloves.gloves.connection_state import ConnectionRefused
+from handover_gloves.gloves.connection_state import ConnectionRefused, GloveLink
 from handover_gloves.gloves.gesture_responder import GestureResponder
-from handover_gloves.gloves.glove import Glove
-from handover_gloves.gloves.glove_listener import GloveLink, GloveListener
+from handover_gloves.gloves.glove import Glove, GloveListener
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.people.people import People
 from handover_gloves.people.study_condition_store import StudyConditionStore

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
 from handover_gloves.calibration.calibration_wizard import (
     CAPTURE_S,
     MAX_CAPTURE_S,

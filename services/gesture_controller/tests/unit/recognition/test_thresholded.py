@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import FIST, OPEN_HAND, Posture, SimulatedHand
 from handover_gloves.recognition.frames import Frame
 from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
 from handover_gloves.recognition.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate

@@ -7,7 +7,7 @@ from enum import Enum
 from glove_sdk_bridge.controller_client import ControllerClient, Declined, Unreachable
 from glove_sdk_bridge.errors import Say
 from glove_sdk_bridge.frames import Five
-from glove_sdk_bridge.simulated_operator import View
+from glove_sdk_bridge.simulation.glove_operator import View
 
 POLL_INTERVAL_S = 0.2
 MAX_VIEW_AGE_S = 2.0

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from glove_sdk_bridge.frames import Five
-from glove_sdk_bridge.simulated_hand import AT_REST, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import AT_REST, Posture, SimulatedHand
 
 Span = tuple[float, float]
 

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 
 from glove_sdk_bridge.errors import BridgeError, Say
 from glove_sdk_bridge.frames import Five, Frame
-from glove_sdk_bridge.screen import Calibrated, Screen
-from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
-from glove_sdk_bridge.simulated_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.glove_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.screen import Calibrated, Screen
 
 MOVE_S = 0.4
 SETTLE_S = 0.2

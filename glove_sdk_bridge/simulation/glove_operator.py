@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Any, Self
 
 from glove_sdk_bridge.frames import FINGERS, is_number
-from glove_sdk_bridge.simulated_hand import AT_REST, HALF_BENT, Posture
+from glove_sdk_bridge.simulation.hand import AT_REST, HALF_BENT, Posture
 
 REACTION_MEDIAN_S, REACTION_SPREAD = 0.95, 0.25
 """Lognormal: two of three reactions to a new Task take 0.74 to 1.22 s, reading included."""
