@@ -103,7 +103,7 @@ class _Parts:
         edge_times = TimeRule(settings.device_edge_max_age_h * 3600, settings.device_max_ahead_s)
         self.relays = EdgeRelays(gateway, edge_times)
         self.server = DeviceServer(settings, gateway, self.relays)
-        self.replicas = self.server.replicas = ReplicaSessions(gateway, edge_times)
+        self.replicas = self.server.connections.replicas = ReplicaSessions(gateway, edge_times)
         self.following = Following(settings, engine, gateway, edge_times, self.relays)
         self.leadership = Leadership(engine, "device-gateway")
         self.adapters = configured(settings, gateway)

@@ -35,8 +35,10 @@ from handover_body.people.people import People
 from handover_body.recording.service import RecordingService
 from handover_body.routes.access_routes import add_access_routes
 from handover_body.routes.foxglove_socket import add_foxglove
-from handover_body.routes.people_routes import Parts, add_people_routes
+from handover_body.routes.parts import Parts
+from handover_body.routes.people_routes import add_people_routes
 from handover_body.routes.recording_routes import add_recording_routes
+from handover_body.routes.sensor_routes import add_sensor_routes
 from handover_body.routes.streams import add_streams
 from handover_body.settings import HumanStateSettings
 from handover_body.storage import tables
@@ -111,7 +113,9 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         guard=guard,
         audit=audit,
     )
-    add_people_routes(app, Parts(people, monitoring, store, removal))
+    parts = Parts(people, monitoring, store, removal)
+    add_people_routes(app, parts)
+    add_sensor_routes(app, parts)
     add_access_routes(app, people, audit)
     add_recording_routes(app, people, recording)
     add_streams(app, monitoring)

@@ -15,12 +15,9 @@ from typing import Any, Final, Protocol
 from uuid import uuid4
 
 import orjson
-from jsonschema import Draft202012Validator
-from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
-from handover.errors import Problem
-from handover.messages import Message, message, message_in, with_code
+from handover.messages import message
 from handover.runtime.clocks import SteadyTime
 from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
@@ -34,10 +31,21 @@ from handover_devices.commands.command import (
     answered,
     next_step,
 )
+from handover_devices.commands.forms import cancel_message, command_message, command_of, row_of
+from handover_devices.commands.problems import (
+    device_away,
+    edge_away,
+    id_taken,
+    no_command,
+    no_longer_leading,
+    require_valid,
+    too_many_commands,
+    unknown_command,
+)
 from handover_devices.model.description import CANCEL, CommandKind, DeviceDescription
 from handover_devices.protocol.messages import AnswerState, CommandAnswer
 from handover_devices.storage import device_store
-from handover_devices.storage.history_writer import CommandRow, HistoryWriter, MessageRow
+from handover_devices.storage.history_writer import HistoryWriter, MessageRow
 
 log = get_logger(__name__)
 
@@ -46,7 +54,6 @@ MAX_OPEN: Final = 64
 """Open commands of one device."""
 MAX_ENDED: Final = 2_000
 """Ended commands that are kept in memory; the database has all."""
-MAX_PARAMETERS_BYTES: Final = 32 * 1024
 CANCEL_TIMEOUT_S: Final = 10.0
 CANCEL_WRITE_TIMEOUT_S: Final = 2.0
 
@@ -169,38 +176,20 @@ class Dispatcher:
         """
         specification = description.command(name)
         if specification is None:
-            known = ", ".join(command.name for command in description.commands) or "–"
-            raise Problem(
-                404,
-                "No such command",
-                message(
-                    "device.command_unknown",
-                    '{device} takes no command "{command}"; it takes {known}',
-                    device=device,
-                    command=name[:64],
-                    known=known,
-                ),
-            )
-        _require_valid(name, parameters, specification.parameters)
+            raise unknown_command(device, name, description)
+        require_valid(name, parameters, specification.parameters)
         known_one = await self._known(device, identifier, name, parameters) if identifier else None
         if known_one is not None:
             return known_one
         identifier = identifier or uuid4().hex
         if len(self._open[device]) >= MAX_OPEN:
-            raise Problem(
-                429,
-                "Too many commands",
-                message(
-                    "device.commands_too_many",
-                    "{device} has {maximum} open commands; wait until some have ended",
-                    device=device,
-                    maximum=MAX_OPEN,
-                ),
-            )
+            raise too_many_commands(device, MAX_OPEN)
         now_s = self._clock()
         link = self._links.get(device)
         if link is None and specification.kind is CommandKind.MOTION:
-            raise self._motion_away(device, name, description.edge)
+            if description.edge is not None and description.edge not in self._links:
+                raise edge_away(device, name, description.edge)
+            raise device_away(device, name)
         command = Command(
             device, identifier, name, specification.kind, dict(parameters), now_s, now_s + timeout_s
         )
@@ -209,12 +198,12 @@ class Dispatcher:
         self._open[device][identifier] = one
         logged = [] if link is None else [self._logged(one.command)]
         one.written = self._writer.add(
-            messages=logged, commands=[_row(one.command)], requested=current_request()
+            messages=logged, commands=[row_of(one.command)], requested=current_request()
         )
         try:
             await asyncio.shield(one.written)
             if one.is_lost:
-                raise _no_longer_leading()
+                raise no_longer_leading()
             if specification.kind is CommandKind.MOTION and link is not None:
                 self._send_motion(one, link)
         finally:
@@ -232,35 +221,12 @@ class Dispatcher:
         if found is None:
             return None
         if (found.name, dict(found.parameters)) != (name, dict(parameters)):
-            raise Problem(
-                409,
-                "Another command",
-                message(
-                    "device.command_id_taken",
-                    'the id "{id}" is that of another command; use a new one',
-                    id=identifier,
-                ),
-            )
+            raise id_taken(identifier)
         if one is None:
             return found
         if one.written is not None:
             await asyncio.shield(one.written)
         return one.command
-
-    def _motion_away(self, device: str, command: str, edge: str | None) -> Problem:
-        if edge is not None and edge not in self._links:
-            return _edge_away(device, command, edge)
-        return Problem(
-            409,
-            "Device away",
-            message(
-                "device.motion_away",
-                '{device} is not connected, and "{command}" is a motion, which is never queued; '
-                "connect the device and send the command again",
-                device=device,
-                command=command,
-            ),
-        )
 
     async def cancel(self, device: str, identifier: str) -> Command:
         """Cancel a command: one that was not sent ends at once, another one when the device answers."""
@@ -268,11 +234,11 @@ class Dispatcher:
         if one is None:
             found = await self._find(device, identifier)
             if found is None:
-                raise _no_command(device, identifier)
+                raise no_command(device, identifier)
             return found
         if one.command.state is CommandState.QUEUED and one.command.boot is None and not one.is_busy:
             one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
-            written = self._writer.add(commands=[_row(one.command)])
+            written = self._writer.add(commands=[row_of(one.command)])
             self._close_if_ended(one)
             # It is cancelled, and is not sent: a database that does not answer must not keep that back.
             await asyncio.wait({written}, timeout=CANCEL_WRITE_TIMEOUT_S)
@@ -288,7 +254,7 @@ class Dispatcher:
         if not one.command.is_open and answer.state in {AnswerState.ACCEPTED, AnswerState.RUNNING}:
             self._cancel_late(one.command)
         elif one.change(answered(one.command, answer, is_cancelling=one.is_cancelling)):
-            self._writer.add(commands=[_row(one.command)])
+            self._writer.add(commands=[row_of(one.command)])
             self._close_if_ended(one)
         return True
 
@@ -296,7 +262,7 @@ class Dispatcher:
         """Return a command; raise `Problem` 404."""
         found = await self._find(device, identifier)
         if found is None:
-            raise _no_command(device, identifier)
+            raise no_command(device, identifier)
         return found
 
     async def wait(self, device: str, identifier: str, since: Command, timeout_s: float) -> Command:
@@ -334,7 +300,7 @@ class Dispatcher:
         link = self._links.get(command.device)
         if step is Step.EXPIRE:
             if command.boot is not None and link is not None and not one.is_cancelling:
-                link.send(_cancel_message(command))
+                link.send(cancel_message(command))
             reason = (
                 message("device.command_never_connected", "the device did not connect before the deadline")
                 if command.boot is None
@@ -359,7 +325,7 @@ class Dispatcher:
             if self._links.get(command.device) is link and one.command.is_open:
                 now_s = self._clock()
                 one.sent = Sent(one.sent.times + 1, now_s)
-                link.send(_message(one.command, now_s))
+                link.send(command_message(one.command, now_s))
 
     def _send_motion(self, one: _Open, link: CommandLink) -> None:
         """Send a motion once, if the connection that it was accepted for still exists.
@@ -368,7 +334,7 @@ class Dispatcher:
         """
         if one.is_cancelling:
             one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
-            self._writer.add(commands=[_row(one.command)])
+            self._writer.add(commands=[row_of(one.command)])
             self._close_if_ended(one)
             return
         if self._clock() >= one.command.deadline_s:
@@ -376,16 +342,16 @@ class Dispatcher:
                 "device.command_too_late", "it was stored after its deadline; the motion was not sent"
             )
             one.change(one.command.ended(CommandState.FAILED, late))
-            self._writer.add(commands=[_row(one.command)])
+            self._writer.add(commands=[row_of(one.command)])
             self._close_if_ended(one)
             return
         if self._links.get(one.command.device) is link:
             one.sent = Sent(1, self._clock())
-            link.send(_message(one.command, self._clock()))
+            link.send(command_message(one.command, self._clock()))
             return
         reason = message("device.command_disconnected", "the device disconnected; the motion was not sent")
         one.change(one.command.ended(CommandState.FAILED, reason))
-        self._writer.add(commands=[_row(one.command)])
+        self._writer.add(commands=[row_of(one.command)])
         self._close_if_ended(one)
 
     def _cancel_late(self, command: Command) -> None:
@@ -393,16 +359,16 @@ class Dispatcher:
         link = self._links.get(command.device)
         if link is not None and command.state is not CommandState.DONE:
             log.warning("a command that was given up is active", device=command.device, command=command.id)
-            link.send(_cancel_message(command))
+            link.send(cancel_message(command))
 
     def _cancel_sent(self, one: _Open) -> None:
         one.is_cancelling = True
         link = self._links.get(one.command.device)
         if link is not None:
-            link.send(_cancel_message(one.command))
+            link.send(cancel_message(one.command))
         deadline_s = min(one.command.deadline_s, self._clock() + CANCEL_TIMEOUT_S)
         one.command = replace(one.command, deadline_s=deadline_s)
-        self._writer.add(commands=[_row(one.command)])
+        self._writer.add(commands=[row_of(one.command)])
 
     async def _end(self, one: _Open, state: CommandState, reason: str) -> None:
         one.change(one.command.ended(state, reason))
@@ -420,11 +386,11 @@ class Dispatcher:
             self._ended.popitem(last=False)
 
     async def _write(self, command: Command, messages: list[MessageRow] | None = None) -> None:
-        await asyncio.shield(self._writer.add(messages=messages or [], commands=[_row(command)]))
+        await asyncio.shield(self._writer.add(messages=messages or [], commands=[row_of(command)]))
 
     def _logged(self, command: Command) -> MessageRow:
         now_s = self._clock()
-        body = orjson.dumps(_message(command, now_s)).decode()
+        body = orjson.dumps(command_message(command, now_s)).decode()
         return MessageRow(command.device, int(now_s * 1e6), "out", "command", body, None)
 
     async def _find(self, device: str, identifier: str) -> Command | None:
@@ -433,139 +399,3 @@ class Dispatcher:
             return one.command
         row = await asyncio.to_thread(device_store.command, self._engine, device, identifier)
         return None if row is None else command_of(row)
-
-
-def _message(command: Command, now_s: float) -> dict[str, Any]:
-    return {
-        "type": "command",
-        "id": command.id,
-        "name": command.name,
-        "parameters": dict(command.parameters),
-        "deadline": round(command.deadline_s, 3),
-        "remaining": round(max(command.deadline_s - now_s, 0.0), 3),  # for devices without a clock
-    }
-
-
-def _cancel_message(command: Command) -> dict[str, Any]:
-    return {
-        "type": "command",
-        "id": f"{command.id}:{CANCEL}",
-        "name": CANCEL,
-        "parameters": {"id": command.id},
-    }
-
-
-def _require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str, Any] | None) -> None:
-    try:
-        size = len(orjson.dumps(dict(parameters)))
-    except TypeError as error:
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_no_json", "the parameters are no plain JSON: {error}", error=str(error)
-            ),
-        ) from None
-    if size > MAX_PARAMETERS_BYTES:
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_too_large",
-                "the parameters have {size} bytes, and at most {maximum} fit",
-                size=size,
-                maximum=MAX_PARAMETERS_BYTES,
-            ),
-        )
-    if schema is None:
-        return
-    fault: ValidationError | None = best_match(Draft202012Validator(schema).iter_errors(dict(parameters)))
-    if fault is not None:
-        where = "".join(f", {part}" for part in [name, *fault.absolute_path])[2:]
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_invalid",
-                "parameters of {place}: {reason}",
-                place=where,
-                reason=fault.message[:300],
-            ),
-        )
-
-
-def _edge_away(device: str, command: str, edge: str) -> Problem:
-    return Problem(
-        409,
-        "Edge away",
-        message(
-            "device.motion_edge_away",
-            '{device} is reached through the edge {edge}, which is not connected, and "{command}" is a '
-            "motion, which is never queued; restore the connection of the edge and send the command again",
-            device=device,
-            command=command,
-            edge=edge,
-        ),
-    )
-
-
-def _no_longer_leading() -> Problem:
-    return Problem(
-        503,
-        "No leader",
-        message(
-            "device.leader_changed",
-            "another gateway took over; ask for the command by its id, and send it again if there is none",
-        ),
-    )
-
-
-def _no_command(device: str, identifier: str) -> Problem:
-    return Problem(
-        404,
-        "No such command",
-        message(
-            "device.no_command_with_id",
-            '{device} has no command with the id "{id}"',
-            device=device,
-            id=identifier[:128],
-        ),
-    )
-
-
-def _row(command: Command) -> CommandRow:
-    return CommandRow(
-        command.device,
-        command.id,
-        command.name,
-        command.kind.value,
-        orjson.dumps(dict(command.parameters)).decode(),
-        int(command.created_s * 1e6),
-        int(command.deadline_s * 1e6),
-        command.state.value,
-        command.progress,
-        None if command.result is None else orjson.dumps(dict(command.result)).decode(),
-        command.reason,
-        command.boot,
-        None
-        if not isinstance(command.reason, Message)
-        else orjson.dumps(with_code("reason", command.reason)).decode(),
-    )
-
-
-def command_of(row: CommandRow) -> Command:
-    """Return the command of a row of the database."""
-    return Command(
-        row.device,
-        row.id,
-        row.name,
-        CommandKind(row.kind),
-        orjson.loads(row.parameters),
-        row.created_us / 1e6,
-        row.deadline_us / 1e6,
-        CommandState(row.state),
-        row.progress,
-        None if row.result is None else orjson.loads(row.result),
-        row.reason if row.reason_message is None else message_in(orjson.loads(row.reason_message), "reason"),
-        row.boot,
-    )

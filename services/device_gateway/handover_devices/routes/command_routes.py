@@ -12,7 +12,8 @@ from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.serving.service import json_response
-from handover_devices.commands.dispatcher import Dispatcher, command_of
+from handover_devices.commands.dispatcher import Dispatcher
+from handover_devices.commands.forms import command_of
 from handover_devices.gateway import DeviceGateway
 from handover_devices.routes.views import CommandView, command_view
 from handover_devices.storage import device_store
