@@ -13,15 +13,15 @@ from handover.security.guard import Guard
 from handover.serving.leadership import Leadership, OnlyLeading
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
-from handover_alerts import tables
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower
-from handover_alerts.model import Configuration, read_configuration
-from handover_alerts.rest import add_routes
+from handover_alerts.model.configuration import Configuration, read_configuration
+from handover_alerts.routes.channels import add_routes
 from handover_alerts.senders import Senders
 from handover_alerts.sending import Sending
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Store
+from handover_alerts.storage import tables
+from handover_alerts.storage.store import Store
 
 
 def make_app(settings: RouterSettings) -> FastAPI:

@@ -21,10 +21,10 @@ from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_alerts import metrics
-from handover_alerts.model import Route
-from handover_alerts.occurrence import CLEARED, RAISED, AlertView, DueStep, Occurrence, due_steps
+from handover_alerts.model.configuration import Route
+from handover_alerts.model.occurrence import CLEARED, RAISED, AlertView, DueStep, Occurrence, due_steps
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Message, Store
+from handover_alerts.storage.store import Message, Store
 from handover_datamodels.entities import Alert, AlertState, DataModelError, Severity
 from handover_datamodels.times import iso
 

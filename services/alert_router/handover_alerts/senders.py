@@ -18,7 +18,7 @@ from handover.errors import UsageError
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.network.outbound_policy import AddressRefused, is_loopback
 from handover.network.tls_trust import client_context
-from handover_alerts.model import AppriseChannel, Channel, MailChannel, WebhookChannel
+from handover_alerts.model.configuration import AppriseChannel, Channel, MailChannel, WebhookChannel
 from handover_alerts.settings import RouterSettings
 
 MAX_ANSWER_BYTES: Final = 64 * 1024

@@ -20,9 +20,9 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_alerts import metrics
-from handover_alerts.model import Channel, Throttle
+from handover_alerts.model.configuration import Channel, Throttle
 from handover_alerts.senders import NotSent, Outgoing, Senders
-from handover_alerts.store import FAILED, SENT, WAITING, Message, Store
+from handover_alerts.storage.store import FAILED, SENT, WAITING, Message, Store
 
 log = get_logger(__name__)
 

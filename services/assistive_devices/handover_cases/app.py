@@ -20,7 +20,7 @@ from handover.tasks.finished_tasks import FinishedTasks
 from handover_cases.body_link import BodyLink
 from handover_cases.machine import CASES, Case, MachineContext
 from handover_cases.metrics import REJECTED
-from handover_cases.routes import add_routes
+from handover_cases.routes.machines import add_routes
 from handover_cases.running.entities import MachineRecords
 from handover_cases.running.machine_runner import MachineRunner
 from handover_cases.running.ros_commands import RosCommands

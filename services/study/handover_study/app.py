@@ -12,12 +12,12 @@ from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
-from handover_study.controller_client import ControllerClient
-from handover_study.gesture_conditions import GestureConditions
-from handover_study.routes import add_study
+from handover_study.routes.studies import add_study
+from handover_study.sessions.controller_client import ControllerClient
+from handover_study.sessions.gesture_conditions import GestureConditions
+from handover_study.sessions.study_session import StudySessions
 from handover_study.settings import StudySettings
-from handover_study.store import StudyStore
-from handover_study.study_session import StudySessions
+from handover_study.storage.store import StudyStore
 
 RECONCILE_INTERVAL_S = 2.0
 

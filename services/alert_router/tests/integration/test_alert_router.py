@@ -24,14 +24,14 @@ from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import DEVICE_ANOMALY
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover_alerts import tables
 from handover_alerts.app import make_app
-from handover_alerts.model import AppriseChannel, MailChannel, Throttle, WebhookChannel
+from handover_alerts.model.configuration import AppriseChannel, MailChannel, Throttle, WebhookChannel
 from handover_alerts.senders import NotSent, Outgoing, Senders
 from handover_alerts.sending import Sending
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Message as LogMessage
-from handover_alerts.store import Store
+from handover_alerts.storage import tables
+from handover_alerts.storage.store import Message as LogMessage
+from handover_alerts.storage.store import Store
 from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates
 from tests.kit.device_gateways import background

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_study.analysis import (
+from handover_study.report.analysis import (
     against,
     analysis_of,
     mann_whitney,

@@ -5,9 +5,9 @@ import io
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from handover_study.analysis import MEASURES, scores_of
-from handover_study.protocol import Condition, Session
-from handover_study.questionnaires import SUS_ITEMS, TLX_SCALES, tlx_weights
+from handover_study.model.protocol import Condition, Session
+from handover_study.model.questionnaires import SUS_ITEMS, TLX_SCALES, tlx_weights
+from handover_study.report.analysis import MEASURES, scores_of
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 

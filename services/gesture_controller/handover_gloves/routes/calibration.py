@@ -6,14 +6,16 @@ from fastapi import FastAPI
 from pydantic import Field, FiniteFloat
 
 from handover.errors import Problem
-from handover.formats.strict_json import RequestBody
+from handover.formats.strict_json import RequestBody, StrictJson
 from handover.http.body_limit import max_body
 from handover.messages import message
-from handover.security.guard import in_path, require, require_somewhere
+from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
 from handover_gloves.calibration.calibration_session import CalibrationSessions
+from handover_gloves.connection.glove_registry import GloveRegistry
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.recognition.registry import recognizers
+from handover_gloves.routes.gloves import GloveView, glove_view, of_glove
 
 MAX_CALIBRATION_FRAMES = 4_000
 """Of one hand shape: 20 s at 200 Hz."""
@@ -28,7 +30,14 @@ Frames = Annotated[
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
-of_glove = in_path("Device", "glove")
+Thresholds = Annotated[dict[str, dict[str, FiniteFloat]], StrictJson()]
+
+
+class CalibrationFrames(RequestBody):
+    """Frames of a fist and of an open hand, five raw values each, thumb first."""
+
+    fist: Frames
+    open: Frames
 
 
 class NewSession(RequestBody):
@@ -170,3 +179,39 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
     async def remove_sample(glove: str, gesture: str) -> None:
         """Delete the sample of a gesture."""
         await sessions.remove_sample(gloves.named(glove), gesture)
+
+
+def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
+    """Add the routes of thresholds, and of a calibration from frames."""
+    known, fits = registry.known, registry.fits
+
+    @app.put(
+        "/gloves/{glove}/thresholds",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
+    async def set_thresholds(glove: str, thresholds: Thresholds) -> GloveView:
+        """Set and store the thresholds of some or all fingers."""
+        await fits.set_thresholds(known.named(glove), thresholds)
+        return glove_view(known.named(glove))
+
+    @app.post(
+        "/gloves/{glove}/thresholds/restore",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
+    async def restore(glove: str) -> GloveView:
+        """Exchange the thresholds with those before the last change."""
+        await fits.restore(known.named(glove))
+        return glove_view(known.named(glove))
+
+    @app.post(
+        "/gloves/{glove}/calibration",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
+    @max_body(2 * MAX_FRAMES_BYTES)
+    async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
+        """Calculate and store thresholds from frames of a fist and of an open hand."""
+        calibration = await fits.calibrate(known.named(glove), frames.fist, frames.open)
+        return {"thresholds": calibration.thresholds.as_dict(), "levels": calibration.as_dict()}

@@ -19,10 +19,9 @@ from handover.messages import message
 from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
-from handover_study.protocol import FINISHED, STEPS, Language, Session
-from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
-from handover_study.study_session import DECLINED, StudySessions
-from handover_study.views import (
+from handover_study.model.protocol import FINISHED, STEPS, Language, Session
+from handover_study.model.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
+from handover_study.model.views import (
     AnalysisView,
     DeclinedSession,
     SessionView,
@@ -30,7 +29,8 @@ from handover_study.views import (
     StudyAnalysis,
     WordingView,
 )
-from handover_study.wording import consent_version, wording
+from handover_study.model.wording import consent_version, wording
+from handover_study.sessions.study_session import DECLINED, StudySessions
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
 Study = Annotated[str, Query(min_length=1, max_length=64)]
@@ -139,7 +139,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     )
     async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
         """Return every answer and score of a study, one line for each participant."""
-        from handover_study.table import csv_of  # noqa: PLC0415 - seldom asked for
+        from handover_study.report.table import csv_of  # noqa: PLC0415 - seldom asked for
 
         text = csv_of(await sessions.sessions(study))
         return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
@@ -153,7 +153,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     )
     async def as_pdf(study: Study = DEFAULT_STUDY, language: Language = "en") -> Response:
         """Return the report of a study on A4."""
-        from handover_study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
+        from handover_study.report.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
         _require_installed("reportlab")
         found = await analyses.of(study)
@@ -208,7 +208,7 @@ class _Analyses:
         return found
 
     async def _analysed(self, sessions: Sequence[Session]) -> AnalysisView:
-        from handover_study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+        from handover_study.report.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
 
         try:
             return await self._offload.run(analysis_of, sessions)

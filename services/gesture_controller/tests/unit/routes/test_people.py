@@ -15,9 +15,12 @@ from handover_gloves.connection.admission import TokenStore
 from handover_gloves.connection.glove_registry import GloveRegistry
 from handover_gloves.people import profile_file
 from handover_gloves.people.people import People
-from handover_gloves.people.routes import add_people
 from handover_gloves.people.store import PeopleStore
 from handover_gloves.people.study_condition_store import StudyConditionStore
+from handover_gloves.routes.own_gestures import add_own_gestures
+from handover_gloves.routes.people import add_people
+from handover_gloves.routes.people_views import PeopleParts
+from handover_gloves.routes.profiles import add_profiles
 from handover_gloves.settings import ControllerSettings
 
 FIST, OPEN = [300.0] * 5, [700.0] * 5
@@ -41,7 +44,9 @@ def gloves(database: Engine, listener_log: Any) -> GloveRegistry:
 async def screen(gloves: GloveRegistry) -> AsyncIterator[httpx.AsyncClient]:
     """A screen at the routes of people."""
     app = create_app("People", description="", guard=Guard(ControllerSettings(), "people"))
-    add_people(app, gloves.wearers, gloves.known, gloves.records)
+    parts = PeopleParts(gloves.wearers, gloves.known, gloves.records)
+    for add in (add_people, add_own_gestures, add_profiles):
+        add(app, parts)
     transport = httpx.ASGITransport(app)
     async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
         yield client

@@ -4,7 +4,7 @@ from typing import Any, Literal, NotRequired
 
 from typing_extensions import TypedDict
 
-from handover_study.protocol import Condition, Language
+from handover_study.model.protocol import Condition, Language
 
 
 class SessionView(TypedDict):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from handover_study.questionnaires import SUS_AVERAGE
+from handover_study.model.questionnaires import SUS_AVERAGE
 
 if TYPE_CHECKING:
     from reportlab.graphics.shapes import Drawing

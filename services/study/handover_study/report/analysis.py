@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from handover_study.protocol import FINISHED, Condition, Session
-from handover_study.questionnaires import (
+from handover_study.model.protocol import FINISHED, Condition, Session
+from handover_study.model.questionnaires import (
     SUS_AVERAGE,
     TLX_SCALES,
     sus_grade,
@@ -22,7 +22,7 @@ from handover_study.questionnaires import (
     tlx_raw,
     tlx_weighted,
 )
-from handover_study.views import AnalysisView, StatisticalTest, SummaryView, SusAnalysis, TlxAnalysis
+from handover_study.model.views import AnalysisView, StatisticalTest, SummaryView, SusAnalysis, TlxAnalysis
 
 CONFIDENCE = 0.95
 ALL_SIGNS_UP_TO = 13

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from handover_study.analysis import MEASURES
-from handover_study.charts import sus_chart, tlx_chart
-from handover_study.protocol import Language
-from handover_study.questionnaires import TLX_SCALES
-from handover_study.wording import wording
+from handover_study.model.protocol import Language
+from handover_study.model.questionnaires import TLX_SCALES
+from handover_study.model.wording import wording
+from handover_study.report.analysis import MEASURES
+from handover_study.report.charts import sus_chart, tlx_chart
 
 _GRID, _INK, _QUIET = "#d9dde5", "#1b2333", "#5a6478"
 

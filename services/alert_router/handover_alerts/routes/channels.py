@@ -20,7 +20,7 @@ from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower
-from handover_alerts.model import (
+from handover_alerts.model.configuration import (
     MAX_CHANNELS,
     MAX_ROUTES,
     AppriseChannel,
@@ -29,9 +29,9 @@ from handover_alerts.model import (
     WebhookChannel,
     is_name,
 )
-from handover_alerts.occurrence import AlertView, concerns
+from handover_alerts.model.occurrence import AlertView, concerns
 from handover_alerts.senders import NotSent, Outgoing, Senders
-from handover_alerts.store import FAILED, SENT, Message, Store
+from handover_alerts.storage.store import FAILED, SENT, Message, Store
 from handover_datamodels.entities import AlertState, Severity
 
 MAX_BYTES: Final = 64 * 1024

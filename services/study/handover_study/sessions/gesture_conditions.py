@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from handover.telemetry import get_logger
-from handover_study.controller_client import ControllerClient, ControllerUnavailable
-from handover_study.protocol import FINISHED, Condition, Session
+from handover_study.model.protocol import FINISHED, Condition, Session
+from handover_study.sessions.controller_client import ControllerClient, ControllerUnavailable
 
 log = get_logger(__name__)
 

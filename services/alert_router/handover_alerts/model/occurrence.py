@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Final
 
-from handover_alerts.model import SEVERITIES, Route, matches
+from handover_alerts.model.configuration import SEVERITIES, Route, matches
 from handover_datamodels.states import AlertState, Severity
 
 RAISED: Final = "raised"

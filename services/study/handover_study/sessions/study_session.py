@@ -11,8 +11,7 @@ from uuid import uuid4
 from handover.database.outage import in_database
 from handover.errors import Problem
 from handover_datamodels.times import iso
-from handover_study.gesture_conditions import GestureConditions
-from handover_study.protocol import (
+from handover_study.model.protocol import (
     FINISHED,
     STEPS,
     Language,
@@ -20,8 +19,9 @@ from handover_study.protocol import (
     StepAnswer,
     checked,
 )
-from handover_study.store import StudyStore
-from handover_study.wording import consent_version
+from handover_study.model.wording import consent_version
+from handover_study.sessions.gesture_conditions import GestureConditions
+from handover_study.storage.store import StudyStore
 
 DECLINED: Final = "declined"
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, delete, func, insert, select, update
 
-from handover_alerts import tables
+from handover_alerts.storage import tables
 
 WAITING: Final = "waiting"
 SENT: Final = "sent"

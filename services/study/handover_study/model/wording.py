@@ -11,7 +11,7 @@ from typing import Any
 
 import orjson
 
-from handover_study.protocol import Language
+from handover_study.model.protocol import Language
 
 
 @cache
