@@ -1,7 +1,7 @@
 """Run the web UI server: `python -m handover_web`."""
 
 from handover.serving.server import run
-from handover_web.server import make_app
+from handover_web.app import make_app
 from handover_web.settings import WebuiSettings
 
 if __name__ == "__main__":

@@ -27,14 +27,7 @@ from handover_devices.gateway import DeviceGateway, Respond, Session
 from handover_devices.metrics import RELAYED
 from handover_devices.model.description import DeviceKind
 from handover_devices.protocol.messages import BadMessage, Hello, RelayHello
-from handover_devices.protocol.relaying import (
-    MAX_RELAYED_BYTES,
-    Live,
-    Ping,
-    Presence,
-    Relayed,
-    parse_relayed,
-)
+from handover_devices.protocol.relaying import MAX_RELAYED_BYTES, Live, Ping, Presence, Relayed, parse_relayed
 from handover_devices.protocol.times import TimeRule
 from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Device, Link

@@ -8,14 +8,7 @@ from typing import Any, Protocol
 from handover_ros.errors import BadMessage, GraphError
 from handover_ros.graph.action_server import BaseActionServer
 from handover_ros.graph.goals import CancelSignal
-from handover_ros.graph.port import (
-    ActionHandler,
-    GoalStatus,
-    Message,
-    Publisher,
-    Served,
-    ServiceHandler,
-)
+from handover_ros.graph.port import ActionHandler, GoalStatus, Message, Publisher, Served, ServiceHandler
 from handover_ros.graph.qos import DEFAULT, LATCHED, Qos
 from handover_ros.types.type_store import TypeStore
 from handover_ros.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY

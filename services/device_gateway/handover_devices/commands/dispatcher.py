@@ -22,15 +22,7 @@ from handover.runtime.clocks import SteadyTime
 from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
 from handover_devices import metrics
-from handover_devices.commands.command import (
-    OPEN,
-    Command,
-    CommandState,
-    Sent,
-    Step,
-    answered,
-    next_step,
-)
+from handover_devices.commands.command import OPEN, Command, CommandState, Sent, Step, answered, next_step
 from handover_devices.commands.forms import cancel_message, command_message, command_of, row_of
 from handover_devices.commands.problems import (
     device_away,

@@ -23,11 +23,7 @@ from handover_devices.gateway import DeviceGateway, Session, encoded
 from handover_devices.protocol.lines import LineBuffer
 from handover_devices.protocol.messages import VERSION, BadMessage, Hello, encode, parse_hello
 from handover_devices.protocol.rates import DeviceRates
-from handover_devices.protocol.relaying import (
-    MAX_RELAYED_BYTES,
-    ReplicaHello,
-    parse_replica_hello,
-)
+from handover_devices.protocol.relaying import MAX_RELAYED_BYTES, ReplicaHello, parse_replica_hello
 from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Link
 from handover_devices.relaying import SILENCE_S, EdgeRelays, EdgeSession, RelaySession

@@ -6,12 +6,7 @@ from dataclasses import replace
 
 from handover.errors import Problem
 from handover.messages import message, text_of
-from handover_gloves.calibration.fitting import (
-    OFFERED,
-    SAMPLES,
-    calibration_from,
-    learnt_from,
-)
+from handover_gloves.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
 from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.gloves.glove import Glove, GloveListener
 from handover_gloves.recognition.levels import Calibration, CalibrationFailed, calibrate

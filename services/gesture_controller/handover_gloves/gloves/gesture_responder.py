@@ -14,12 +14,7 @@ from handover_gloves import metrics
 from handover_gloves.gloves.connection_state import ConnectionState
 from handover_gloves.prompting import composite
 from handover_gloves.prompting.modes import GloveModes
-from handover_gloves.prompting.prompt import (
-    CannotComplete,
-    GesturePrompt,
-    PromptAnswer,
-    require_completable,
-)
+from handover_gloves.prompting.prompt import CannotComplete, GesturePrompt, PromptAnswer, require_completable
 from handover_gloves.recognition.gestures import Commands, Part
 from handover_gloves.recognition.hand_reader import HandReader
 from handover_gloves.recognition.hold import HoldEvent

@@ -18,10 +18,7 @@ from handover_gloves.gloves.glove import Glove
 from handover_gloves.people.people import neighbour_view
 from handover_gloves.people.person import OwnGesture
 from handover_gloves.people.sample import UnclearSample, read_sample
-from handover_gloves.people.views import (
-    DefinedGesture,
-    PersonWithFreedCommands,
-)
+from handover_gloves.people.views import DefinedGesture, PersonWithFreedCommands
 from handover_gloves.recognition.gestures import Shape
 from handover_gloves.routes.people_views import (
     GestureName,

@@ -10,12 +10,7 @@ from handover.formats.strict_json import RequestBody
 from handover.security.guard import authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
 from handover_gloves.gloves.glove import Glove
-from handover_gloves.people.views import (
-    PersonView,
-    PersonWithGestures,
-    Side,
-    WearerView,
-)
+from handover_gloves.people.views import PersonView, PersonWithGestures, Side, WearerView
 from handover_gloves.recognition.gestures import listed
 from handover_gloves.routes.people_views import GestureName, Name, PeopleParts, of_person, person_view
 

@@ -11,12 +11,7 @@ from handover_gloves.calibration.glove_store import Fit
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.people.people import People
 from handover_gloves.people.person import OwnGesture
-from handover_gloves.people.views import (
-    FitView,
-    OwnGestureView,
-    PersonView,
-    Side,
-)
+from handover_gloves.people.views import FitView, OwnGestureView, PersonView, Side
 from handover_gloves.people.wearers import Wearers
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]

@@ -18,9 +18,7 @@ from handover_gloves.configuration.lined_yaml import WrongFile
 from handover_gloves.people import profile_file
 from handover_gloves.people.people import require_person_name
 from handover_gloves.people.profile_file import Profile
-from handover_gloves.people.views import (
-    PersonView,
-)
+from handover_gloves.people.views import PersonView
 from handover_gloves.routes.people_views import PeopleParts, of_person, person_view
 
 YAML = "application/yaml"

@@ -34,13 +34,7 @@ from handover_body.formats.ros_tables import (
     VALIDITY,
 )
 from handover_body.model.features import UNITS, Feature, FeatureName, Status
-from handover_body.model.signals import (
-    ClockKind,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, Samples, SensorReport, SignalInfo, SignalKind
 
 PACKAGE: Final = "handover_human_msgs/msg/"
 Message = dict[str, Any]

@@ -11,13 +11,7 @@ from handover.messages import message, text_of
 from handover.security.guard import guard_of, require_somewhere
 from handover.security.permissions import Permission
 from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
-from handover_body.routes.bodies import (
-    DriverView,
-    FoundView,
-    Name,
-    PersonView,
-    SensorChange,
-)
+from handover_body.routes.bodies import DriverView, FoundView, Name, PersonView, SensorChange
 from handover_body.routes.parts import Configurer, Parts
 from handover_body.routes.views import person_view
 from handover_body.storage.store import SensorRow

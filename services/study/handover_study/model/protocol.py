@@ -16,12 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
 from handover.formats.validation import fault_lines
-from handover_study.model.questionnaires import (
-    SUS_ITEMS,
-    TLX_PAIRS,
-    TLX_SCALES,
-    TLX_STEP,
-)
+from handover_study.model.questionnaires import SUS_ITEMS, TLX_PAIRS, TLX_SCALES, TLX_STEP
 
 Language = Literal["en", "de", "fi"]
 LANGUAGES: tuple[Language, ...] = ("en", "de", "fi")

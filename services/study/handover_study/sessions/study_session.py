@@ -11,14 +11,7 @@ from uuid import uuid4
 from handover.database.outage import in_database
 from handover.errors import Problem
 from handover_datamodels.times import iso
-from handover_study.model.protocol import (
-    FINISHED,
-    STEPS,
-    Language,
-    Session,
-    StepAnswer,
-    checked,
-)
+from handover_study.model.protocol import FINISHED, STEPS, Language, Session, StepAnswer, checked
 from handover_study.model.wording import consent_version
 from handover_study.sessions.gesture_conditions import GestureConditions
 from handover_study.storage.store import StudyStore

@@ -31,14 +31,7 @@ from handover.database import purge_log
 from handover.database.migrations import migrate
 from handover.errors import Problem
 from handover.security.audit_trail import record_request
-from handover_study.model.protocol import (
-    FINISHED,
-    Condition,
-    Session,
-    StepAnswer,
-    balanced,
-    next_step,
-)
+from handover_study.model.protocol import FINISHED, Condition, Session, StepAnswer, balanced, next_step
 
 VERSION = 1
 

@@ -12,7 +12,7 @@ from fastapi.responses import RedirectResponse
 
 from handover.errors import Problem
 from handover_web.http.page_guard import PageGuard
-from handover_web.http.session_routes import is_secure, own_address, place, set_session
+from handover_web.routes.sessions import is_secure, own_address, place, set_session
 
 PATH: Final = "/api/session/provider"
 CALLBACK: Final = f"{PATH}/callback"
