@@ -69,8 +69,8 @@ def ours(ecg: Floats, rate_hz: float) -> Floats:
 
 def neurokit(ecg: Floats, rate_hz: float) -> Floats:
     """Return the R peaks of neurokit2's own method, which sees the whole signal."""
-    _, found = neurokit2.ecg_peaks(neurokit2.ecg_clean(ecg, int(rate_hz)), int(rate_hz))
-    return np.asarray(found["ECG_R_Peaks"], float) / rate_hz
+    _, info = neurokit2.ecg_peaks(neurokit2.ecg_clean(ecg, int(rate_hz)), int(rate_hz))
+    return np.asarray(info["ECG_R_Peaks"], float) / rate_hz
 
 
 def xqrs(ecg: Floats, rate_hz: float) -> Floats:
@@ -94,18 +94,22 @@ DETECTORS: dict[str, Callable[[Floats, float], Floats]] = {
 }
 
 
-def matched(truth: Floats, found: Floats, tolerance_s: float = TOLERANCE_S) -> tuple[float, float, float]:
+def matched(truth: Floats, estimates: Floats, tolerance_s: float = TOLERANCE_S) -> tuple[float, float, float]:
     """Return sensitivity and precision in percent, and the standard deviation of the times in ms."""
     errors = []
     first = second = 0
-    while first < len(truth) and second < len(found):
-        error = found[second] - truth[first]
+    while first < len(truth) and second < len(estimates):
+        error = estimates[second] - truth[first]
         if abs(error) <= tolerance_s:
             errors.append(error)
         first += error >= -tolerance_s
         second += error <= tolerance_s
     deviation = float(np.std(errors)) if errors else float("nan")
-    return 100 * len(errors) / max(1, len(truth)), 100 * len(errors) / max(1, len(found)), 1000 * deviation
+    return (
+        100 * len(errors) / max(1, len(truth)),
+        100 * len(errors) / max(1, len(estimates)),
+        1000 * deviation,
+    )
 
 
 def print_beats(title: str, ecg: Floats, rate_hz: float, truth: Floats) -> None:
@@ -114,11 +118,11 @@ def print_beats(title: str, ecg: Floats, rate_hz: float, truth: Floats) -> None:
     for name, detect in DETECTORS.items():
         began = time.thread_time()
         try:
-            found = detect(ecg, rate_hz)
+            beats = detect(ecg, rate_hz)
         except Exception as error:  # noqa: BLE001 -- a peer gives up on noise in its own way
             print(f"  {name:16} gives up: {type(error).__name__}: {str(error).splitlines()[0][:70]}")
             continue
-        sensitivity, precision, deviation_ms = matched(truth, found)
+        sensitivity, precision, deviation_ms = matched(truth, beats)
         print(
             f"  {name:16} sensitivity {sensitivity:6.2f} %  precision {precision:6.2f} %  "
             f"timing SD {deviation_ms:5.2f} ms  CPU {time.thread_time() - began:5.1f} s"
@@ -131,15 +135,15 @@ def record(name: str) -> tuple[dict[str, Floats], float]:
     v102s is stored in 12 bits and wraps around: its slow signals are unwrapped from sample to sample, its
     leads by `wrapped_records`.
     """
-    found = wfdb.rdrecord(str(RECORDS / name))
-    signals = {key: np.nan_to_num(found.p_signal[:, n]) for n, key in enumerate(found.sig_name)}
+    stored = wfdb.rdrecord(str(RECORDS / name))
+    signals = {key: np.nan_to_num(stored.p_signal[:, n]) for n, key in enumerate(stored.sig_name)}
     if name == "v102s":
         counts = wfdb.rdrecord(str(RECORDS / name), physical=False).d_signal.astype(float)
         for key in ("PLETH", "RESP"):
-            signals[key] = np.unwrap(counts[:, found.sig_name.index(key)], period=4096)
+            signals[key] = np.unwrap(counts[:, stored.sig_name.index(key)], period=4096)
         for key in ("II", "V"):
-            signals[key] = unwrapped(counts[:, found.sig_name.index(key)], 4096)
-    return signals, float(found.fs)
+            signals[key] = unwrapped(counts[:, stored.sig_name.index(key)], 4096)
+    return signals, float(stored.fs)
 
 
 def measure_beats(*, is_quick: bool) -> None:
@@ -162,12 +166,12 @@ def measure_beats(*, is_quick: bool) -> None:
     print("\nAgreement of two leads, in windows of 10 s in which both have quality 0.5 or more")
     for name in ("a103l", "v102s"):
         leads, rate_hz = record(name)
-        one, two = (_beats_with_quality(leads[lead], rate_hz) for lead in ("II", "V"))
+        first, two = (_beats_with_quality(leads[lead], rate_hz) for lead in ("II", "V"))
         kept, whole, agreeing, beats_in = 0, 0, 0, 0
         for begin_s in np.arange(0, len(leads["II"]) / rate_hz - 10, 10.0):
-            inside = [each[(each[:, 0] >= begin_s) & (each[:, 0] < begin_s + 10)] for each in (one, two)]
+            inside = [lead[(lead[:, 0] >= begin_s) & (lead[:, 0] < begin_s + 10)] for lead in (first, two)]
             whole += 1
-            if any(len(each) < 3 or each[:, 1].mean() < 0.5 for each in inside):
+            if any(len(lead) < 3 or lead[:, 1].mean() < 0.5 for lead in inside):
                 continue
             kept += 1
             beats_in += len(inside[0])
@@ -272,13 +276,13 @@ def measure_rates() -> None:
     print(f"Breathing of v102s, chest wave and ECG: {shown}{best}")
 
 
-def window_errors(truth: Floats, found: Floats) -> list[float]:
+def window_errors(truth: Floats, estimates: Floats) -> list[float]:
     """Return the error of the mean heart rate in each window of 10 s, in bpm."""
     errors = []
     for begin_s in np.arange(0, truth[-1] - 10, 10.0):
-        inside = [each[(each >= begin_s) & (each < begin_s + 10)] for each in (truth, found)]
+        inside = [beats[(beats >= begin_s) & (beats < begin_s + 10)] for beats in (truth, estimates)]
         if len(inside[0]) >= 3:
-            rates = [60 / float(np.mean(np.diff(each))) if len(each) >= 3 else 0.0 for each in inside]
+            rates = [60 / float(np.mean(np.diff(beats))) if len(beats) >= 3 else 0.0 for beats in inside]
             errors.append(abs(rates[0] - rates[1]))
     return errors
 
@@ -318,11 +322,13 @@ def measure_faults(count: int) -> None:
         missed += delay_s is None
         if delay_s is not None:
             delays.setdefault(name, []).append(delay_s)
-    late = {name: sum(delay > 1.0 for delay in each) for name, each in delays.items()}
+    late = {name: sum(delay > 1.0 for delay in fault_delays) for name, fault_delays in delays.items()}
     shown = ", ".join(f"{count} {name}" for name, count in late.items() if count) or "0"
     print(f"  not found {missed}, found later than 1 s {shown}, false plausible values {wrong}")
-    for name, each in delays.items():
-        print(f"  {name:12} {len(each):4} found, median {np.median(each):.2f} s, longest {max(each):.2f} s")
+    for name, waits in delays.items():
+        print(
+            f"  {name:12} {len(waits):4} found, median {np.median(waits):.2f} s, longest {max(waits):.2f} s"
+        )
 
 
 class Checks:
@@ -385,7 +391,7 @@ def run_fault(
 
 def measure_slow_faults() -> None:
     """Print after how many periods the silence of slow sensors is found."""
-    found = []
+    delays = []
     for period_s in (1.0, 3.0, 5.0):
         info = SignalInfo(SignalKind.HEART_RATE, "BPM", None)
         monitor = SignalMonitor("radar", info)
@@ -395,10 +401,10 @@ def measure_slow_faults() -> None:
         now_s = at_s
         while monitor.silence(now_s) is None:
             now_s += 0.1
-        found.append((now_s - at_s) / period_s)
+        delays.append((now_s - at_s) / period_s)
     print(
         "  silence of sensors with a value each 1, 3 and 5 s: found after "
-        f"{', '.join(f'{x:.1f}' for x in found)} periods"
+        f"{', '.join(f'{x:.1f}' for x in delays)} periods"
     )
 
 
@@ -427,9 +433,9 @@ def measure_cost(*, people: int, seconds: float) -> None:
         completing: list[float] = []
         for person in range(people):
             checks = Checks(info)
-            for each in packets_of(info, signal_of(info, seconds, person), "s", BEGIN_S, packet):
+            for samples in packets_of(info, signal_of(info, seconds, person), "s", BEGIN_S, packet):
                 began = time.thread_time()
-                features = checks.take(each, each.end_s)
+                features = checks.take(samples, samples.end_s)
                 costs.append(time.thread_time() - began)
                 if features:
                     completing.append(costs[-1])
@@ -491,16 +497,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--only", nargs="+", default=[], help="beats, bands, rates, faults, silence, cost, memory"
     )
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; records in {RECORDS}")
     parts: dict[str, Callable[[], None]] = {
-        "beats": partial(measure_beats, is_quick=given.quick),
-        "bands": partial(measure_bands, is_quick=given.quick),
+        "beats": partial(measure_beats, is_quick=options.quick),
+        "bands": partial(measure_bands, is_quick=options.quick),
         "rates": measure_rates,
-        "faults": partial(measure_faults, 120 if given.quick else 1000),
+        "faults": partial(measure_faults, 120 if options.quick else 1000),
         "silence": measure_slow_faults,
-        "cost": partial(measure_cost, people=10 if given.quick else 50, seconds=60),
+        "cost": partial(measure_cost, people=10 if options.quick else 50, seconds=60),
         "memory": measure_memory,
     }
     if not (RECORDS / "100.dat").is_file():
@@ -508,7 +514,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         del parts["beats"], parts["rates"]
     with report_steal_time():
         for name, part in parts.items():
-            if not given.only or name in given.only:
+            if not options.only or name in options.only:
                 part()
     print(f"load average at the end {os.getloadavg()[0]:.1f}")
 

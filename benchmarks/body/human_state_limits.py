@@ -76,7 +76,7 @@ class Wearer:
         """Return how old the packets are that this limit answers, in s."""
         now, waiting = time.perf_counter(), self.pending[where]
         done = [now - sent for sent, wanted in waiting if fraction <= wanted + 1e-3]
-        self.pending[where] = [each for each in waiting if fraction > each[1] + 1e-3]
+        self.pending[where] = [waiting_for for waiting_for in waiting if fraction > waiting_for[1] + 1e-3]
         return done
 
 
@@ -84,17 +84,17 @@ class Bench:
     """The people, and the times that were measured."""
 
     def __init__(self, wearers: Sequence[Wearer]) -> None:
-        self.wearers = {each.name: each for each in wearers}
+        self.wearers = {wearer.name: wearer for wearer in wearers}
         self.delays: dict[str, list[float]] = {"reader": [], "robot": []}
         self.missed = 0
         self._sequence: int | None = None
 
     def take(self, where: str, source: str, fraction: float) -> None:
         """Take a limit that arrived."""
-        for each in self.wearers.values():
-            if each.source == source:
-                each.fraction = fraction
-                self.delays[where] += each.received(where, fraction)
+        for wearer in self.wearers.values():
+            if wearer.source == source:
+                wearer.fraction = fraction
+                self.delays[where] += wearer.received(where, fraction)
 
     async def read(self, url: str) -> None:
         """Read `/limits` until cancelled."""
@@ -123,11 +123,13 @@ class Bench:
         stick = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         number = 0
         while (now := time.perf_counter() - began) < seconds:
-            for place, each in enumerate(self.wearers.values()):
+            for place, wearer in enumerate(self.wearers.values()):
                 due = (number + place / len(self.wearers)) * PACKET_S
                 await asyncio.sleep(max(0.0, due - (time.perf_counter() - began)))
-                each.send(stick)
-                each.bpm = min(each.bpm + 1.0, STRAINED_BPM - 1) if self.is_ready and now > 0 else REST_BPM
+                wearer.send(stick)
+                wearer.bpm = (
+                    min(wearer.bpm + 1.0, STRAINED_BPM - 1) if self.is_ready and now > 0 else REST_BPM
+                )
             number += 1
         stick.close()
 
@@ -137,12 +139,12 @@ class Bench:
         """Send heart rates at rest until everybody has the full limit."""
         stick = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         began = time.perf_counter()
-        while any(each.fraction < 0.999 for each in self.wearers.values()):
+        while any(wearer.fraction < 0.999 for wearer in self.wearers.values()):
             if time.perf_counter() - began > MAX_WAIT_S:
-                found = [each.fraction for each in self.wearers.values()]
-                raise SystemExit(f"the limits did not rise in {MAX_WAIT_S:.0f} s: {found}")
-            for each in self.wearers.values():
-                each.send(stick)
+                fractions = [wearer.fraction for wearer in self.wearers.values()]
+                raise SystemExit(f"the limits did not rise in {MAX_WAIT_S:.0f} s: {fractions}")
+            for wearer in self.wearers.values():
+                wearer.send(stick)
                 await asyncio.sleep(PACKET_S / len(self.wearers))
         stick.close()
         self.is_ready = True
@@ -162,11 +164,11 @@ async def add(rest: httpx.AsyncClient, name: str, sensor: dict[str, Any]) -> str
 async def counts(rest: httpx.AsyncClient) -> dict[str, float]:
     """Return how many heart rates had which status."""
     text = (await rest.get("/metrics")).text
-    found = [
+    delays = [
         line for line in text.splitlines()
         if line.startswith("handover_human_state_features_total") and 'feature="heartRate"' in line
     ]  # fmt: skip
-    return {line.split('status="')[1].split('"')[0]: float(line.rsplit(" ", 1)[1]) for line in found}
+    return {line.split('status="')[1].split('"')[0]: float(line.rsplit(" ", 1)[1]) for line in delays}
 
 
 async def measure(options: argparse.Namespace, ports: dict[str, int], process: psutil.Process) -> None:
@@ -181,15 +183,15 @@ async def measure(options: argparse.Namespace, ports: dict[str, int], process: p
         ecg = {"signals": ["ecg"], "packet_s": 0.56}
         for n in range(options.people):
             await add(rest, f"p{n}", {"driver": "simulated", "settings": {**ecg, "seed": n}})
-        for each in bench.wearers.values():
-            settings = {"port": each.port, "device_id": each.name}
-            pseudonym = await add(rest, each.name, {"driver": "max30100", "settings": settings})
-            each.source = f"body-{pseudonym}"
-            (await rest.put(f"/people/{each.name}/robots/r-{each.name}")).raise_for_status()
+        for wearer in bench.wearers.values():
+            settings = {"port": wearer.port, "device_id": wearer.name}
+            pseudonym = await add(rest, wearer.name, {"driver": "max30100", "settings": settings})
+            wearer.source = f"body-{pseudonym}"
+            (await rest.put(f"/people/{wearer.name}/robots/r-{wearer.name}")).raise_for_status()
         reading = asyncio.create_task(bench.read(f"ws://{base}"))
         await bench.warm_up()
-        for each in bench.wearers.values():
-            each.pending = {"reader": [], "robot": []}
+        for wearer in bench.wearers.values():
+            wearer.pending = {"reader": [], "robot": []}
         bench.delays, bench.missed = {"reader": [], "robot": []}, 0
         before, cpu, began = await counts(rest), sum(process.cpu_times()[:2]), time.perf_counter()
         burners = [
@@ -209,7 +211,7 @@ async def measure(options: argparse.Namespace, ports: dict[str, int], process: p
     print(f"{options.people} people with ECG, {WEARERS} with a robot; {options.burners} other busy processes")
     for where, title in (("reader", "reader of /limits"), ("robot", "limiter of the robot")):
         delays = 1000 * np.array(bench.delays[where])
-        lost = sum(len(each.pending[where]) for each in bench.wearers.values())
+        lost = sum(len(wearer.pending[where]) for wearer in bench.wearers.values())
         p50, p99 = np.percentile(delays, (50, 99))
         print(
             f"  from the packet to the {title:20}: p50 {p50:.1f} ms, p99 {p99:.1f} ms, "
@@ -222,13 +224,13 @@ async def measure(options: argparse.Namespace, ports: dict[str, int], process: p
 
 async def _problems(rest: httpx.AsyncClient) -> dict[str, int]:
     """Return the faults that the sensors show, with how many show each."""
-    found: dict[str, int] = {}
+    by_reason: dict[str, int] = {}
     for person in (await rest.get("/people")).raise_for_status().json():
         for sensor in person["sensors"]:
             if sensor["fault"] or sensor["problem"]:
                 key = f"{sensor['fault']}: {sensor['problem']}"[:70]
-                found[key] = found.get(key, 0) + 1
-    return found
+                by_reason[key] = by_reason.get(key, 0) + 1
+    return by_reason
 
 
 async def ready(rest: httpx.AsyncClient) -> None:

@@ -22,15 +22,15 @@ def unwrapped(counts: Floats, period: float) -> Floats:
     two samples. The slow waves must not wrap. A rule that looks at the next sample only fails where the
     signal crosses more than half of the period from one sample to the next.
     """
-    found = counts.astype(np.float64)
+    samples = counts.astype(np.float64)
     steep = np.flatnonzero(np.abs(np.diff(counts)) > STEEP_SHARE * period)
     offsets: Floats = np.arange(-MAX_WRAPS, MAX_WRAPS + 1, dtype=np.float64) * period
     for part in np.split(steep, np.flatnonzero(np.diff(steep) > _JOIN) + 1):
         if not len(part):
             continue
         first, end = max(2, part[0] - _BEFORE), min(len(counts), part[-1] + _AFTER)
-        found[first:end] += offsets[_least_bent(counts[first - 2 : end], offsets)]
-    return found
+        samples[first:end] += offsets[_least_bent(counts[first - 2 : end], offsets)]
+    return samples
 
 
 def _least_bent(counts: Floats, offsets: Floats) -> NDArray[np.intp]:

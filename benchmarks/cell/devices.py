@@ -145,12 +145,12 @@ def ready(url: str) -> None:
     raise SystemExit(f"{url} is not ready")
 
 
-def shown(title: str, found: dict[str, float]) -> None:
+def shown(title: str, figures: dict[str, float]) -> None:
     """Print one line of results."""
     print(
-        f"{title:<34} {found['messages_per_s']:8.0f} messages/s {found['values_per_s']:8.0f} values/s   "
-        f"ack p50 {found['ack_p50_ms']:6.1f} ms  p99 {found['ack_p99_ms']:6.1f} ms   "
-        f"{found['cores']:5.2f} cores   {found['errors']:.0f} errors",
+        f"{title:<34} {figures['messages_per_s']:8.0f} messages/s {figures['values_per_s']:8.0f} values/s   "
+        f"ack p50 {figures['ack_p50_ms']:6.1f} ms  p99 {figures['ack_p99_ms']:6.1f} ms   "
+        f"{figures['cores']:5.2f} cores   {figures['errors']:.0f} errors",
         flush=True,
     )
 

@@ -98,21 +98,21 @@ class Load:
         for number in range(max(1, round(rate * seconds))):
             await asyncio.sleep(max(0.0, begun + number / rate - time.monotonic()))
             starts.append(asyncio.create_task(self._start(http, cell)))
-        started = [one for one in await asyncio.gather(*starts) if one is not None]
+        started = [start for start in await asyncio.gather(*starts) if start is not None]
         until = time.monotonic() + REST_S
         ended: dict[str, Any] = {}
         while len(ended) < len(started) and time.monotonic() < until:
             await asyncio.sleep(1)
-            for one in set(started) - ended.keys():
-                process = (await http.get(f"{cell.orchestrator.url}/processes/{one}")).json()
+            for process_id in set(started) - ended.keys():
+                process = (await http.get(f"{cell.orchestrator.url}/processes/{process_id}")).json()
                 if process["endedAt"]:
-                    ended[one] = process
+                    ended[process_id] = process
         self.unfinished += len(started) - len(ended)
         self.durations_s += [
             (
-                datetime.fromisoformat(one["endedAt"]) - datetime.fromisoformat(one["startedAt"])
+                datetime.fromisoformat(instance["endedAt"]) - datetime.fromisoformat(instance["startedAt"])
             ).total_seconds()
-            for one in ended.values()
+            for instance in ended.values()
         ]
 
     async def _start(self, http: httpx.AsyncClient, cell: Cell) -> str | None:
@@ -196,7 +196,7 @@ async def measure(arguments: argparse.Namespace, folder: Path) -> None:
 async def _at_rate(
     rate: float, cells: Sequence[Cell], services: dict[str, list[Service]], arguments: argparse.Namespace
 ) -> str | None:
-    before = {name: sum(each.cpu_s() for each in some) for name, some in services.items()}
+    before = {name: sum(service.cpu_s() for service in some) for name, some in services.items()}
     psutil.cpu_percent()
     begun = time.perf_counter()
     load = Load()
@@ -206,7 +206,7 @@ async def _at_rate(
         await asyncio.sleep(arguments.seconds)
     passed_s = time.perf_counter() - begun
     used = {
-        name: (sum(each.cpu_s() for each in some) - before[name]) / passed_s / len(some) * 100
+        name: (sum(service.cpu_s() for service in some) - before[name]) / passed_s / len(some) * 100
         for name, some in services.items()
     }
     cpu = ", ".join(f"{name} {share:.1f} %" for name, share in used.items())

@@ -340,10 +340,10 @@ async def measure_latency(cell: Cell, seconds: float) -> None:
     await asyncio.sleep(THINK_S)
     performer.latencies_s.clear()
     await asyncio.sleep(seconds)
-    found = sorted(performer.latencies_s)
-    p50, p99 = statistics.median(found), found[int(len(found) * 0.99)]
+    latencies_s = sorted(performer.latencies_s)
+    p50, p99 = statistics.median(latencies_s), latencies_s[int(len(latencies_s) * 0.99)]
     report(
-        f"completed Task to next Task, {len(found) / seconds:.0f}/s ({IN_FLIGHT} in flight)",
+        f"completed Task to next Task, {len(latencies_s) / seconds:.0f}/s ({IN_FLIGHT} in flight)",
         f"p50 {p50 * 1e3:.0f} ms, p99 {p99 * 1e3:.0f} ms wall",
         "p50 15 ms, p99 50 ms",
     )

@@ -68,8 +68,8 @@ class Cell:
 
     def cpu_s(self) -> dict[str, float]:
         """Return the CPU time that each service has used."""
-        times = {name: psutil.Process(one.pid).cpu_times() for name, one in self._processes.items()}
-        return {name: float(one.user + one.system) for name, one in times.items()}
+        times = {name: psutil.Process(process.pid).cpu_times() for name, process in self._processes.items()}
+        return {name: float(spent.user + spent.system) for name, spent in times.items()}
 
     def stop(self) -> None:
         """End the services."""
@@ -161,7 +161,9 @@ async def measure(cell: Cell, rate: float, seconds: float, addresses: int) -> No
     by_status = Counter[int]()
     for answer, count in answers.items():
         by_status[answer.status] += count
-    without = sum(count for one, count in answers.items() if one.status == 429 and not one.has_retry_after)
+    without = sum(
+        count for outcome, count in answers.items() if outcome.status == 429 and not outcome.has_retry_after
+    )
     print(f"attack: {total} attempts from {addresses} addresses, {total / took_s:.0f} a second answered")
     print(f"answers: {dict(by_status)} (401 hashed, 429 limited before hashing, 0 connection refused)")
     print(f"429 without Retry-After: {without}")
@@ -176,7 +178,7 @@ async def measure(cell: Cell, rate: float, seconds: float, addresses: int) -> No
         median, most = statistics.median(now), max(now)
         was = statistics.median(before)
         print(f"{name}: median {median:.3f} s, longest {most:.2f} s{aim}; without the attack {was:.3f} s")
-    print(f"load of the machine: {', '.join(f'{one:.1f}' for one in os.getloadavg())}")
+    print(f"load of the machine: {', '.join(f'{load:.1f}' for load in os.getloadavg())}")
 
 
 def main() -> None:
@@ -185,11 +187,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1000.0, help="attempts a second")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--addresses", type=int, default=1, help="of the attacker")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         cell = Cell(Path(folder))
         try:
-            asyncio.run(measure(cell, given.rate, given.seconds, given.addresses))
+            asyncio.run(measure(cell, options.rate, options.seconds, options.addresses))
         finally:
             cell.stop()
 

@@ -128,7 +128,11 @@ class _Spiff:
         self.snapshot = self.serializer.serialize_json(self.workflow)
 
     def step(self) -> None:
-        task = next(each for each in self.workflow.get_tasks(state=TaskState.READY) if each.task_spec.manual)
+        task = next(
+            candidate
+            for candidate in self.workflow.get_tasks(state=TaskState.READY)
+            if candidate.task_spec.manual
+        )
         task.data["part"] = 7
         task.run()
         self.workflow.do_engine_steps()
@@ -167,17 +171,17 @@ def measure_sequence(start: Callable[[], Instance], instances: int) -> tuple[flo
 
 def measure_loop(run: Instance, steps_a_round: int, rounds: list[int], measured: int) -> dict[int, float]:
     """Return the CPU time of a step in some rounds, the mean of `measured` rounds from each on."""
-    found: dict[int, float] = {}
+    medians: dict[int, float] = {}
     number = 1
     while number <= rounds[-1]:
         if number in rounds:
-            found[number] = cpu_us(run.step, steps_a_round * measured)
+            medians[number] = cpu_us(run.step, steps_a_round * measured)
             number += measured
             continue
         for _ in range(steps_a_round):
             run.step()
         number += 1
-    return found
+    return medians
 
 
 def report(name: str, figures: dict[str, Any]) -> None:
@@ -200,8 +204,8 @@ def measure(
     report(name, {"snapshot of a waiting instance": f"{waiting.size()} B"})
     for label, xml, steps in (("loop", ONE_TASK_LOOP, 1), ("parallel loop", PARALLEL_LOOP, 2)):
         run = start(xml)()
-        found = measure_loop(run, steps, rounds, rounds_measured)
-        report(name, {f"{label}, step of round {number}:": f"{us:.0f} µs" for number, us in found.items()})
+        measured = measure_loop(run, steps, rounds, rounds_measured)
+        report(name, {f"{label}, step of round {number}:": f"{us:.0f} µs" for number, us in measured.items()})
         report(name, {f"{label}, snapshot at the end:": f"{run.size()} B"})
 
 

@@ -159,8 +159,8 @@ async def load(
         share = (cpu_s(process) - before) / took
         frames = sum(view["frames"] for view in (await http.get("/gloves")).json()) - frames
     finally:
-        for one in streaming:
-            one.cancel()
+        for glove in streaming:
+            glove.cancel()
         await asyncio.gather(*streaming, return_exceptions=True)
     return share, frames / took
 

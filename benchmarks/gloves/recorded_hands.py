@@ -229,7 +229,10 @@ def changes(person: Recording) -> Iterator[Frames]:
         start, end = middles[first][-1], middles[then][0]
         steps = round(change_s * person.hz)
         between = [
-            [one + minimum_jerk(step / steps) * (other - one) for one, other in zip(start, end, strict=True)]
+            [
+                begin + minimum_jerk(step / steps) * (other - begin)
+                for begin, other in zip(start, end, strict=True)
+            ]
             for step in range(1, steps)
         ]
         yield [*middles[first], *between, *middles[then]]
@@ -266,7 +269,7 @@ def contradicted(person: Recording) -> dict[str, float]:
     Clearly: a finger labelled bent beyond two thirds of its span, or one labelled straight below one third.
     """
     levels = calibrated(person).levels
-    found = {}
+    recordings = {}
     for pose in SIX:
         frames = person.poses.get(pose, [])
         wrong = sum(
@@ -279,8 +282,8 @@ def contradicted(person: Recording) -> dict[str, float]:
             for frame in frames
         )
         if frames and wrong / len(frames) > 0.02:
-            found[pose] = wrong / len(frames)
-    return found
+            recordings[pose] = wrong / len(frames)
+    return recordings
 
 
 @dataclass(frozen=True)

@@ -42,19 +42,19 @@ def proxqp() -> Solve:
     """Return dense ProxQP, which keeps a program for each level and starts from its last solution."""
     from proxsuite import proxqp as prox  # noqa: PLC0415 - may be missing
 
-    known: dict[tuple[int, int, int], Any] = {}
+    solvers: dict[tuple[int, int, int], Any] = {}
 
-    def solve(one: Program) -> Any:
-        key = (one.level, len(one.b), len(one.low))
-        qp = known.get(key)
+    def solve(program: Program) -> Any:
+        key = (program.level, len(program.b), len(program.low))
+        qp = solvers.get(key)
         if qp is None:
-            qp = known[key] = prox.dense.QP(len(one.g), len(one.b), len(one.low))
+            qp = solvers[key] = prox.dense.QP(len(program.g), len(program.b), len(program.low))
             qp.settings.eps_abs, qp.settings.max_iter = 1e-8, 500
             qp.settings.initial_guess = prox.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-            qp.init(one.h, one.g, one.a, one.b, one.c, one.low, one.high)
+            qp.init(program.h, program.g, program.a, program.b, program.c, program.low, program.high)
             qp.solve()
         began = time.thread_time()
-        qp.update(one.h, one.g, one.a, one.b, one.c, one.low, one.high)
+        qp.update(program.h, program.g, program.a, program.b, program.c, program.low, program.high)
         qp.solve()
         used = time.thread_time() - began
         if qp.results.info.status != prox.QPSolverOutput.PROXQP_SOLVED:
@@ -68,12 +68,12 @@ def quadprog() -> Solve:
     """Return quadprog, the method of Goldfarb and Idnani as in eiquadprog."""
     from quadprog import solve_qp  # noqa: PLC0415 - may be missing
 
-    def solve(one: Program) -> Any:
-        rows = np.asfortranarray(np.vstack([one.a, one.c, -one.c]).T)
-        values = np.concatenate([one.b, one.low, -one.high])
+    def solve(program: Program) -> Any:
+        rows = np.asfortranarray(np.vstack([program.a, program.c, -program.c]).T)
+        values = np.concatenate([program.b, program.low, -program.high])
         began = time.thread_time()
-        found = solve_qp(one.h, -one.g, rows, values, len(one.b))[0]
-        return found, time.thread_time() - began
+        solution = solve_qp(program.h, -program.g, rows, values, len(program.b))[0]
+        return solution, time.thread_time() - began
 
     return solve
 
@@ -82,23 +82,23 @@ def qpoases() -> Solve:
     """Return qpOASES by casadi, timed by casadi itself without the conversions from Python."""
     import casadi  # noqa: PLC0415 - may be missing
 
-    known: dict[tuple[int, int], Any] = {}
+    solvers: dict[tuple[int, int], Any] = {}
 
-    def solve(one: Program) -> Any:
-        rows, count, n = np.vstack([one.a, one.c]), len(one.b) + len(one.low), len(one.g)
-        made = known.get((one.level, count))
+    def solve(program: Program) -> Any:
+        rows, count, n = np.vstack([program.a, program.c]), len(program.b) + len(program.low), len(program.g)
+        made = solvers.get((program.level, count))
         if made is None:
             shape = {"h": casadi.Sparsity.dense(n, n), "a": casadi.Sparsity.dense(count, n)}
             options = {"printLevel": "none", "error_on_fail": True, "sparse": False, "record_time": True}
-            made = known[one.level, count] = casadi.conic("level", "qpoases", shape, options)
-        found = made(
-            h=one.h,
-            g=one.g,
+            made = solvers[program.level, count] = casadi.conic("level", "qpoases", shape, options)
+        solver = made(
+            h=program.h,
+            g=program.g,
             a=rows,
-            lba=np.concatenate([one.b, one.low]),
-            uba=np.concatenate([one.b, one.high]),
+            lba=np.concatenate([program.b, program.low]),
+            uba=np.concatenate([program.b, program.high]),
         )
-        return np.array(found["x"]).ravel(), float(made.stats()["t_proc_solver"])
+        return np.array(solver["x"]).ravel(), float(made.stats()["t_proc_solver"])
 
     return solve
 

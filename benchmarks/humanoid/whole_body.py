@@ -170,9 +170,9 @@ def report(name: str, problems: list[Problem], solvers: list[Solver], rounds: in
     times = 1e6 * timed(solvers, problems, rounds)
     for solver, values in zip(solvers, times, strict=True):
         p50, p95, most = np.quantile(values, [0.5, 0.95, 1.0])
-        found = list(disagreements(solver, problems))
-        share = 100 * (1 - len(found) / len(problems))
-        far = [each for each in found if abs(each[2]) > NEARLY]
+        deviations = list(disagreements(solver, problems))
+        share = 100 * (1 - len(deviations) / len(problems))
+        far = [deviation for deviation in deviations if abs(deviation[2]) > NEARLY]
         nearly = 100 * (1 - len(far) / len(problems))
         print(
             f"  {solver.name}: p50 {p50:.0f} us, p95 {p95:.0f} us, max {most:.0f} us; "

@@ -32,13 +32,13 @@ MODULE = "handover_humanoid.control_process"
 def resident_mb(pid: int) -> float:
     """Return the resident memory of a process."""
     status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-    line = next(each for each in status.splitlines() if each.startswith("VmRSS:"))
+    line = next(status_line for status_line in status.splitlines() if status_line.startswith("VmRSS:"))
     return int(line.split()[1]) / 1024
 
 
-def of(names: tuple[str, ...], given: dict[str, float]) -> np.ndarray:
+def of(names: tuple[str, ...], values: dict[str, float]) -> np.ndarray:
     """Return the values of a port, 0 where none is given."""
-    return np.array([given.get(name, 0.0) for name in names])
+    return np.array([values.get(name, 0.0) for name in names])
 
 
 def command(folder: Path, behaviour: Behaviour | None, random: np.random.Generator) -> None:
@@ -64,7 +64,7 @@ def command(folder: Path, behaviour: Behaviour | None, random: np.random.Generat
 
 def measure(minutes: float) -> bool:
     """Print the memory each minute; return whether it was flat."""
-    random, known = np.random.default_rng(1), list[float]()
+    random, samples = np.random.default_rng(1), list[float]()
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
         folder, file = Path(name), Path(name) / "deployment.yaml"
         file.write_text(DEPLOYMENT.format(folder=folder, fifo="false"), encoding="utf-8")
@@ -79,16 +79,16 @@ def measure(minutes: float) -> bool:
                     behaviour = ROUND[part % len(ROUND)]
                     command(folder, behaviour, random)
                     state.read()
-                    known.append(resident_mb(process.pid))
+                    samples.append(resident_mb(process.pid))
                     shown = "stands" if behaviour is None else behaviour.name.lower().replace("_", " ")
                     print(
-                        f"{(part + 1) * PART_S / 60:4.0f} min, {shown}: {known[-1]:.1f} MB, "
+                        f"{(part + 1) * PART_S / 60:4.0f} min, {shown}: {samples[-1]:.1f} MB, "
                         f"{state.value('cycles'):.0f} cycles, mode {state.value('mode'):.0f}",
                         flush=True,
                     )
             finally:
                 process.send_signal(signal.SIGTERM)
-    later = known[len(ROUND) :]
+    later = samples[len(ROUND) :]
     if not later:
         print("no figure: it takes more than one round of the behaviours")
         return False

@@ -97,24 +97,27 @@ def compare(name: str, problems: list[Problem], peers: Peers, rounds: int) -> No
         for solver, times_of in zip(ours, timed(ours, problems, 1), strict=True):
             least[solver.name] = np.minimum(least[solver.name], times_of)
         for peer in peers.about["solvers"]:
-            for number, found in enumerate(peers.ask(solver=peer)["found"]):
-                if found is not None:
-                    least[peer][number] = min(least[peer][number], found[0])
-                    apart[peer][number] = np.abs(np.subtract(found[1], residuals[number])).max()
+            for number, solution in enumerate(peers.ask(solver=peer)["found"]):
+                if solution is not None:
+                    least[peer][number] = min(least[peer][number], solution[0])
+                    apart[peer][number] = np.abs(np.subtract(solution[1], residuals[number])).max()
     print(f"{name}: {len(problems)} problems")
-    times = {each: values[np.isfinite(values)] for each, values in least.items()}
-    medians = {each: 1e6 * float(np.median(values)) for each, values in times.items() if len(values)}
-    for each, values in times.items():
+    times = {solver_name: values[np.isfinite(values)] for solver_name, values in least.items()}
+    medians = {
+        solver_name: 1e6 * float(np.median(values)) for solver_name, values in times.items() if len(values)
+    }
+    for solver_name, values in times.items():
         if not len(values):
-            print(f"  {each}: solved none")
+            print(f"  {solver_name}: solved none")
             continue
-        text = f"  {each}: p50 {medians[each]:.0f} us, p95 {1e6 * np.quantile(values, 0.95):.0f} us"
-        if each in apart:
-            known = apart[each][np.isfinite(apart[each])]
+        text = f"  {solver_name}: p50 {medians[solver_name]:.0f} us, "
+        text += f"p95 {1e6 * np.quantile(values, 0.95):.0f} us"
+        if solver_name in apart:
+            deviations = apart[solver_name][np.isfinite(apart[solver_name])]
             text += (
                 f"; {len(problems) - len(values)} not solved; residuals as ours to {AGREES} in "
-                f"{100 * np.mean(known <= AGREES):.1f} %, to {NEARLY} in "
-                f"{100 * np.mean(known <= NEARLY):.1f} %"
+                f"{100 * np.mean(deviations <= AGREES):.1f} %, to {NEARLY} in "
+                f"{100 * np.mean(deviations <= NEARLY):.1f} %"
             )
         print(text)
     best = min((medians[peer], peer) for peer in peers.about["solvers"] if peer in medians)
@@ -143,11 +146,11 @@ def compare_cycles(peers: Peers, seed: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "robot.urdf"
         urdf.write_text(humanoid.urdf, encoding="utf-8")
-        found = peers.ask(urdf=str(urdf), joints=joints, targets=targets)
-    if "missing" in found:
-        print(f"cycle, placo: {found['missing']}")
+        answer = peers.ask(urdf=str(urdf), joints=joints, targets=targets)
+    if "missing" in answer:
+        print(f"cycle, placo: {answer['missing']}")
     else:
-        print(f"cycle, placo, one hard and one soft level: p50 {1e6 * np.median(found['times']):.0f} us")
+        print(f"cycle, placo, one hard and one soft level: p50 {1e6 * np.median(answer['times']):.0f} us")
 
 
 def main() -> None:

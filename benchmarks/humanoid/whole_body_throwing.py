@@ -60,11 +60,12 @@ def measure_hand(hand: str, count: int, seed: int, *, is_rehearsed: bool) -> Non
         record = game.throw(throw)
         practice.learn(hand, base, throw.landing, record.predicted)
         missed.append(float(np.linalg.norm(record.landed - wanted)))
-    found = 1e3 * np.array(missed)
+    misses_mm = 1e3 * np.array(missed)
     print(f"{hand}: {count} throws to {DISTANCE_M} m, {game.robot.time_s - began_s:.0f} s simulated")
     print(
-        f"  landing error: median {np.median(found):.0f} mm, 95 % {np.percentile(found, 95):.0f} mm, largest "
-        f"{found.max():.0f} mm (aims: 20 and 50); the first {FIRST}: {found[:FIRST].round()} mm"
+        f"  landing error: median {np.median(misses_mm):.0f} mm, 95 % {np.percentile(misses_mm, 95):.0f} mm, "
+        f"largest {misses_mm.max():.0f} mm (aims: 20 and 50); "
+        f"the first {FIRST}: {misses_mm[:FIRST].round()} mm"
     )
     print(f"  planning: median {1e3 * np.median(planning_s):.0f} ms CPU; {refused} targets out of reach")
 

@@ -72,26 +72,28 @@ def wishes(seed: int) -> Iterator[Wish]:
 def measure_walk(solver: Solver, minutes: float, seed: int, *, is_straight: bool) -> None:
     """Print how a walk of some minutes was."""
     controller = WalkingController(COMAN, solver)
-    one = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, seed, MODEL))
+    walk = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, seed, MODEL))
     wanted = wishes(seed)
     chosen = [next(wanted) for _ in range(int(60 * minutes / WISH_S) + 2)]
     ahead = Wish(np.array([0.08, 0.0]))
     began, records = time.thread_time(), list[WalkRecord]()
-    while one.robot.time_s < 60 * minutes and not (records and records[-1].has_fallen):
-        records.append(one.run(PART_S, lambda at: ahead if is_straight else chosen[int(at // WISH_S)]))
+    while walk.robot.time_s < 60 * minutes and not (records and records[-1].has_fallen):
+        records.append(walk.run(PART_S, lambda at: ahead if is_straight else chosen[int(at // WISH_S)]))
     used = time.thread_time() - began
-    error: Array = np.concatenate([np.linalg.norm(each.com - each.reference, axis=1) for each in records])
-    rooms = np.concatenate([each.room_m[each.is_single] for each in records])
-    planned = min(float(each.planned_room_m.min()) for each in records)
-    fell = f"FELL after {one.robot.time_s:.0f} s" if records[-1].has_fallen else "no fall"
-    drift = np.linalg.norm(one.robot.true_configuration()[:2] - controller.estimator.q[:2])
+    error: Array = np.concatenate(
+        [np.linalg.norm(record.com - record.reference, axis=1) for record in records]
+    )
+    rooms = np.concatenate([record.room_m[record.is_single] for record in records])
+    planned = min(float(record.planned_room_m.min()) for record in records)
+    fell = f"FELL after {walk.robot.time_s:.0f} s" if records[-1].has_fallen else "no fall"
+    drift = np.linalg.norm(walk.robot.true_configuration()[:2] - controller.estimator.q[:2])
     how = "ahead" if is_straight else "with seeded wishes"
     print(
-        f"walk {how}, {one.robot.time_s:.0f} s: {fell}; CoM error "
+        f"walk {how}, {walk.robot.time_s:.0f} s: {fell}; CoM error "
         f"RMS {1e3 * np.sqrt((error**2).mean()):.1f} mm, max {1e3 * error.max():.1f} mm; planned ZMP "
         f"{1e3 * planned:.1f} mm inside at least; measured pressure 10 mm inside in "
         f"{100 * (rooms >= 0.01).mean():.1f} % of {len(rooms)} samples in single support; odometry off by "
-        f"{drift:.2f} m; {one.robot.time_s / used:.1f} times real time with control",
+        f"{drift:.2f} m; {walk.robot.time_s / used:.1f} times real time with control",
         flush=True,
     )
 
@@ -103,13 +105,13 @@ def measure_pushes(solver: Solver) -> None:
             survived = 0
             for moment in moments:
                 controller = WalkingController(COMAN, solver)
-                one = SimulatedWalk(
+                walk = SimulatedWalk(
                     controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1, MODEL)
                 )
                 wish = Wish(np.array([speed, 0.0]))
-                one.run(moment, lambda _, wish=wish: wish)  # type: ignore[misc]
-                one.robot.push(np.array([*impulse, 0.0]))
-                survived += not one.run(3.0, lambda _, wish=wish: wish).has_fallen  # type: ignore[misc]
+                walk.run(moment, lambda _, wish=wish: wish)  # type: ignore[misc]
+                walk.robot.push(np.array([*impulse, 0.0]))
+                survived += not walk.run(3.0, lambda _, wish=wish: wish).has_fallen  # type: ignore[misc]
             what = "walking" if speed else "standing"
             print(f"push of {impulse} N s, {what}: survived {survived} of {len(moments)}", flush=True)
 

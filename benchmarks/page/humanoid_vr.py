@@ -70,8 +70,8 @@ Rows = dict[str, tuple[float, float, int]]
 
 def rows(page: Page) -> Rows:
     """Return median, 99 % and count by what was measured, in ms."""
-    found = page.locator("[data-median]").evaluate_all("all => all.map((each) => ({ ...each.dataset }))")
-    return {one["measured"]: (float(one["median"]), float(one["p99"]), int(one["count"])) for one in found}
+    shown = page.locator("[data-median]").evaluate_all("all => all.map((each) => ({ ...each.dataset }))")
+    return {row["measured"]: (float(row["median"]), float(row["p99"]), int(row["count"])) for row in shown}
 
 
 @contextmanager
@@ -106,8 +106,8 @@ def resumed(cell: Cell) -> bool:
 
 def state(cell: Cell) -> dict[str, Any]:
     """Return the live document."""
-    found: dict[str, Any] = httpx.get(f"{cell.url(SERVICE)}/state", timeout=60).raise_for_status().json()
-    return found
+    answer: dict[str, Any] = httpx.get(f"{cell.url(SERVICE)}/state", timeout=60).raise_for_status().json()
+    return answer
 
 
 def measure(seconds: float, size: tuple[int, int]) -> Rows:
@@ -141,13 +141,13 @@ def main() -> None:
     parser.add_argument("--size", default="320x240", help="of the picture of the page, which both eyes share")
     options = parser.parse_args()
     width, _, height = options.size.partition("x")
-    found = measure(options.seconds, (int(width), int(height)))
+    measured = measure(options.seconds, (int(width), int(height)))
     for title, parts in PARTS:
         print(f"{title}:")
         for name, words in parts:
-            median, p99, count = found.get(name, (float("nan"), float("nan"), 0))
+            median, p99, count = measured.get(name, (float("nan"), float("nan"), 0))
             print(f"  {words:<40} median {median:7.1f} ms   99 % {p99:7.1f} ms   of {count}")
-    ours, whole = found["poseWorked"][0], found["poseDrawn"][0]
+    ours, whole = measured["poseWorked"][0], measured["poseDrawn"][0]
     reached = "below" if ours < GOAL_MS else "NOT below"
     print(f"ours: {ours:.1f} ms, {reached} the aim of {GOAL_MS:g} ms; drawn in software: {whole:.1f} ms")
     print(f"load {psutil.getloadavg()[0]:.1f} on {psutil.cpu_count()} cores")

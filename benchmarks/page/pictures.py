@@ -307,7 +307,7 @@ def tasks(product: Product) -> None:
     for name, _, _ in PEOPLE_TASKS:
         product.post("task-orchestrator/processes", definition=name, key=product.next_order())
     listed = product.http.get("task-orchestrator/tasks").raise_for_status().json()
-    task = next(each["id"] for each in listed if each["name"] == "Inspect the part")
+    task = next(listed_task["id"] for listed_task in listed if listed_task["name"] == "Inspect the part")
     product.post(f"task-orchestrator/tasks/{task}/claim", by="Anna", override=True)
     product.post(f"task-orchestrator/tasks/{task}/comments", by="Ben", text="Use the new scale.")
     with product.page(f"/tasks?task={task.rpartition(':')[2]}") as page:
@@ -366,16 +366,16 @@ def devices(product: Product) -> None:
             body["placement"] = {"location": rooms[number % len(rooms)]}
             made = product.post("/device-gateway/devices", name=name, description=body)
             client = DeviceClient("127.0.0.1", made["port"], name, made["token"])
-            one = SimulatedDevice(client, DeviceDescription.model_validate(body))
+            device = SimulatedDevice(client, DeviceDescription.model_validate(body))
             if name != "sim-camera":
-                one.start()
-                played.append(one)
+                device.start()
+                played.append(device)
             earlier = range(-170, 0)
             if name in {"sim-sensor", "sim-actuator", "sim-panda"}:
                 for step in earlier:
                     now_s = time.time() + 10 * step
-                    client.send(one.values_at(now_s), now_s)
-        wait_until(lambda: not any(one.client.waiting() for one in played))
+                    client.send(device.values_at(now_s), now_s)
+        wait_until(lambda: not any(device.client.waiting() for device in played))
         with product.page("/sensors", viewport=TALL) as page:
             page.get_by_role("article", name="sim-panda").wait_for()
             time.sleep(3)
@@ -385,8 +385,8 @@ def devices(product: Product) -> None:
             time.sleep(2)
             product.keep(page, "devices")
     finally:
-        for one in played:
-            one.stop()
+        for device in played:
+            device.stop()
 
 
 def people(product: Product) -> None:
@@ -548,7 +548,9 @@ def health(product: Product) -> None:
 
     def works() -> bool:
         state = product.http.get(f"{service}/people/{person}/state").raise_for_status().json()
-        rates = [each["value"] for each in state["values"] if each["name"] == "heartRate"]
+        rates = [
+            state_value["value"] for state_value in state["values"] if state_value["name"] == "heartRate"
+        ]
         return bool(rates and rates[0] > WORKING_BPM)
 
     wait_until(works, 180.0)

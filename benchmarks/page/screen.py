@@ -184,10 +184,10 @@ def slope_mb_per_h(samples: Sequence[tuple[float, float]]) -> float:
 
 def installed_chromium() -> str:
     """Return the browser as people use it; tests start it in another way (`tests.kit.chromium`)."""
-    found = shutil.which("chromium") or shutil.which("google-chrome")
-    if found is None:
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
         raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
-    return found
+    return browser
 
 
 async def measure(env: dict[str, str], answers: int, minutes: float) -> None:

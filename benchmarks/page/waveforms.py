@@ -43,10 +43,10 @@ FRAMES = """(seconds) => new Promise((resolve) => {
 async def measure(page: Page, title: str, seconds: float) -> None:
     """Print the frames of what `page` shows."""
     own = psutil.Process()
-    browser = [one for one in own.children(recursive=True) if "chrom" in one.name().lower()]
+    browser = [child for child in own.children(recursive=True) if "chrom" in child.name().lower()]
 
     def cpu_s() -> float:
-        return sum(sum(one.cpu_times()[:2]) for one in browser if one.is_running())
+        return sum(sum(process.cpu_times()[:2]) for process in browser if process.is_running())
 
     before_s = cpu_s()
     times = np.array(await page.evaluate(FRAMES, seconds))

@@ -137,14 +137,14 @@ class User:
                     self.stops += is_stopped
                     held = sequence > 1 and not is_stopped
                     was_released = not held
-                    given = {
+                    settings = {
                         "seq": sequence,
                         "held": held,
                         "linear": [self.velocity_mps(sequence), 0.0, 0.0],
                     }
                     late_s = max(time.perf_counter() - due_s, 0.0)
                     self.sent_s[sequence] = time.time() - late_s
-                    await socket.send(orjson.dumps(given).decode())
+                    await socket.send(orjson.dumps(settings).decode())
                     due_s = max(due_s + every_s, time.perf_counter() - every_s)
                     await asyncio.sleep(max(due_s - time.perf_counter(), 0.0))
             finally:

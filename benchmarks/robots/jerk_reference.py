@@ -30,20 +30,22 @@ def optimal_duration_s(trajectory: JointTrajectory, limits: Limits) -> float:
     at = np.linspace(0.0, trajectory.duration_s, INTERVALS + 1)
     step = at[1]
     q1, q2, q3 = (_means(trajectory, at, order) for order in (1, 2, 3))
-    fastest, strongest, jerk = (np.array(one) for one in (limits.velocity, limits.acceleration, limits.jerk))
+    fastest, strongest, jerk = (
+        np.array(bound) for bound in (limits.velocity, limits.acceleration, limits.jerk)
+    )
     count, joints = len(at), q1.shape[1]
     first = sparse.diags([-1.0, 1.0], [-1, 1], (count, count)).tolil() / (2 * step)
     first[0, :2] = first[-1, -2:] = np.array([-1.0, 1.0]) / step
     second = sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], (count, count)).tolil() / step**2
     second[0, :3] = second[-1, -3:] = np.array([1.0, -2.0, 1.0]) / step**2
     first, second = first.tocsr(), second.tocsr()
-    one = sparse.identity(count, format="csr")
+    identity = sparse.identity(count, format="csr")
 
     def by_joint(values: Array, operator: sparse.csr_matrix) -> sparse.csr_matrix:
         return sparse.vstack([sparse.diags(values[:, joint]) @ operator for joint in range(joints)])
 
-    acceleration = by_joint(q2 / strongest, one) + by_joint(q1 / strongest / 2, first)
-    jerks = by_joint(q3 / jerk, one) + by_joint(1.5 * q2 / jerk, first) + by_joint(q1 / jerk / 2, second)
+    acceleration = by_joint(q2 / strongest, identity) + by_joint(q1 / strongest / 2, first)
+    jerks = by_joint(q3 / jerk, identity) + by_joint(1.5 * q2 / jerk, first) + by_joint(q1 / jerk / 2, second)
     highest = ((fastest / np.maximum(np.abs(q1), 1e-9)) ** 2).min(axis=1)
     rate = np.full(count, 1.0)
     best_s = duration_s = trajectory.duration_s
@@ -51,16 +53,16 @@ def optimal_duration_s(trajectory: JointTrajectory, limits: Limits) -> float:
         weight = rate**-1.5 / 2
         tangent = sparse.vstack([sparse.diags(weight)] * joints)
         bounds = np.column_stack([rate / TRUST, np.maximum(np.minimum(rate * TRUST, highest), rate / TRUST)])
-        found = linprog(
+        solution = linprog(
             -weight,
             A_ub=sparse.vstack([acceleration, -acceleration, jerks + tangent, tangent - jerks], format="csr"),
             b_ub=np.concatenate([np.ones(2 * joints * count), np.tile(1.5 * rate**-0.5, 2 * joints)]),
             bounds=bounds,
             method="highs",
         )
-        if not found.success:
+        if not solution.success:
             break
-        rate = found.x
+        rate = solution.x
         duration_s = float((step * 2 / (np.sqrt(rate[1:]) + np.sqrt(rate[:-1]))).sum())
         best_s, before_s = min(best_s, duration_s), best_s
         if before_s - duration_s < ENOUGH * before_s:

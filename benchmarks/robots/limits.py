@@ -30,12 +30,12 @@ TURN_RAD = 0.4
 
 def costs_us(work: Callable[[int], object], cycles: int) -> list[float]:
     """Return the CPU time of each cycle in µs."""
-    found = []
+    times = []
     for cycle in range(cycles):
         began_ns = time.thread_time_ns()
         work(cycle)
-        found.append((time.thread_time_ns() - began_ns) / 1000)
-    return found
+        times.append((time.thread_time_ns() - began_ns) / 1000)
+    return times
 
 
 def shown(costs: list[float]) -> str:
@@ -46,7 +46,7 @@ def shown(costs: list[float]) -> str:
 
 def limiter_of(model: RobotModel, guards: list[Guard]) -> JointLimiter:
     """Return a limiter at rest at home."""
-    limiter = JointLimiter(model.limits, [(each.lower, each.upper) for each in model.joints], guards)
+    limiter = JointLimiter(model.limits, [(joint.lower, joint.upper) for joint in model.joints], guards)
     limiter.start(model.home, 0.0)
     return limiter
 
@@ -54,12 +54,12 @@ def limiter_of(model: RobotModel, guards: list[Guard]) -> JointLimiter:
 def motion_of(model: RobotModel) -> list[Setpoint]:
     """Return the setpoints of a turn of the first joint and back."""
     away = (model.home[0] + TURN_RAD, *model.home[1:])
-    found: list[Setpoint] = []
+    setpoints: list[Setpoint] = []
     for start, target in ((model.home, away), (away, model.home)):
         course = Course(start, target, model.limits, model.limits, began_s=0.0)
         count = int(course.remaining_s(0.0) / CYCLE_S) + 2
-        found += [course.at(number * CYCLE_S) for number in range(count)]
-    return found
+        setpoints += [course.at(number * CYCLE_S) for number in range(count)]
+    return setpoints
 
 
 def measure(model: RobotModel, scale: float, cycles: int) -> None:
@@ -87,7 +87,7 @@ def measure(model: RobotModel, scale: float, cycles: int) -> None:
 
         print(f"  commanded velocity, {name}: {shown(costs_us(step, cycles))}")
     collisions = Collisions(Arm(model), world)
-    places = [np.array(each.positions) for each in motion]
+    places = [np.array(setpoint.positions) for setpoint in motion]
     query = costs_us(lambda cycle: collisions.is_free(places[cycle % len(places)]), cycles)
     print(f"  the query alone: p50 {np.median(query):.1f} us, p99 {np.percentile(query, 99):.1f} us")
 
@@ -97,10 +97,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.robots.limits", description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(SCALES), choices=list(SCALES))
     parser.add_argument("--cycles", type=int, default=2000)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with report_steal_time():
-        for name in given.robots:
-            measure(ROBOTS.load(name), SCALES[name], given.cycles)
+        for name in options.robots:
+            measure(ROBOTS.load(name), SCALES[name], options.cycles)
 
 
 if __name__ == "__main__":

@@ -69,18 +69,18 @@ def cell(scale: float, seed: int) -> World:
     """Return a cell with 30 obstacles: bins, posts, a camera, a fence, and crates at random places."""
     random = np.random.default_rng(seed)
     s = scale
-    found = [box("table", (2.4 * s, 2.4 * s, 0.05), (0.0, 0.0, -0.045))]
+    obstacles = [box("table", (2.4 * s, 2.4 * s, 0.05), (0.0, 0.0, -0.045))]
     for number, (x, y) in enumerate(((-0.55, -0.55), (-0.55, 0.45), (0.55, -0.5)), 1):
-        found += bin_walls(f"bin-{number}", x * s, y * s, 0.4 * s, 0.12 * s)
-    found.append(box("fixture", (0.3 * s, 0.25 * s, 0.05), (0.6 * s, 0.45 * s, 0.025)))
+        obstacles += bin_walls(f"bin-{number}", x * s, y * s, 0.4 * s, 0.12 * s)
+    obstacles.append(box("fixture", (0.3 * s, 0.25 * s, 0.05), (0.6 * s, 0.45 * s, 0.025)))
     for number, (x, y) in enumerate(((-0.95, -0.1), (0.9, 0.05), (-0.2, 0.85), (0.2, -0.9))):
         post = Pose((x * s, y * s, 0.5 * s), (0.0, 0.0, 0.0, 1.0))
-        found.append(Obstacle(f"post-{number}", Cylinder(0.03, s), post))
-    found.append(box("camera", (0.1, 0.1, 0.06), (-0.55 * s, -0.55 * s, 1.05 * s)))
-    found.append(box("camera-arm", (0.05, 0.5 * s, 0.05), (-0.55 * s, -0.8 * s, 1.1 * s)))
-    found.append(box("fence", (0.03, 2.4 * s, 1.2 * s), (1.15 * s, 0.0, 0.6 * s)))
-    found.append(box("shelf", (0.5 * s, 0.2 * s, 0.03), (0.1 * s, 1.0 * s, 0.7 * s)))
-    while len(found) < 30:
+        obstacles.append(Obstacle(f"post-{number}", Cylinder(0.03, s), post))
+    obstacles.append(box("camera", (0.1, 0.1, 0.06), (-0.55 * s, -0.55 * s, 1.05 * s)))
+    obstacles.append(box("camera-arm", (0.05, 0.5 * s, 0.05), (-0.55 * s, -0.8 * s, 1.1 * s)))
+    obstacles.append(box("fence", (0.03, 2.4 * s, 1.2 * s), (1.15 * s, 0.0, 0.6 * s)))
+    obstacles.append(box("shelf", (0.5 * s, 0.2 * s, 0.03), (0.1 * s, 1.0 * s, 0.7 * s)))
+    while len(obstacles) < 30:
         angle, radius = random.uniform(-math.pi, math.pi), random.uniform(0.5, 0.95) * s
         width, depth, height = random.uniform(0.05, 0.15, 2) @ np.eye(2, 3) * s + (
             0,
@@ -88,13 +88,13 @@ def cell(scale: float, seed: int) -> World:
             random.uniform(0.05, 0.3) * s,
         )
         at = (radius * math.cos(angle), radius * math.sin(angle), height / 2)
-        found.append(box(f"crate-{len(found)}", (width, depth, height), at, random.uniform(0, 3)))
-    return World(tuple(found))
+        obstacles.append(box(f"crate-{len(obstacles)}", (width, depth, height), at, random.uniform(0, 3)))
+    return World(tuple(obstacles))
 
 
 def poses(planner: Planner, scale: float, count: int, random: Any) -> list[tuple[Pose, Any]]:
     """Return poses in and over the bins and the fixture, each with a free position of the arm."""
-    home, found = np.array(planner.model.home), []
+    home, positions = np.array(planner.model.home), []
     places = ((-0.55, -0.55, 0.12), (-0.55, 0.45, 0.12), (0.55, -0.5, 0.12), (0.6, 0.45, 0.1))
     for _ in range(20 * count):
         x, y, spread = places[random.integers(len(places))]
@@ -102,12 +102,12 @@ def poses(planner: Planner, scale: float, count: int, random: Any) -> list[tuple
         at = ((x + dx) * scale, (y + dy) * scale, random.uniform(0.06, 0.4) * scale)
         pose = pointing_down(at, random.uniform(-math.pi, math.pi))
         try:
-            found.append((pose, planner.goals(pose, home)[0]))
+            positions.append((pose, planner.goals(pose, home)[0]))
         except HandoverError:
             continue
-        if len(found) == count:
+        if len(positions) == count:
             break
-    return found
+    return positions
 
 
 def shown(values_s: list[float]) -> str:
@@ -138,7 +138,9 @@ def measure_plans(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
         cpu.append(time.thread_time() - began_cpu)
         clock.append(time.perf_counter() - began)
         violations += len(list(plan.trajectory.violations(planner.limits)))
-        contacts += not all(planner.collisions.is_free(one) for one in plan.trajectory.positions(EVERY_S))
+        contacts += not all(
+            planner.collisions.is_free(position) for position in plan.trajectory.positions(EVERY_S)
+        )
         kind = ratios["lines" if len(plan.path) == 2 else "curves"]
         if len(kind) < REFERENCES:
             duration = plan.trajectory.duration_s
@@ -221,9 +223,9 @@ def measure_inverse(name: str, random: Any) -> None:
         for joints in random.uniform(low, high, (count, arm.n)):
             pose = arm.tool_pose(joints)
             began = time.thread_time()
-            found = inverse.solve(pose, home)
+            solution = inverse.solve(pose, home)
             spent.append(time.thread_time() - began)
-            solved += found is not None
+            solved += solution is not None
         print(
             f"  inverse kinematics, {arm.n} joints, {kind}: p50 {1000 * float(np.median(spent)):.3f} ms, "
             f"solved {100 * solved / count:.2f} %"
@@ -269,11 +271,11 @@ def measure_torques(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
         with suppress(HandoverError):
             plans.append(planner.to_pose(tuple(start.tolist()), target).trajectory)
     torques = Torques(planner.arm)
-    per_plan = cpu_s(lambda: [torques.allowed_speed(one) for one in plans]) / len(plans)
+    per_plan = cpu_s(lambda: [torques.allowed_speed(plan) for plan in plans]) / len(plans)
     guard = TorqueGuard(planner.model, World)
     setpoints = [plans[0].at(time_s) for time_s in np.arange(0.0, plans[0].duration_s, 0.002).tolist()]
     guard.start(plans[0].start)
-    per_setpoint = cpu_s(lambda: [guard.violation(one) for one in setpoints]) / len(setpoints)
+    per_setpoint = cpu_s(lambda: [guard.violation(setpoint) for setpoint in setpoints]) / len(setpoints)
     print(f"  torques: {1e3 * per_plan:.2f} ms a plan, {1e6 * per_setpoint:.1f} µs a setpoint of the limiter")
 
 
@@ -288,7 +290,7 @@ def measure_checks(planner: Planner, random: Any) -> None:
     some = free[:500]
     closest = cpu_s(lambda: [collisions.closest(joints) for joints in some]) / len(some)
     distances = cpu_s(lambda: [collisions.closest_index(joints) for joints in some]) / len(some)
-    near = [cpu_s(lambda one=joints: collisions.within(one, HORIZON_M)) for joints in some]  # type: ignore[misc]
+    near = [cpu_s(lambda position=joints: collisions.within(position, HORIZON_M)) for joints in some]  # type: ignore[misc]
     count = np.mean([len(collisions.within(joints, HORIZON_M)) for joints in some])
     print(
         f"  {len(planner.world.obstacles)} obstacles, {collisions.pairs} pairs: free configuration "
@@ -310,11 +312,11 @@ def measure_tracked(planner: Planner, random: Any) -> None:
     lines = [timing.line(start, end, planner.limits) for start, end in pairwise(free)]
     tracked = TrackedDistances(collisions)
     spent, wrong, cycles = [], 0, 0
-    for joints in (joints for one in lines for joints in one.positions(CYCLE_S)):
+    for joints in (joints for trajectory in lines for joints in trajectory.positions(CYCLE_S)):
         spent.append(cpu_s(lambda here=joints: tracked.update(here)))  # type: ignore[misc]
         cycles += 1
         if cycles % 100 == 0:
-            exact = np.array([one.distance_m for one in collisions.distances(joints)])
+            exact = np.array([distance.distance_m for distance in collisions.distances(joints)])
             wrong += int((np.abs(exact - tracked.distances_m) > tracked.radii_m + DISTANCE_TOLERANCE_M).sum())
     p50, p95 = np.quantile(spent, [0.5, 0.95])
     print(
@@ -332,19 +334,20 @@ def main() -> None:
     parser.add_argument("--peers", type=int, default=100, help="the problems that OMPL's defaults plan")
     parser.add_argument("--robots", nargs="+", default=list(SCALES), choices=list(SCALES))
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with report_steal_time():
-        for name in given.robots:
-            random = np.random.default_rng(given.seed)
+        for name in options.robots:
+            random = np.random.default_rng(options.seed)
             model, scale = ROBOTS.load(name), SCALES[name]
-            planner = Planner(model, world=cell(scale, given.seed), options=Options())
-            places = poses(planner, scale, given.problems + 1, random)
+            planner = Planner(model, world=cell(scale, options.seed), options=Options())
+            places = poses(planner, scale, options.problems + 1, random)
             print(
-                f"{model.name} among {len(planner.world.obstacles)} obstacles, seed {given.seed}", flush=True
+                f"{model.name} among {len(planner.world.obstacles)} obstacles, seed {options.seed}",
+                flush=True,
             )
             measure_plans(planner, places)
-            if given.peers:
-                measure_ompl(planner, places, given.peers)
+            if options.peers:
+                measure_ompl(planner, places, options.peers)
             measure_lines(planner, random)
             measure_inverse(name, random)
             measure_pink(name, random)

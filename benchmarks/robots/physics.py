@@ -161,17 +161,17 @@ class Picking:
             print(f"  calibrateCamera: {await self.do('calibrateCamera')}")
             without = 0
             while self.tried < count and without < MAX_SCANS_WITHOUT_PART:
-                found = await self.do("scan", bin="bin-1")
-                if not found["found"]:
+                part = await self.do("scan", bin="bin-1")
+                if not part["found"]:
                     without += 1
                     continue
                 without = 0
                 self.tried += 1
-                await self._pick_and_place(found)
+                await self._pick_and_place(part)
 
-    async def _pick_and_place(self, found: dict[str, Any]) -> None:
+    async def _pick_and_place(self, part: dict[str, Any]) -> None:
         try:
-            await self.do("pick", part=found["part"], pose=found["pose"])
+            await self.do("pick", part=part["part"], pose=part["pose"])
             held = self.simulation.gripped_part(NAME)
             await self.do("place", location="fixture-1")
         except TaskFailed as failure:
@@ -204,16 +204,16 @@ def main() -> None:
     parser.add_argument("--parts", type=int, default=100)
     parser.add_argument("--moves", type=int, default=20)
     parser.add_argument("--seed", type=int, default=174)
-    given = parser.parse_args()
+    options = parser.parse_args()
     scene = load(FOLDER / "bin_picking_physics.yaml", ROBOT)
     with report_steal_time():
         print(f"{ROBOT.name} in simulated physics")
         for arms in (1, 2):
-            measure_pace(scene, given.seed, arms)
+            measure_pace(scene, options.seed, arms)
         with tempfile.TemporaryDirectory() as folder:
             asyncio.run(measure_drivers(scene, Path(folder)))
-        measure_agreement(given.moves, np.random.default_rng(given.seed))
-        measure_picking(given.parts, given.seed)
+        measure_agreement(options.moves, np.random.default_rng(options.seed))
+        measure_picking(options.parts, options.seed)
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ class Moves:
             self.result.pauses += 1
             self.result.stops_s.append(now_s - pause_s)
         positions, velocities, accelerations = (
-            np.concatenate([values, np.array([one.derivatives[order] for one in setpoints])])
+            np.concatenate([values, np.array([setpoint.derivatives[order] for setpoint in setpoints])])
             for order, values in enumerate(before)
         )
         ratios = self._ratios(positions, velocities, accelerations)
@@ -119,7 +119,7 @@ class Moves:
             yield (
                 f"    move {number}: {type(course).__name__}, speed {speed:.3f}, pause at {pause_s:.3f} s, "
                 f"pace {pace:.2f} from {change_s:.3f} to {raise_s:.3f} s, {ratios}, "
-                f"path {[one.tolist() for one in path]}"
+                f"path {[position.tolist() for position in path]}"
             )
         return positions[-1]
 
@@ -132,7 +132,7 @@ class Moves:
         if self.random.random() < LINE_SHARE / (1 - CURVE_SHARE):
             trajectory = timing.line(path[0], path[1], limits).slowed(speed)
             return PlannedCourse(trajectory, limits, 0.0), trajectory.duration_s
-        start, target = (tuple(one.tolist()) for one in path)
+        start, target = (tuple(position.tolist()) for position in path)
         course = Course(start, target, limits.slowed(speed), limits, 0.0)
         return course, course.remaining_s(0.0)
 
@@ -140,7 +140,7 @@ class Moves:
         """Return the highest value of each quantity as a fraction of its limit."""
         limits: Limits = self.limits
         fastest, strongest, jerk = (
-            np.array(one) for one in (limits.velocity, limits.acceleration, limits.jerk)
+            np.array(bound) for bound in (limits.velocity, limits.acceleration, limits.jerk)
         )
         middle, half = (self.arm.upper + self.arm.lower) / 2, (self.arm.upper - self.arm.lower) / 2
         steps = {
@@ -160,20 +160,20 @@ def main() -> None:
     parser.add_argument("--moves", type=int, default=10_000)
     parser.add_argument("--robots", nargs="+", default=list(ROBOT_NAMES), choices=list(ROBOT_NAMES))
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    options = parser.parse_args()
     is_exceeded = False
     with report_steal_time():
-        ends = np.linspace(0, given.moves, len(given.robots) + 1).astype(int)
-        for name, (first, last) in zip(given.robots, pairwise(ends.tolist()), strict=True):
+        ends = np.linspace(0, options.moves, len(options.robots) + 1).astype(int)
+        for name, (first, last) in zip(options.robots, pairwise(ends.tolist()), strict=True):
             began = time.thread_time()
-            moves = Moves(name, given.seed)
+            moves = Moves(name, options.seed)
             for line in moves.run(last - first):
                 print(line, flush=True)
             result = moves.result
             is_exceeded = is_exceeded or bool(result.exceeded)
             print(
                 f"{name}: {result.moves} random moves, {result.pauses} pauses, {result.samples} samples of "
-                f"1 ms, seed {given.seed}: exceeded {dict(result.exceeded) or 'nothing'} "
+                f"1 ms, seed {options.seed}: exceeded {dict(result.exceeded) or 'nothing'} "
                 f"({time.thread_time() - began:.0f} s CPU)",
                 flush=True,
             )

@@ -78,7 +78,7 @@ async def measure_commands(robot: UniversalRobot, events: Connection, repetition
     await asyncio.sleep(1.0)
     latencies = []
     tool, exchange = psutil.Process(), psutil.Process(robot.exchange.pid)
-    began_s, began_cpu = time.monotonic(), [sum(each.cpu_times()[:2]) for each in (tool, exchange)]
+    began_s, began_cpu = time.monotonic(), [sum(process.cpu_times()[:2]) for process in (tool, exchange)]
     for number in range(repetitions):
         sign = 1 if number % 2 else -1
         await asyncio.sleep(0.05 + 0.0007 * (number % 17))
@@ -89,8 +89,8 @@ async def measure_commands(robot: UniversalRobot, events: Connection, repetition
         await next_event(events, begins=False, after_s=at_s)
     spent_s = time.monotonic() - began_s
     cpu = [
-        100 * (sum(each.cpu_times()[:2]) - before) / spent_s
-        for each, before in zip((tool, exchange), began_cpu, strict=True)
+        100 * (sum(process.cpu_times()[:2]) - before) / spent_s
+        for process, before in zip((tool, exchange), began_cpu, strict=True)
     ]
     done[0] = True
     await moving
@@ -179,9 +179,9 @@ def main() -> None:
     """Print the measurements."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.robots.universal_robots", description=__doc__)
     parser.add_argument("--repetitions", type=int, default=100)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with report_steal_time():
-        asyncio.run(measure(given.repetitions))
+        asyncio.run(measure(options.repetitions))
 
 
 if __name__ == "__main__":

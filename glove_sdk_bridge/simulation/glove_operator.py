@@ -217,8 +217,8 @@ class SimulatedOperator:
         return self._chance.uniform(least_s, most_s) / self.speed
 
 
-def _mapping(given: object) -> Mapping[str, Any]:
-    return given if isinstance(given, dict) else {}
+def _mapping(member: object) -> Mapping[str, Any]:
+    return member if isinstance(member, dict) else {}
 
 
 def _asked(shown: Mapping[str, Any]) -> tuple[str | None, str]:

@@ -120,21 +120,21 @@ def parse(text: str) -> Path:
 def _steps(text: str) -> Iterator[Step]:
     at, after_dot = 0, True
     while at < len(text):
-        found = _TOKEN.match(text, at)
-        if found is None or (found["name"] is not None) is not after_dot:
+        match = _TOKEN.match(text, at)
+        if match is None or (match["name"] is not None) is not after_dot:
             raise InvalidPath(
                 f'the path "{text}" cannot be parsed from "{text[at:]}"; '
                 "a path looks like header.stamp, position[0] or position[name=elbow_joint]"
             )
-        at = found.end()
-        if found["name"] is not None:
-            yield FieldStep(found["name"])
-        elif found["index"] is not None:
-            yield Index(int(found["index"]))
-        elif found["each"] is not None:
+        at = match.end()
+        if match["name"] is not None:
+            yield FieldStep(match["name"])
+        elif match["index"] is not None:
+            yield Index(int(match["index"]))
+        elif match["each"] is not None:
             yield Each()
         else:
-            yield Where(found["key"], found["wanted"])
+            yield Where(match["key"], match["wanted"])
         after_dot = text[at : at + 1] == "."
         if after_dot:
             at += 1

@@ -102,11 +102,11 @@ class MessageBuilder:
 
     def _try_constants(self, steps: "tuple[_Step, ...]", source: Source) -> None:
         """Refuse a constant, default or mapped value that can never be sent."""
-        given = [source.constant] if "constant" in source.model_fields_set else []
-        given += [source.default] if "default" in source.model_fields_set else []
-        given += [value for value in (source.values or {}).values() if value is not None]
-        given += [source.otherwise] if source.otherwise is not None else []
-        for value in given:
+        constants = [source.constant] if "constant" in source.model_fields_set else []
+        constants += [source.default] if "default" in source.model_fields_set else []
+        constants += [value for value in (source.values or {}).values() if value is not None]
+        constants += [source.otherwise] if source.otherwise is not None else []
+        for value in constants:
             made: dict[str, Any] = {}
             if steps:
                 _put(made, steps, value)
@@ -143,18 +143,18 @@ def _put(made: dict[str, Any], steps: tuple[_Step, ...], value: Any) -> None:
         here = here[step.key] if isinstance(step.key, int) else here.setdefault(step.key, empty)
 
 
-def _empty(one: FieldType) -> Callable[[], Any]:
-    if one.is_message:
+def _empty(kind: FieldType) -> Callable[[], Any]:
+    if kind.is_message:
         return dict
-    if one.base in TEXTS:
+    if kind.base in TEXTS:
         return str
-    if one.base == "bool":
+    if kind.base == "bool":
         return bool
-    return float if one.base in FLOATS else int
+    return float if kind.base in FLOATS else int
 
 
 def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[str, str]) -> Fill:
-    found = _found(path, source, target, settings)
+    reader = _found(path, source, target, settings)
     convert = conversion.compiled(source)
     default = source.default if "default" in source.model_fields_set else _NOTHING
     if source.units == conversion.YAW_TO_QUATERNION:
@@ -165,7 +165,7 @@ def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[st
 
     def fill(scope: Scope) -> Any:
         try:
-            value = found(scope)
+            value = reader(scope)
         except MissingValue:
             value = None
         if value is None:

@@ -174,12 +174,12 @@ class Bridge:
         return cast("RuleView", seen)
 
     def _no_such_rule(self, name: str) -> Problem:
-        known = ", ".join(self.stats) or "none"
+        names = ", ".join(self.stats) or "none"
         return Problem(
             404,
             "No such rule",
             message(
-                "ros.no_such_rule", 'there is no rule "{name}"; there are {known}', name=name, known=known
+                "ros.no_such_rule", 'there is no rule "{name}"; there are {known}', name=name, known=names
             ),
         )
 
@@ -193,7 +193,9 @@ class Bridge:
                 "to": str(entity_forwarder.planned.rule.topic),
                 "type": entity_forwarder.planned.rule.type,
                 "qos": str(entity_forwarder.planned.qos),
-                "subscribers": sum(one.subscribers() for one in entity_forwarder.publishers.values()),
+                "subscribers": sum(
+                    publisher.subscribers() for publisher in entity_forwarder.publishers.values()
+                ),
             }
         asks = {planned.name: planned for planned in self.plan.requests}
         if (asked := asks.get(name)) is not None:

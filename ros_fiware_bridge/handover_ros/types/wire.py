@@ -96,10 +96,10 @@ class Wire:
             self._store.fielddefs[_WIDE] = ([], [("units", _described(_UNITS))])
             self._store.types[_WIDE] = text_of_units
         definition = self._definition_of(type_name)
-        for one in definition.fields:
-            if one.type.is_message:
-                self._meet(one.type.base)
-        described = [(one.name, _described(one.type)) for one in definition.fields]
+        for field in definition.fields:
+            if field.type.is_message:
+                self._meet(field.type.base)
+        described = [(field.name, _described(field.type)) for field in definition.fields]
         self._store.fielddefs[type_name] = ([], described or [(_MEMBER, _described(FieldType("uint8")))])
         self._store.types[type_name] = _maker(definition)
         self._met.add(type_name)
@@ -114,8 +114,8 @@ def _require_cdr(type_name: str, data: bytes) -> None:
 
 
 def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
-    names = [one.name for one in definition.fields]
-    octets = [one.name for one in definition.fields if one.type.is_octets]
+    names = [field.name for field in definition.fields]
+    octets = [field.name for field in definition.fields if field.type.is_octets]
     if not names:
         return lambda _member: {}
     if not octets:

@@ -95,30 +95,30 @@ class Follower:
             await self._subscriptions.keep(self._subscription())
             self._is_subscribed = True
             entities = await self._broker.query(type="Alert")
-            found = {}
+            alerts = {}
             for entity in entities:
                 if self._cells.has(entity.get("id")):
                     continue
                 view = await self._view(entity)
                 if view is not None:
-                    found[view.id, int(view.issued.timestamp() * 1e6)] = view
+                    alerts[view.id, int(view.issued.timestamp() * 1e6)] = view
         except BrokerError as error:
             log.warning("alerts not read", error=str(error))
             self._is_subscribed = False
             return False
-        self._merge(found)
+        self._merge(alerts)
         await self._take_due()
         return True
 
-    def _merge(self, found: Mapping[Key, AlertView]) -> None:
-        for key, view in found.items():
-            known = self._occurrences.get(key)
-            if known is not None:
-                known.alert = view
+    def _merge(self, alerts: Mapping[Key, AlertView]) -> None:
+        for key, view in alerts.items():
+            present = self._occurrences.get(key)
+            if present is not None:
+                present.alert = view
             elif view.is_active or key in self._taken:
                 self._occurrences[key] = Occurrence(view, self._taken.pop(key, {}))
         for key, occurrence in self._occurrences.items():
-            if key not in found:
+            if key not in alerts:
                 occurrence.alert = _returned(occurrence.alert)
         metrics.ACTIVE.set(len(self._occurrences))
 
@@ -165,10 +165,10 @@ class Follower:
         """Return the Location of the source of an Alert; empty if there is none."""
         if source not in self._places:
             try:
-                found = await self._broker.retrieve(source) if source else {}
+                entity = await self._broker.retrieve(source) if source else {}
             except NotFound:
-                found = {}
-            place = found.get("isLocatedAt", {})
+                entity = {}
+            place = entity.get("isLocatedAt", {})
             if len(self._places) >= MAX_PLACES:
                 self._places.clear()
             self._places[source] = str(place.get("object", "")) if isinstance(place, Mapping) else ""

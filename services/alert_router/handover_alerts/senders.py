@@ -70,13 +70,13 @@ class MailServer:
             )
         is_tls = parts.scheme == "smtps"
         secret = settings.smtp_password.get_secret_value() if settings.smtp_password else ""
-        given = unquote(parts.password) if parts.password else None
+        password_of_url = unquote(parts.password) if parts.password else None
         return cls(
             host,
             port or (465 if is_tls else 587),
             is_tls,
             unquote(parts.username) if parts.username else None,
-            secret or given,
+            secret or password_of_url,
         )
 
 
@@ -133,7 +133,7 @@ class Senders:
                 timeout=self._settings.send_timeout_s,
             )
         except aiosmtplib.SMTPRecipientsRefused as refused:
-            is_final = all(one.code >= 500 for one in refused.recipients)
+            is_final = all(recipient.code >= 500 for recipient in refused.recipients)
             raise NotSent(f"the mail server refuses every recipient: {refused}", is_final=is_final) from None
         except aiosmtplib.SMTPAuthenticationError as error:
             raise NotSent(f"the mail server refuses user or password: {error.message}") from None
@@ -184,7 +184,7 @@ async def _send_by_apprise(channel: AppriseChannel, message: Outgoing) -> None:
 
 def one_line(text: str) -> str:
     """Return a text without line ends and other control characters, for headers."""
-    return " ".join("".join(one if one.isprintable() else " " for one in text).split())
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 
 
 def _domain_of(address: str) -> str:

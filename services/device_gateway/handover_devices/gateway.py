@@ -336,10 +336,10 @@ def _with_time(line: bytes, message: Message, now_s: float) -> str:
     """Return a valid message as one line for the centre: with the time of arrival if it has none."""
     if (isinstance(message, CommandAnswer) or message.t is not None) and b"\n" not in line:
         return _text(line)
-    given = orjson.loads(line)
+    fields = orjson.loads(line)
     if not isinstance(message, CommandAnswer) and message.t is None:
-        given["t"] = now_s
-    return orjson.dumps(given).decode()
+        fields["t"] = now_s
+    return orjson.dumps(fields).decode()
 
 
 def encoded(answers: Sequence[Mapping[str, Any]]) -> bytes:

@@ -217,8 +217,8 @@ class PageGuard(Guard):
         session = self.session_of(headers)
         if session is None or b"authorization" in headers:
             return
-        given = headers.get(CSRF_HEADER, b"")
-        if not hmac.compare_digest(given, (await self.access_of(session)).csrf.encode()):
+        token = headers.get(CSRF_HEADER, b"")
+        if not hmac.compare_digest(token, (await self.access_of(session)).csrf.encode()):
             raise Problem(403, "No CSRF token", "reload the page and try again")
 
 

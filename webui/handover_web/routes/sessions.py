@@ -238,7 +238,7 @@ def _user(caller: Any, *, is_station: bool = False) -> SignedInUser:
         "subject": caller.subject,
         "name": caller.name,
         "person": caller.person,
-        "permissions": [one for one in Permission if caller.may_somewhere(one)],
+        "permissions": [permission for permission in Permission if caller.may_somewhere(permission)],
         "isLocal": caller.kind is CallerKind.LOCAL,
         "isStation": is_station,
     }

@@ -48,8 +48,8 @@ class UserSettings:
         chosen = (_settings.c.subject == subject) & (_settings.c.name == name)
         with self._engine.connect() as connection:
             value = connection.execute(select(_settings.c.value).where(chosen)).scalar()
-        found: dict[str, Any] = {} if value is None else orjson.loads(value)
-        return found
+        stored: dict[str, Any] = {} if value is None else orjson.loads(value)
+        return stored
 
     def delete(self, subject: str) -> None:
         """Delete all settings of a user who was deleted."""

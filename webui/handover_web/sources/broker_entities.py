@@ -138,12 +138,12 @@ class BrokerEntities(Source):
 
     async def _query(self, handler: EntityHandler) -> None:
         self._notified.clear()
-        for one in [each for each in handler.active_ids() if self._cells.has(each)]:
-            handler.remove(one)
+        for entity_id in [active_id for active_id in handler.active_ids() if self._cells.has(active_id)]:
+            handler.remove(entity_id)
         before = set(handler.active_ids())
-        found = await self._broker.query(type=handler.ngsi_type, q=handler.active_q)
-        await self._update_all(found)
-        missing = sorted(before.difference(str(entity["id"]) for entity in found))
+        entities = await self._broker.query(type=handler.ngsi_type, q=handler.active_q)
+        await self._update_all(entities)
+        missing = sorted(before.difference(str(entity["id"]) for entity in entities))
         for start in range(0, len(missing), QUERY_BATCH_SIZE):
             ids = missing[start : start + QUERY_BATCH_SIZE]
             changed = await self._broker.query(type=handler.ngsi_type, id=ids)
@@ -187,8 +187,8 @@ class BrokerEntities(Source):
 
 
 def _type_of(entity: Mapping[str, Any]) -> str:
-    given = entity.get("type")
-    return str(given[0] if isinstance(given, list) and given else given)
+    types = entity.get("type")
+    return str(types[0] if isinstance(types, list) and types else types)
 
 
 def _summary(entity: Mapping[str, Any]) -> str:

@@ -121,9 +121,9 @@ class ServiceMonitor(Source):
         self._state = state
         self._events = events
         self._rows = {name: ServiceRow(name, url) for name, url in urls.items()}
-        self._extra = {one.name: one for one in extra if one.name not in urls}
-        for name, one in self._extra.items():
-            self._rows[name] = ServiceRow(name, one.url, one.is_wanted)
+        self._extra = {service.name: service for service in extra if service.name not in urls}
+        for name, service in self._extra.items():
+            self._rows[name] = ServiceRow(name, service.url, service.is_wanted)
         self._check_requested = asyncio.Event()
 
     async def run(self) -> None:
@@ -185,7 +185,8 @@ class ServiceMonitor(Source):
             return {}
         if name in self._extra:
             return sum_counters(
-                response.text, {key: one for key, one in EXTRA_COUNTERS.items() if one in response.text}
+                response.text,
+                {key: counter for key, counter in EXTRA_COUNTERS.items() if counter in response.text},
             )
         return sum_counters(response.text, COUNTERS.get(name, {}))
 

@@ -83,7 +83,7 @@ def hash_refused(
     accepted = _accepted_hashes(store, base)
     if name == base and (theirs is None or theirs in accepted):
         return None
-    ours = ", ".join(f"{of} {found}" for found, of in accepted.items())
+    ours = ", ".join(f"{of} {digest}" for digest, of in accepted.items())
     return (
         f"{service}: {node or 'a node'} serves {name} with the type hash {theirs}, our {base} has {ours}; "
         "give the rule that type, or name the robot's definition in type_paths"
@@ -148,20 +148,22 @@ class CycloneClient:
         """
         snapshot = self._node.discovery.snapshot()
         servers = snapshot.at(self._request_topic, writes=False)
-        for one in servers:
-            fault = obstacle(self._node.store, self.service, self.base, one, snapshot.node_of(one))
+        for server in servers:
+            fault = obstacle(self._node.store, self.service, self.base, server, snapshot.node_of(server))
             if isinstance(fault, VendorNotShared):
                 self.close()
             if fault is not None:
                 raise fault
-            if one.guid not in self._met:
-                self._met.add(one.guid)
-                of = _accepted_hashes(self._node.store, self.base).get(one.type_hash or "", "none")
-                log.info("service found", service=self.service, node=snapshot.node_of(one), type_hash_of=of)
+            if server.guid not in self._met:
+                self._met.add(server.guid)
+                of = _accepted_hashes(self._node.store, self.base).get(server.type_hash or "", "none")
+                log.info(
+                    "service found", service=self.service, node=snapshot.node_of(server), type_hash_of=of
+                )
         return servers
 
     def _matched(self) -> bool:
-        servers = {one.participant for one in self._servers()}
+        servers = {server.participant for server in self._servers()}
         if not servers:
             return False
         writer, reader = self._open()
@@ -169,10 +171,14 @@ class CycloneClient:
         answering = handles(reader.get_matched_publications())
         asked = handles(writer.get_matched_subscriptions())
         servers &= {
-            one.participant for one in snapshot.at(self._reply_topic, writes=True) if one.handle in answering
+            endpoint.participant
+            for endpoint in snapshot.at(self._reply_topic, writes=True)
+            if endpoint.handle in answering
         }
         servers &= {
-            one.participant for one in snapshot.at(self._request_topic, writes=False) if one.handle in asked
+            endpoint.participant
+            for endpoint in snapshot.at(self._request_topic, writes=False)
+            if endpoint.handle in asked
         }
         return bool(servers)
 
@@ -281,7 +287,7 @@ class CycloneClient:
 
     def _participants(self) -> set[bytes]:
         snapshot = self._node.discovery.snapshot()
-        return {one.participant for one in snapshot.at(self._request_topic, writes=False)}
+        return {endpoint.participant for endpoint in snapshot.at(self._request_topic, writes=False)}
 
     async def _while_served(
         self, answer: asyncio.Future[tuple[bytes, bytes | None]], asked: set[bytes]
@@ -414,10 +420,10 @@ class CycloneServer:
             return bool(matched)
         same = "clientid" if "clientid" in client.user_data else None
         return any(
-            one.handle in matched
-            and one.participant == client.participant
-            and (same is None or one.user_data.get(same) == client.user_data[same])
-            for one in self._node.discovery.snapshot().at(self._reply_topic, writes=False)
+            endpoint.handle in matched
+            and endpoint.participant == client.participant
+            and (same is None or endpoint.user_data.get(same) == client.user_data[same])
+            for endpoint in self._node.discovery.snapshot().at(self._reply_topic, writes=False)
         )
 
     def _fault(self, error: str) -> None:

@@ -61,7 +61,7 @@ class MailChannel(Part):
     @field_validator("to")
     @classmethod
     def _are_addresses(cls, addresses: tuple[str, ...]) -> tuple[str, ...]:
-        wrong = [one for one in addresses if not _MAIL.fullmatch(one)]
+        wrong = [address for address in addresses if not _MAIL.fullmatch(address)]
         if wrong:
             raise ValueError(f'"{wrong[0][:100]}" is no mail address, such as anna@example.org')
         return addresses
@@ -160,26 +160,26 @@ class Route(Part):
 
     @model_validator(mode="after")
     def _escalates_in_order(self) -> Self:
-        times = [one.after_s for one in self.escalations]
+        times = [escalation.after_s for escalation in self.escalations]
         if times != sorted(set(times)):
             raise ValueError("escalations must have growing times in afterS")
         return self
 
     def used_channels(self) -> set[str]:
         """Return the names of all channels of the route."""
-        return {*self.channels, *(name for one in self.escalations for name in one.channels)}
+        return {*self.channels, *(name for escalation in self.escalations for name in escalation.channels)}
 
     def is_open(self, at: datetime) -> bool:
         """Return whether the route is used at a time (with a time zone)."""
         local = at.astimezone(ZoneInfo(self.time_zone))
-        return not self.hours or any(one.include(local) for one in self.hours)
+        return not self.hours or any(period.include(local) for period in self.hours)
 
     def is_quiet(self, at: datetime, severity: Severity) -> bool:
         """Return whether a message of this severity has to wait."""
         if SEVERITIES.index(severity) >= SEVERITIES.index(self.urgent_severity):
             return False
         local = at.astimezone(ZoneInfo(self.time_zone))
-        return any(one.include(local) for one in self.quiet_hours)
+        return any(period.include(local) for period in self.quiet_hours)
 
 
 class Configuration(Part):

@@ -120,10 +120,10 @@ def add_routes(
         state: str | None = None,
     ) -> list[MessageView]:
         """List what was sent, what waits and what failed, newest first."""
-        found = await asyncio.to_thread(
+        rows = await asyncio.to_thread(
             lambda: store.log(before=before, limit=limit, alert=alert, state=state)
         )
-        return [_message_view(one) for one in found]
+        return [_message_view(entry) for entry in rows]
 
     @app.post(
         "/notifications",
@@ -279,10 +279,10 @@ def _add_alert_routes(app: FastAPI, directory: Directory) -> None:
 
 
 def _known_channel(directory: Directory, name: str, status: int = 404) -> Channel:
-    found = directory.channels.get(name)
-    if found is None:
+    channel = directory.channels.get(name)
+    if channel is None:
         raise _unknown("channel", name, status)
-    return found
+    return channel
 
 
 def _unknown(kind: str, name: str, status: int) -> Problem:
@@ -336,19 +336,19 @@ def _require_not_full(count: int, maximum: int, *, is_new: bool) -> None:
         )
 
 
-def _message_view(one: Message) -> MessageView:
-    body: dict[str, Any] = orjson.loads(one.body)
+def _message_view(entry: Message) -> MessageView:
+    body: dict[str, Any] = orjson.loads(entry.body)
     return {
-        "number": one.id or 0,
-        "alert": one.alert,
-        "route": one.route,
-        "step": one.step,
-        "channel": one.channel,
-        "subject": one.subject,
+        "number": entry.id or 0,
+        "alert": entry.alert,
+        "route": entry.route,
+        "step": entry.step,
+        "channel": entry.channel,
+        "subject": entry.subject,
         "text": str(body.get("text", "")),
-        "createdAt": one.created_us / 1e6,
-        "state": one.state,
-        "attempts": one.attempts,
-        "endedAt": None if one.ended_us is None else one.ended_us / 1e6,
-        "error": one.error,
+        "createdAt": entry.created_us / 1e6,
+        "state": entry.state,
+        "attempts": entry.attempts,
+        "endedAt": None if entry.ended_us is None else entry.ended_us / 1e6,
+        "error": entry.error,
     }

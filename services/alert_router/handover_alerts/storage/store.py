@@ -67,16 +67,16 @@ class Store:
 
     def steps(self) -> dict[tuple[str, int], dict[str, datetime]]:
         """Return when each step was taken, by Alert and time of issue."""
-        found: dict[tuple[str, int], dict[str, datetime]] = {}
+        taken: dict[tuple[str, int], dict[str, datetime]] = {}
         with self._engine.connect() as connection:
             for row in connection.execute(select(tables.steps)):
                 at = datetime.fromtimestamp(row.taken_us / 1e6, UTC)
-                found.setdefault((row.alert, row.issued_us), {})[row.step] = at
-        return found
+                taken.setdefault((row.alert, row.issued_us), {})[row.step] = at
+        return taken
 
     def take(self, alert: str, issued_us: int, step: str, taken_us: int, messages: Iterable[Message]) -> None:
         """Store that a step was taken, with its messages, in one transaction."""
-        rows = [_values(one) for one in messages]
+        rows = [_values(entry) for entry in messages]
         with self._transaction() as connection:
             connection.execute(
                 insert(tables.steps).values(alert=alert, issued_us=issued_us, step=step, taken_us=taken_us)

@@ -132,8 +132,8 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
     """Add the routes of machines."""
 
     def runner_of(case: str) -> MachineRunner:
-        found = runners.get(case)
-        if found is None:
+        runner = runners.get(case)
+        if runner is None:
             raise Problem(
                 404,
                 "Unknown case",
@@ -144,7 +144,7 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
                     known=", ".join(runners) or "none",
                 ),
             )
-        return found
+        return runner
 
     @app.get("/machines", tags=["machines"], dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def machines() -> list[MachineView]:
@@ -215,7 +215,7 @@ def _view(runner: MachineRunner) -> MachineView:
         values=[
             NumberView(name=name, value=value, unit=unit) for name, (value, unit) in state.values.items()
         ],
-        vitals=[VitalView(**one) for one in runner.link.body.shown(time.monotonic())],
+        vitals=[VitalView(**vital) for vital in runner.link.body.shown(time.monotonic())],
         problem=runner.link.problem,
         details=dict(runner.machine.describe()),
         trial=None if trial is None else _trial_view(trial),
@@ -234,12 +234,12 @@ def _trial_view(trial: Trial) -> TrialView:
             ],
             "figures": [
                 {
-                    **with_code("name", one.name),
-                    **with_code("paper", one.paper),
-                    **with_code("ours", one.ours),
-                    "passed": one.passed,
+                    **with_code("name", figure.name),
+                    **with_code("paper", figure.paper),
+                    **with_code("ours", figure.ours),
+                    "passed": figure.passed,
                 }
-                for one in trial.figures
+                for figure in trial.figures
             ],
         }
     )

@@ -16,7 +16,7 @@ MAX_PARAMETERS_BYTES: Final = 32 * 1024
 
 def unknown_command(device: str, name: str, description: DeviceDescription) -> Problem:
     """Return the refusal of a command that the device does not take."""
-    known = ", ".join(command.name for command in description.commands) or "–"
+    names = ", ".join(command.name for command in description.commands) or "–"
     return Problem(
         404,
         "No such command",
@@ -25,7 +25,7 @@ def unknown_command(device: str, name: str, description: DeviceDescription) -> P
             '{device} takes no command "{command}"; it takes {known}',
             device=device,
             command=name[:64],
-            known=known,
+            known=names,
         ),
     )
 

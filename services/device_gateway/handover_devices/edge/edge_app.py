@@ -88,7 +88,7 @@ class EdgeState:
         """Return the present state."""
         uplink, outbox = self._uplink, self._outbox
         oldest_us = await asyncio.to_thread(outbox.oldest_us)
-        devices = [one for name, one in self._gateway.devices.items() if name != uplink.name]
+        devices = [device for name, device in self._gateway.devices.items() if name != uplink.name]
         trip_s = uplink.round_trip_s
         return {
             "name": uplink.name,
@@ -124,14 +124,14 @@ class EdgeState:
                 "connectedDevices": view["connectedDevices"],
                 "roundTripMs": view["roundTripMs"],
             }
-            known = {
+            names = {
                 name: value
                 for name, value in values.items()
                 if own is not None and name in own.values and value is not None
             }
-            if known and not self._gateway.writer.is_full:
+            if names and not self._gateway.writer.is_full:
                 now_s = time.time()
-                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": known}).decode()
+                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": names}).decode()
                 row = RelayRow(self._uplink.name, int(now_s * 1e6), body)
                 await asyncio.shield(self._gateway.writer.add(relays=[row]))
 

@@ -38,9 +38,9 @@ class ReplicaSession(RelaySession):
         """Return the number of the last message of this connection."""
         return self._last
 
-    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+    def store(self, device: Device, relayed: Relayed) -> list[Mapping[str, Any]]:
         """Apply a message, which the replica has stored."""
-        fault = self.gateway.observe(device, given.line, self._replicas.times, MAX_RELAYED_BYTES)
+        fault = self.gateway.observe(device, relayed.line, self._replicas.times, MAX_RELAYED_BYTES)
         return [] if fault is None else [{"type": "error", "code": "notApplied", "reason": fault}]
 
     def acknowledge(

@@ -65,11 +65,11 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
     async def one(device: str, command: str, wait: Wait = 0.0) -> CommandView:
         """Return a command; with `wait`, when it has ended or after that time."""
         gateway.device(device)
-        found = await dispatcher.find(device, command)
+        present = await dispatcher.find(device, command)
         ends_s = asyncio.get_running_loop().time() + wait
-        while found.is_open and (left_s := ends_s - asyncio.get_running_loop().time()) > 0:
-            found = await dispatcher.wait(device, command, found, left_s)
-        return command_view(found)
+        while present.is_open and (left_s := ends_s - asyncio.get_running_loop().time()) > 0:
+            present = await dispatcher.wait(device, command, present, left_s)
+        return command_view(present)
 
     @app.delete(
         "/devices/{device}/commands/{command}",
@@ -81,7 +81,7 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
     async def cancel(device: str, command: str, response: Response) -> CommandView:
         """Cancel a command; 202 while the device has not answered."""
         gateway.device(device)
-        found = await dispatcher.cancel(device, command)
-        if found.is_open:
+        cancelled = await dispatcher.cancel(device, command)
+        if cancelled.is_open:
             response.status_code = 202
-        return command_view(found)
+        return command_view(cancelled)

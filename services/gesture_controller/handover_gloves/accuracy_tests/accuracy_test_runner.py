@@ -339,8 +339,8 @@ class AccuracyTestRunner:
             return dict(self._gestures.codes)
         codes: dict[str, str] = {}
         for name in gestures:
-            known = self._gestures.find(name)
-            if known is None:
+            gesture = self._gestures.find(name)
+            if gesture is None:
                 raise Problem(
                     422,
                     "Unknown gesture",
@@ -351,8 +351,8 @@ class AccuracyTestRunner:
                         hint=self._gestures.like(name),
                     ),
                 )
-            if known in self._gestures.composites:
-                parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(known))
+            if gesture in self._gestures.composites:
+                parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(gesture))
                 raise Problem(
                     422,
                     "Composed gesture",
@@ -360,11 +360,11 @@ class AccuracyTestRunner:
                         "accuracy_test.composed_gesture",
                         '"{known}" is composed of {parts}; an accuracy test asks for one shape of one '
                         "hand at a time, so test those instead",
-                        known=known,
+                        known=gesture,
                         parts=parts,
                     ),
                 )
-            codes[known] = self._gestures.codes[known]
+            codes[gesture] = self._gestures.codes[gesture]
         return codes
 
     def _require_no_other_test(self, glove: Glove, but: str | None = None) -> None:

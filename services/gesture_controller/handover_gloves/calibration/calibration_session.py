@@ -90,7 +90,7 @@ class CalibrationSession:
 class CalibrationSessions:
     """All calibration sessions, at most one for each glove."""
 
-    def __init__(self, known: KnownGloves, fits: GloveFits, store: CalibrationStore) -> None:
+    def __init__(self, gloves: KnownGloves, fits: GloveFits, store: CalibrationStore) -> None:
         self._fits = fits
         self._store = store
         self._sessions: dict[str, CalibrationSession] = {}
@@ -98,9 +98,9 @@ class CalibrationSessions:
         self._writing = asyncio.Lock()
         self._interrupted = store.unfinished()
         """By glove, the gesture of a session that a restart interrupted."""
-        for glove in known:
+        for glove in gloves:
             self._report_interruption(glove)
-        known.on_added.append(self._report_interruption)
+        gloves.on_added.append(self._report_interruption)
 
     async def begin(
         self, glove: Glove, *, gesture: str | None, apply: bool, countdown_s: float

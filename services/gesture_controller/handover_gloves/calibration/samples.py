@@ -64,5 +64,5 @@ def sample_of(
 
 def with_sample(calibration: Calibration, sample: CalibrationSample) -> Calibration:
     """Return `calibration` with `sample` in place of an older one of the same gesture."""
-    others = tuple(each for each in calibration.samples if each.code != sample.code)
+    others = tuple(other for other in calibration.samples if other.code != sample.code)
     return Calibration(calibration.thresholds, calibration.levels, (*others, sample))

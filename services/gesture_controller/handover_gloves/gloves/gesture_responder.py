@@ -165,9 +165,9 @@ class GestureResponder:
         """Return the prompt, if it is of `task` and can be answered now; raises `CannotComplete`."""
         return require_completable(self.prompt, self.name, task, testing=self.modes.testing)
 
-    def give_pin(self, given: ProvenPin, task: str | None = None) -> None:
+    def give_pin(self, proof: ProvenPin, task: str | None = None) -> None:
         """Note who has given the own PIN for the prompt; raises `CannotComplete`."""
-        self.completable(task).pin = given
+        self.completable(task).pin = proof
         for hand in self._hands():
             hand.restart()
             hand._on_change()

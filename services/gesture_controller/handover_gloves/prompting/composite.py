@@ -154,9 +154,9 @@ def advance_two_hands(
 ) -> TwoHandProgress:
     """Return the progress with a two-hand gesture after the last frame of `hand`."""
     shown = {
-        each.hand: ShownHand(each.reader.state.hold, each.last_s)
-        for each in (hand, other)
-        if each is not None
+        shape.hand: ShownHand(shape.reader.state.hold, shape.last_s)
+        for shape in (hand, other)
+        if shape is not None
     }
     timing = hand.reader.config.timing
     return before.after(gesture, shown.get("left"), shown.get("right"), now_s=now_s, timing=timing)

@@ -84,8 +84,8 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
     )
     async def recognition(glove: str) -> dict[str, Any]:
         """Return the result of the last frame, the score of each gesture, and the explanation."""
-        known = gloves.named(glove)
-        seen, reader = known.reader.state.recognition, known.reader.config.recognizer
+        worn = gloves.named(glove)
+        seen, reader = worn.reader.state.recognition, worn.reader.config.recognizer
         if seen is None:
             raise Problem(
                 409,
@@ -97,8 +97,8 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
                 ),
             )
         return {
-            "recognizer": known.reader.config.recognizer_name,
-            "missing": known.reader.config.missing,
+            "recognizer": worn.reader.config.recognizer_name,
+            "missing": worn.reader.config.missing,
             "states": seen.states,
             "gesture": seen.gesture,
             "certainty": round(seen.certainty, 4),
@@ -183,7 +183,7 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
 
 def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     """Add the routes of thresholds, and of a calibration from frames."""
-    known, fits = registry.known, registry.fits
+    gloves, fits = registry.known, registry.fits
 
     @app.put(
         "/gloves/{glove}/thresholds",
@@ -192,8 +192,8 @@ def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     )
     async def set_thresholds(glove: str, thresholds: Thresholds) -> GloveView:
         """Set and store the thresholds of some or all fingers."""
-        await fits.set_thresholds(known.named(glove), thresholds)
-        return glove_view(known.named(glove))
+        await fits.set_thresholds(gloves.named(glove), thresholds)
+        return glove_view(gloves.named(glove))
 
     @app.post(
         "/gloves/{glove}/thresholds/restore",
@@ -202,8 +202,8 @@ def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     )
     async def restore(glove: str) -> GloveView:
         """Exchange the thresholds with those before the last change."""
-        await fits.restore(known.named(glove))
-        return glove_view(known.named(glove))
+        await fits.restore(gloves.named(glove))
+        return glove_view(gloves.named(glove))
 
     @app.post(
         "/gloves/{glove}/calibration",
@@ -213,5 +213,5 @@ def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     @max_body(2 * MAX_FRAMES_BYTES)
     async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
         """Calculate and store thresholds from frames of a fist and of an open hand."""
-        calibration = await fits.calibrate(known.named(glove), frames.fist, frames.open)
+        calibration = await fits.calibrate(gloves.named(glove), frames.fist, frames.open)
         return {"thresholds": calibration.thresholds.as_dict(), "levels": calibration.as_dict()}

@@ -21,10 +21,13 @@ def add_gestures(app: FastAPI, controller: GestureController) -> None:
 
         A composite gesture has no code but `left` and `right`, or `sequence`; each part has its code.
         """
-        found = listed(controller.configuration.gestures, controller.configuration.commands)
+        gestures_of_site = listed(controller.configuration.gestures, controller.configuration.commands)
         return [
-            cast("PlainSiteGesture | CompositeSiteGesture", {**one, "pictures": picture_urls(one["name"])})
-            for one in found
+            cast(
+                "PlainSiteGesture | CompositeSiteGesture",
+                {**gesture, "pictures": picture_urls(gesture["name"])},
+            )
+            for gesture in gestures_of_site
         ]
 
     @app.get("/specifications", tags=["operations"], dependencies=[require(Permission.READ)])

@@ -64,17 +64,17 @@ class GivenPin(RequestBody):
 
 def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
     """Add the routes of gloves and their tokens."""
-    known = registry.known
+    gloves = registry.known
 
     @app.get("/gloves", tags=["gloves"], dependencies=[require(Permission.READ)])
     async def list_gloves() -> list[GloveView]:
         """Return the state of every glove."""
-        return [glove_view(glove) for glove in known]
+        return [glove_view(glove) for glove in gloves]
 
     @app.get("/gloves/{glove}", tags=["gloves"], dependencies=[require(Permission.READ, of_glove)])
     async def get_glove(glove: str) -> GloveView:
         """Return the state of a glove."""
-        return glove_view(known.named(glove))
+        return glove_view(gloves.named(glove))
 
     @app.put(
         "/gloves/{glove}",
@@ -104,20 +104,20 @@ def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
     )
     async def remove_token(glove: str) -> None:
         """Remove the token of a glove; its connection ends, and the rules without a token apply."""
-        await registry.remove_token(known.named(glove))
+        await registry.remove_token(gloves.named(glove))
 
 
-def add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
+def add_actions(app: FastAPI, gloves: KnownGloves, guard: Guard) -> None:
     """Add what wearers do: modes, pauses, answers on the screen."""
-    of_wearer = _of_glove_or_wearer(known)
+    of_wearer = _of_glove_or_wearer(gloves)
 
     @app.put(
         "/gloves/{glove}/modes", tags=["actions"], dependencies=[require(Permission.CONFIGURE, of_glove)]
     )
     async def switch(glove: str, modes: Modes) -> GloveView:
         """Switch testing (nothing completes a Task) and filtering (only the prompted gesture counts)."""
-        known.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
-        return glove_view(known.named(glove))
+        gloves.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
+        return glove_view(gloves.named(glove))
 
     @app.post(
         "/gloves/{glove}/pause", tags=["actions"], dependencies=[require(Permission.PERFORM_TASKS, of_wearer)]
@@ -125,8 +125,8 @@ def add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
     @lowers()
     async def pause(glove: str) -> GloveView:
         """Let nothing count, and pause the Task, until resumed."""
-        known.named(glove).pause()
-        return glove_view(known.named(glove))
+        gloves.named(glove).pause()
+        return glove_view(gloves.named(glove))
 
     @app.post(
         "/gloves/{glove}/resume",
@@ -135,8 +135,8 @@ def add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
     )
     async def resume(glove: str) -> GloveView:
         """End a pause; one that was requested on the Task itself stays."""
-        known.named(glove).resume()
-        return glove_view(known.named(glove))
+        gloves.named(glove).resume()
+        return glove_view(gloves.named(glove))
 
     @app.post("/gloves/{glove}/complete", tags=["actions"])
     async def complete(
@@ -150,7 +150,7 @@ def add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
         """
         note = (completion.note or "").strip() or None
         try:
-            known.named(glove).responder.complete_on_screen(
+            gloves.named(glove).responder.complete_on_screen(
                 caller.acting_name(completion.by),
                 _now_s(),
                 completion.task,
@@ -160,23 +160,23 @@ def add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
             )
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
-        return glove_view(known.named(glove))
+        return glove_view(gloves.named(glove))
 
     @app.post("/gloves/{glove}/pin", tags=["actions"])
     async def give_pin(
-        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)], glove: str, given: GivenPin
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)], glove: str, proof: GivenPin
     ) -> GloveView:
         """Give the own PIN for a Task that demands it; then a gesture or the screen answers the Task."""
-        responder = known.named(glove).responder
+        responder = gloves.named(glove).responder
         try:
-            task = responder.completable(given.task).spec.task_id
-            responder.give_pin(await require_pin(guard, caller, given.pin, task), task)
+            task = responder.completable(proof.task).spec.task_id
+            responder.give_pin(await require_pin(guard, caller, proof.pin, task), task)
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
-        return glove_view(known.named(glove))
+        return glove_view(gloves.named(glove))
 
 
-def add_streams(app: FastAPI, known: KnownGloves) -> None:
+def add_streams(app: FastAPI, gloves: KnownGloves) -> None:
     """Add the streams of raw frames and of the state of a glove."""
 
     @app.get(
@@ -188,12 +188,12 @@ def add_streams(app: FastAPI, known: KnownGloves) -> None:
     )
     async def frames(glove: str) -> StreamingResponse:
         """Stream the hello of the glove and then its raw frames, one JSON object a line."""
-        return StreamingResponse(stream_frames(known.named(glove)), media_type="application/x-ndjson")
+        return StreamingResponse(stream_frames(gloves.named(glove)), media_type="application/x-ndjson")
 
     @app.websocket("/gloves/{glove}/live", dependencies=[require(Permission.READ, of_glove)])
     async def live(screen: WebSocket, glove: str) -> None:
         try:
-            followed = known.named(glove)
+            followed = gloves.named(glove)
         except Problem as problem:
             await screen.accept()
             await close_websocket(screen, 4404, problem.detail)
@@ -201,10 +201,10 @@ def add_streams(app: FastAPI, known: KnownGloves) -> None:
         await send_views(followed, screen)
 
 
-def _of_glove_or_wearer(known: KnownGloves) -> ResourceOf:
+def _of_glove_or_wearer(gloves: KnownGloves) -> ResourceOf:
     def resources(connection: HTTPConnection) -> tuple[str, ...]:
         name, settings = str(connection.path_params["glove"]), guard_of(connection).settings
-        glove = known.get(name)
+        glove = gloves.get(name)
         worn = () if glove is None or glove.person is None else (settings.entity_id("Person", glove.person),)
         return (settings.entity_id("Device", name), *worn)
 

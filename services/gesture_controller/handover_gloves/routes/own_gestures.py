@@ -81,7 +81,7 @@ def add_own_gestures(app: FastAPI, parts: PeopleParts) -> None:
         dependencies=[require(Permission.CONFIGURE, of_person)],
     )
     @max_body(MAX_RECORDING_BYTES)
-    async def define(person: str, gesture: str, given: Recording, response: Response) -> DefinedGesture:
+    async def define(person: str, gesture: str, recording: Recording, response: Response) -> DefinedGesture:
         """Define an own gesture of a person: 201, or 200 if it replaces one of that name.
 
         409 names the gesture that it is too near to, and the distance. 422 names the finger that moved, or
@@ -89,8 +89,8 @@ def add_own_gestures(app: FastAPI, parts: PeopleParts) -> None:
         """
         parts.people.named(person)
         parts.require_no_study(person)
-        glove = None if given.glove is None else parts.gloves.named(given.glove)
-        own = await _own(given, glove)
+        glove = None if recording.glove is None else parts.gloves.named(recording.glove)
+        own = await _own(recording, glove)
         thresholds = glove.reader.config.thresholds if glove and own.sample else None
         unreliable = list(_unreliable_fingers([glove] if glove else parts.gloves.worn_by(person)))
         is_new, nearest = await parts.people.define(person, gesture, own, thresholds, unreliable)

@@ -85,9 +85,9 @@ def _add_persons(app: FastAPI, parts: PeopleParts) -> None:
     @app.get("/people/{person}", tags=["people"], dependencies=[require(Permission.READ, of_person)])
     async def one(person: str) -> PersonWithGestures:
         """Return a person with all their gestures."""
-        known = parts.people.named(person).name
-        every = listed(parts.people.gestures_of(known), parts.people.commands_of(known))
-        return {**person_view(known, parts), "gestures": every}
+        name = parts.people.named(person).name
+        every = listed(parts.people.gestures_of(name), parts.people.commands_of(name))
+        return {**person_view(name, parts), "gestures": every}
 
     @app.put(
         "/people/{person}",
@@ -95,9 +95,9 @@ def _add_persons(app: FastAPI, parts: PeopleParts) -> None:
         responses={201: {"model": PersonView}},
         dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
     )
-    async def add(person: str, response: Response, given: Title | None = None) -> PersonView:
+    async def add(person: str, response: Response, body: Title | None = None) -> PersonView:
         """Add a person, or change their title: 201, or 200 if they were known."""
-        response.status_code = 201 if await parts.people.add(person, given.title if given else None) else 200
+        response.status_code = 201 if await parts.people.add(person, body.title if body else None) else 200
         return person_view(person, parts)
 
     @app.delete(
@@ -121,19 +121,19 @@ def _add_commands(app: FastAPI, parts: PeopleParts) -> None:
     @app.put(
         "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
     )
-    async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
+    async def commands(person: str, gestures: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set all own commands of a person: `{"3": "Horns", "8": null}`."""
         parts.require_no_study(person)
-        await parts.people.set_commands(person, given, whole=True)
+        await parts.people.set_commands(person, gestures, whole=True)
         return person_view(person, parts)
 
     @app.patch(
         "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
     )
-    async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
+    async def some_commands(person: str, gestures: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set some own commands; the others stay. Send two commands at once to exchange their gestures."""
         parts.require_no_study(person)
-        await parts.people.set_commands(person, given, whole=False)
+        await parts.people.set_commands(person, gestures, whole=False)
         return person_view(person, parts)
 
     @app.put(
@@ -141,10 +141,10 @@ def _add_commands(app: FastAPI, parts: PeopleParts) -> None:
         tags=["people"],
         dependencies=[require(Permission.CONFIGURE, of_person)],
     )
-    async def command(person: str, command: CommandId, given: CommandGesture) -> PersonView:
+    async def command(person: str, command: CommandId, body: CommandGesture) -> PersonView:
         """Set the gesture of a person for one command."""
         parts.require_no_study(person)
-        await parts.people.set_commands(person, {command: given.gesture}, whole=False)
+        await parts.people.set_commands(person, {command: body.gesture}, whole=False)
         return person_view(person, parts)
 
     @app.delete(

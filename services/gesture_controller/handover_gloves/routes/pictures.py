@@ -48,8 +48,8 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
 
         A two-hand gesture shows both hands and ignores `hand`; a sequence shows its gestures in order.
         """
-        known, poses = _poses_of(name, gestures, hand)
-        return _answer(svg_of(known, poses, motion).encode(), "image/svg+xml", if_none_match)
+        title, poses = _poses_of(name, gestures, hand)
+        return _answer(svg_of(title, poses, motion).encode(), "image/svg+xml", if_none_match)
 
     @app.get(
         "/gestures/{name}.gif",
@@ -81,8 +81,10 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
     if _STATES.fullmatch(name):
         return gestures.names.get(name, name), (Pose(hand, (name,)),)
     everything = (*gestures.codes, *gestures.composites)
-    known = gestures.find(name) or next((each for each in everything if _plain(each) == _plain(name)), None)
-    if known is None:
+    title = gestures.find(name) or next(
+        (candidate for candidate in everything if _plain(candidate) == _plain(name)), None
+    )
+    if title is None:
         raise Problem(
             404,
             "Unknown gesture",
@@ -94,19 +96,19 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
                 hint=gestures.like(name),
             ),
         )
-    parts = gestures.parts_of(known)
-    if isinstance(gestures.composites.get(known), TwoHandGesture):
-        return known, tuple(Pose(part.hand or hand, (part.code,)) for part in parts)
-    return known, (Pose(hand, tuple(part.code for part in parts)),)
+    parts = gestures.parts_of(title)
+    if isinstance(gestures.composites.get(title), TwoHandGesture):
+        return title, tuple(Pose(part.hand or hand, (part.code,)) for part in parts)
+    return title, (Pose(hand, tuple(part.code for part in parts)),)
 
 
 def _plain(name: str) -> str:
     return _NON_WORD.sub("-", name.casefold()).strip("-")
 
 
-def _answer(picture: bytes, media_type: str, known: str | None) -> Response:
+def _answer(picture: bytes, media_type: str, title: str | None) -> Response:
     tag = f'"{hashlib.sha256(picture).hexdigest()[:24]}"'
     headers = {"ETag": tag, "Cache-Control": f"public, max-age={FRESH_S}"}
-    if known is not None and (known.strip() == "*" or tag in known):
+    if title is not None and (title.strip() == "*" or tag in title):
         return Response(status_code=304, headers=headers)
     return Response(picture, media_type=media_type, headers=headers)

@@ -40,14 +40,14 @@ def add_profiles(app: FastAPI, parts: PeopleParts) -> None:
     )
     async def profile(person: str) -> Response:
         """Return the profile of a person as a file, to be imported here or at another site."""
-        known = parts.people.named(person)
-        kept = Profile(known, parts.records.fits_of(known.name))
+        owner = parts.people.named(person)
+        kept = Profile(owner, parts.records.fits_of(owner.name))
         learnt = [fit.learnt for fit in kept.fits.values()]
-        if len(orjson.dumps(learnt)) + 200 * len(known.gestures) <= MAX_INLINE_BYTES:
+        if len(orjson.dumps(learnt)) + 200 * len(owner.gestures) <= MAX_INLINE_BYTES:
             text = profile_file.written(kept)
         else:
             text = await offload.run(profile_file.written, kept)
-        name = f'attachment; filename="{known.name}.yaml"'
+        name = f'attachment; filename="{owner.name}.yaml"'
         return Response(text, media_type=YAML, headers={"Content-Disposition": name})
 
     @app.put(
@@ -84,10 +84,10 @@ def add_profiles(app: FastAPI, parts: PeopleParts) -> None:
         with _profile_errors():
             text = body.decode("utf-8")
             if len(body) <= MAX_INLINE_BYTES:
-                given = profile_file.read(text, parts.people.site, person=person)
+                imported = profile_file.read(text, parts.people.site, person=person)
             else:
-                given = await offload.run(profile_file.read, text, parts.people.site, person=person)
-        await parts.wearers.import_profile(given.person, given.fits)
+                imported = await offload.run(profile_file.read, text, parts.people.site, person=person)
+        await parts.wearers.import_profile(imported.person, imported.fits)
         return person_view(person, parts)
 
 

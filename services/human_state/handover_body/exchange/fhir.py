@@ -81,16 +81,16 @@ def feature_of(observation: Mapping[str, Any]) -> Feature:
     a value raises no limit. Raises `ExchangeError` for an unknown code, another unit, and a missing value
     or time.
     """
-    given = _checked(observation)
-    name = feature_name_of(given)
+    checked = _checked(observation)
+    name = feature_name_of(checked)
     components = {
         coding["code"]: component
-        for component in given.get("component", [])
+        for component in checked.get("component", [])
         for coding in component["code"].get("coding", [])
         if coding.get("system") == LOCAL and "code" in coding
     }
-    value = _value(given, name)
-    start_s, end_s = _effective(given)
+    value = _value(checked, name)
+    start_s, end_s = _effective(checked)
     quality = float(components.get("quality", {}).get("valueQuantity", {}).get("value", 0.0))
     status = components.get("status", {}).get("valueString", Status.IMPLAUSIBLE.value)
     if status not in set(Status) or not 0 <= quality <= 1:
@@ -99,12 +99,12 @@ def feature_of(observation: Mapping[str, Any]) -> Feature:
         )
     return Feature(
         name=name,
-        source=_identified(given.get("device"), SOURCE),
+        source=_identified(checked.get("device"), SOURCE),
         value=value,
         at_s=end_s,
         quality=quality,
         status=Status(status),
-        method=given.get("method", {}).get("text", ""),
+        method=checked.get("method", {}).get("text", ""),
         window_s=end_s - start_s,
         is_calibrated=bool(components.get("calibrated", {}).get("valueBoolean", True)),
     )
@@ -154,14 +154,14 @@ def waveform_of(samples: Samples, subject: str) -> dict[str, Any]:
 
 def samples_of(observation: Mapping[str, Any]) -> Samples:
     """Return the samples of an Observation that `waveform_of` wrote. Raises `ExchangeError`."""
-    given = _checked(observation)
-    codes = [coding.get("code", "") for coding in given["code"].get("coding", [])]
+    checked = _checked(observation)
+    codes = [coding.get("code", "") for coding in checked["code"].get("coding", [])]
     kinds = [code.removeprefix("signal-") for code in codes if code.startswith("signal-")]
-    sampled = given.get("valueSampledData")
+    sampled = checked.get("valueSampledData")
     if not kinds or kinds[0] not in set(SignalKind) or sampled is None:
         raise ExchangeError("an Observation is no waveform of a signal that is known here")
     components = [
-        (component["code"]["coding"][0]["code"], component) for component in given.get("component", [])
+        (component["code"]["coding"][0]["code"], component) for component in checked.get("component", [])
     ]
     unit = next((part["valueString"] for name, part in components if name == "unit"), None)
     dimensions = int(sampled["dimensions"])
@@ -185,10 +185,14 @@ def samples_of(observation: Mapping[str, Any]) -> Samples:
         "" if written_unit == "1" else written_unit,
         1000.0 / (float(sampled["interval"]) * milliseconds),
         tuple(labels) if len(labels) == dimensions else ("",) * dimensions,
-        method=given.get("method", {}).get("text", ""),
+        method=checked.get("method", {}).get("text", ""),
     )
     return Samples(
-        _identified(given.get("device"), SOURCE), info, _effective(given)[0], values, quality=float(quality)
+        _identified(checked.get("device"), SOURCE),
+        info,
+        _effective(checked)[0],
+        values,
+        quality=float(quality),
     )
 
 
@@ -198,14 +202,17 @@ def bundle_of(observations: Iterable[Mapping[str, Any]], session: str, at_s: flo
     `session` is the id of the PhysiologicalSession, `at_s` the time of the export. An Observation that occurs
     twice is there once. Raises `ExchangeError` beyond `MAX_ENTRIES`.
     """
-    return _bundle((_checked(one) for one in observations), session, at_s)
+    return _bundle((_checked(observation) for observation in observations), session, at_s)
 
 
 def _bundle(observations: Iterable[Mapping[str, Any]], session: str, at_s: float) -> dict[str, Any]:
     """Return a Bundle of Observations that were checked; checking all of them again would double the cost."""
     entries: dict[str, dict[str, Any]] = {}
-    for one in observations:
-        entries[str(one["id"])] = {"fullUrl": f"urn:uuid:{one['id']}", "resource": dict(one)}
+    for observation in observations:
+        entries[str(observation["id"])] = {
+            "fullUrl": f"urn:uuid:{observation['id']}",
+            "resource": dict(observation),
+        }
         if len(entries) > MAX_ENTRIES:
             raise ExchangeError(f"a Bundle has at most {MAX_ENTRIES:,} entries; export a shorter time")
     every = list(entries.values())
@@ -304,10 +311,10 @@ def _checked(resource: Mapping[str, Any]) -> dict[str, Any]:
     return checked
 
 
-def _value(given: Mapping[str, Any], name: FeatureName) -> float | str:
-    if "valueString" in given:
-        return str(given["valueString"])
-    quantity = given.get("valueQuantity")
+def _value(observation: Mapping[str, Any], name: FeatureName) -> float | str:
+    if "valueString" in observation:
+        return str(observation["valueString"])
+    quantity = observation.get("valueQuantity")
     if quantity is None or "value" not in quantity:
         raise ExchangeError(f"the Observation of {name} has no valueQuantity and no valueString")
     expected = UCUM_OF.get(name, "1")
@@ -324,15 +331,15 @@ def _same(code: str, expected: str) -> bool:
     return (code.partition("}")[2] or "1") == expected
 
 
-def _effective(given: Mapping[str, Any]) -> tuple[float, float]:
-    period = given.get("effectivePeriod")
-    moments = [given.get("effectiveDateTime")] * 2
+def _effective(observation: Mapping[str, Any]) -> tuple[float, float]:
+    period = observation.get("effectivePeriod")
+    moments = [observation.get("effectiveDateTime")] * 2
     if period is not None:
         moments = [period.get("start") or period.get("end"), period.get("end") or period.get("start")]
     if moments[0] is None:
         raise ExchangeError("an Observation has no effective time, so its age is not known")
     try:
-        start_s, end_s = (datetime.fromisoformat(str(one)).timestamp() for one in moments)
+        start_s, end_s = (datetime.fromisoformat(str(moment)).timestamp() for moment in moments)
     except ValueError as error:
         raise ExchangeError(f"an Observation has the time {moments[1]}: {error}") from None
     return start_s, end_s

@@ -156,7 +156,7 @@ def state_message(features: Sequence[Feature], subject: str, at_s: float) -> tup
     return PACKAGE + "HumanState", {
         "header": {"stamp": _stamp(at_s), "frame_id": ""},
         "subject": subject,
-        "features": [feature_message(each, subject)[1] for each in features],
+        "features": [feature_message(feature, subject)[1] for feature in features],
     }
 
 
@@ -261,12 +261,12 @@ def _eye_channels(kind: SignalKind) -> tuple[tuple[str, ...], ...]:
 
 
 def _eye_event(samples: Samples, subject: str, at_s: float, row: Any) -> Message:
-    given = dict(zip(samples.info.channels, row.tolist(), strict=True))
+    fields = dict(zip(samples.info.channels, row.tolist(), strict=True))
     return {
         **_head(samples, subject, at_s),
         "kind": EYES[samples.info.kind],
-        **{name: given.get(name, math.nan) for name in DURATION + OF_MOVEMENTS},
-        "gaze": np.array([given[name] for name in GAZE if name in given], np.float64),
+        **{name: fields.get(name, math.nan) for name in DURATION + OF_MOVEMENTS},
+        "gaze": np.array([fields[name] for name in GAZE if name in fields], np.float64),
     }
 
 
@@ -280,15 +280,15 @@ def _from_eye_event(message: Mapping[str, Any]) -> Samples:
     if kind is SignalKind.GAZE:
         return _single(kind, message, list(gaze.values()), GAZE)
     of_movements = {name: message[name] for name in OF_MOVEMENTS if not math.isnan(message[name])}
-    given = {**{name: message[name] for name in DURATION}, **gaze, **of_movements}
-    return _single(kind, message, list(given.values()), tuple(given))
+    fields = {**{name: message[name] for name in DURATION}, **gaze, **of_movements}
+    return _single(kind, message, list(fields.values()), tuple(fields))
 
 
 def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:
-    given = message["samples"]
-    channels = tuple(given["channels"])
-    values = np.asarray(given["values"], np.float64)
-    times_s = np.asarray(given["times_s"], np.float64)
+    series = message["samples"]
+    channels = tuple(series["channels"])
+    values = np.asarray(series["values"], np.float64)
+    times_s = np.asarray(series["times_s"], np.float64)
     if not channels or len(values) % len(channels):
         raise ValueError(f"{len(values)} values are no rows of {len(channels)} channels")
     rows = values.reshape(-1, len(channels))
@@ -296,7 +296,7 @@ def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:
         raise ValueError(f"there are {len(times_s)} times for {len(rows)} samples")
     info = _signal_info(kind, message, channels, message["info"]["method"])
     irregular = len(times_s) > 0 or info.rate_hz is None
-    return _samples(info, message, float(given["start_s"]), rows, times_s if irregular else None)
+    return _samples(info, message, float(series["start_s"]), rows, times_s if irregular else None)
 
 
 def _intervals(message: Mapping[str, Any]) -> Samples:
@@ -343,17 +343,17 @@ def _signal_info(
 def _samples(
     info: SignalInfo, message: Mapping[str, Any], start_s: float, values: Any, times_s: Any
 ) -> Samples:
-    given = message["info"]
+    head = message["info"]
     return Samples(
-        source=given["source"],
+        source=head["source"],
         info=info,
         start_s=start_s,
         values=values,
         times_s=times_s,
-        clock=CLOCK_OF.get(given["clock"], ClockKind.ARRIVAL),
-        uncertainty_s=float(given["clock_uncertainty_s"]),
-        quality=_fraction(given["quality"]),
-        has_contact=CONTACT_OF.get(given["contact"]),
+        clock=CLOCK_OF.get(head["clock"], ClockKind.ARRIVAL),
+        uncertainty_s=float(head["clock_uncertainty_s"]),
+        quality=_fraction(head["quality"]),
+        has_contact=CONTACT_OF.get(head["contact"]),
     )
 
 

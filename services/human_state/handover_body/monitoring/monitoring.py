@@ -119,7 +119,7 @@ class Monitoring:
         for robot in wanted:
             if (robot, name) not in self.links:
                 self._link(robot, name)
-        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+        SENSORS.set(sum(sensor.task is not None for sensor in self._running.values()))
 
     def _stop(self, name: str) -> None:
         for sensor, running in list(self._running.items()):
@@ -130,7 +130,7 @@ class Monitoring:
         monitor = self.monitors.pop(name, None)
         if monitor is not None:
             self.on_stopped(monitor)
-        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+        SENSORS.set(sum(sensor.task is not None for sensor in self._running.values()))
 
     def _stop_sensor(self, sensor: str, person: str | None) -> None:
         running = self._running.get(sensor)
@@ -258,7 +258,7 @@ class Monitoring:
             await self._ticked.wait()
         if robot is None:
             return orjson.dumps(self._limits)
-        limits = [one for one in self._limits["limits"] if robot in one["robots"]]
+        limits = [limit for limit in self._limits["limits"] if robot in limit["robots"]]
         return orjson.dumps({**self._limits, "limits": limits})
 
 

@@ -136,8 +136,8 @@ class Recordings:
 
     def of(self, subject: str) -> list[RecordingRow]:
         """Return the recordings of a pseudonym, newest first."""
-        found = [row for row in self._rows.values() if row.subject == subject]
-        return sorted(found, key=lambda row: -row.started_us)
+        rows = [row for row in self._rows.values() if row.subject == subject]
+        return sorted(rows, key=lambda row: -row.started_us)
 
     def recording(self, identifier: str, subject: str) -> RecordingRow:
         """Return a recording of a pseudonym; raise `Problem` 404."""
@@ -156,7 +156,7 @@ class Recordings:
 
     def is_running(self, row: RecordingRow) -> bool:
         """Return whether a recording takes signals now."""
-        return any(one.row.id == row.id and one.ending is None for one in self._running.values())
+        return any(running.row.id == row.id and running.ending is None for running in self._running.values())
 
     def expires_us(self, row: RecordingRow) -> int:
         """Return when a recording is deleted, in us since 1970."""
@@ -240,7 +240,7 @@ class Recordings:
 
     def recorded(self) -> list[str]:
         """Return the names of the persons who are being recorded."""
-        return [name for name, one in self._running.items() if one.ending is None]
+        return [name for name, running in self._running.items() if running.ending is None]
 
     async def delete(self, row: RecordingRow) -> None:
         """Delete a recording with its file; one that runs is ended."""
@@ -273,7 +273,7 @@ class Recordings:
         self.apply(name)  # the consent may have ended while the file was made
 
     def _find(self, identifier: str) -> _RunningRecording | None:
-        return next((one for one in self._running.values() if one.row.id == identifier), None)
+        return next((running for running in self._running.values() if running.row.id == identifier), None)
 
     def _is_allowed(self, running: _RunningRecording) -> bool:
         person = self._people.find(running.person)

@@ -29,8 +29,8 @@ class Parts:
     def monitor_of(self, person: str) -> PersonMonitor:
         """Return the monitor of a person; raise `Problem` 404, or 409 without consent."""
         self.people.person(person)
-        found = self.monitoring.monitors.get(person)
-        if found is None:
+        monitor = self.monitoring.monitors.get(person)
+        if monitor is None:
             raise Problem(
                 409,
                 "No consent",
@@ -41,4 +41,4 @@ class Parts:
                     person=person,
                 ),
             )
-        return found
+        return monitor

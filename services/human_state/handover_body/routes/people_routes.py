@@ -62,7 +62,11 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.get("/people", tags=["people"])
     async def list_people(caller: SignedIn, request: Request) -> list[PersonView]:
         """Return the persons whose data the caller may see: all, those of grants, or the own."""
-        return [person_view(one, monitoring) for one in people.all() if may_see(request, caller, one.name)]
+        return [
+            person_view(person, monitoring)
+            for person in people.all()
+            if may_see(request, caller, person.name)
+        ]
 
     @app.get("/people/{person}", tags=["people"])
     async def one_person(person: Name, caller: SignedIn, request: Request) -> PersonView:
@@ -74,8 +78,8 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     async def put_person(person: Name, body: PersonChange, caller: SignedIn, request: Request) -> PersonView:
         """Add a person, or change baseline and curve. The pseudonym is drawn here and stays."""
         await require_own_or(request, caller, Permission.CONFIGURE, person)
-        known = people.find(person)
-        baseline, curve = _baseline(body, known.baseline if known else Baseline())
+        stored = people.find(person)
+        baseline, curve = _baseline(body, stored.baseline if stored else Baseline())
         changed = await people.put(person, baseline, (curve.free_bpm, curve.strained_bpm, curve.least))
         return person_view(changed, monitoring)
 
@@ -116,8 +120,8 @@ def _add_baselines(app: FastAPI, parts: Parts) -> None:
         await require_own_or(request, caller, Permission.CONFIGURE, person)
         before = people.person(person).baseline
         try:
-            found = measured_maximum_bpm(parts.monitor_of(person).recent)
-            measured = max(found, before.maximum_bpm) if before.method == "measured" else found
+            maximum_bpm = measured_maximum_bpm(parts.monitor_of(person).recent)
+            measured = max(maximum_bpm, before.maximum_bpm) if before.method == "measured" else maximum_bpm
             baseline = Baseline(before.rest_bpm, measured, "measured")
         except NoBaseline as error:
             raise Problem(409, "No baseline", str(error)) from None

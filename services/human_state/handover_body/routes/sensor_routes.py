@@ -34,13 +34,13 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
         guard = guard_of(request)
         guard.require(caller, Permission.CONFIGURE, guard.settings.entity_id("Person", body.person))
         driver = _driver(body.driver)
-        given = driver.settings_model.completed(body.settings, people.stored_settings(sensor, body.driver))
+        settings = driver.settings_model.completed(body.settings, people.stored_settings(sensor, body.driver))
         try:
-            driver.settings_model.model_validate(given)
+            driver.settings_model.model_validate(settings)
         except ValidationError as error:
             faults = fault_text(error, "settings")
             raise Problem(422, "Bad settings", f"the settings of {body.driver}: {faults}") from None
-        row = SensorRow(sensor, body.driver, given, body.person)
+        row = SensorRow(sensor, body.driver, settings, body.person)
         return person_view(await people.put_sensor(row), monitoring)
 
     @app.delete("/sensors/{sensor}", tags=["sensors"], status_code=204)
@@ -59,14 +59,14 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
     @app.get("/drivers", tags=["sensors"], dependencies=[require_somewhere(Permission.READ)])
     async def drivers() -> list[DriverView]:
         """Return the drivers of sensors, with the JSON Schema of their settings."""
-        found = []
+        views = []
         for name in SENSOR_DRIVERS.names():
             kind = _driver(name)
             text = (kind.__doc__ or "").strip().split("\n", maxsplit=1)[0]
-            found.append(
+            views.append(
                 DriverView(name=name, description=text, settings=kind.settings_model.model_json_schema())
             )
-        return found
+        return views
 
     @app.post(
         "/drivers/{driver}/discover",
@@ -77,7 +77,7 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
         """Search for devices of a driver."""
         kind = _driver(driver)
         try:
-            found = await kind.discover(timeout_s)
+            devices = await kind.discover(timeout_s)
         except (HandoverError, OSError, RuntimeError) as error:  # no adapter, or no library of the driver
             raise Problem(
                 409,
@@ -89,12 +89,15 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
                     why=text_of(error),
                 ),
             ) from error
-        return [FoundView(address=one.address, name=one.name, rssi_dbm=one.rssi_dbm) for one in found[:200]]
+        return [
+            FoundView(address=device.address, name=device.name, rssi_dbm=device.rssi_dbm)
+            for device in devices[:200]
+        ]
 
 
 def _driver(name: str) -> type[SensorDriver]:
     try:
-        found: type[SensorDriver] = SENSOR_DRIVERS.load(name)
+        driver: type[SensorDriver] = SENSOR_DRIVERS.load(name)
     except HandoverError as error:
         raise Problem(422, "Unknown driver", str(error)) from None
-    return found
+    return driver

@@ -174,12 +174,12 @@ class Session:
         return lot.sample(pairs, len(pairs))
 
 
-def checked(step: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked(step: str, content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the answer `given` to `step` as it is kept; raises `Problem` 404 or 422 with what to change."""
     if step not in ANSWERS:
         raise Problem(404, "Unknown step", f'there is no step "{step}"; the steps are {", ".join(STEPS)}')
     try:
-        return ANSWERS[step].model_validate(given).model_dump()
+        return ANSWERS[step].model_validate(content).model_dump()
     except ValidationError as error:
         raise Problem(422, "Incomplete answer", "; ".join(fault_lines(error, step))) from None
 

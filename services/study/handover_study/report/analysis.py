@@ -42,7 +42,7 @@ class Scores:
 
 def scores_of(session: Session) -> Scores:
     """Return the scores of a session."""
-    given = session.answers.get("sus")
+    sus = session.answers.get("sus")
     tlx: dict[Condition, dict[str, float]] = {}
     for step in ("tlx1", "tlx2"):
         answer, condition = session.answers.get(step), session.condition_of(step)
@@ -55,7 +55,7 @@ def scores_of(session: Session) -> Scores:
             "raw": tlx_raw(ratings),
             "weighted": tlx_weighted(ratings, chosen),
         }
-    return Scores(sus_score(given.content["answers"]) if given else None, tlx)
+    return Scores(sus_score(sus.content["answers"]) if sus else None, tlx)
 
 
 def analysis_of(sessions: Sequence[Session]) -> AnalysisView:
@@ -63,11 +63,13 @@ def analysis_of(sessions: Sequence[Session]) -> AnalysisView:
     scores = [scores_of(session) for session in sessions]
     orders = Counter(session.first for session in sessions if session.first is not None)
     answers = [session.answers for session in sessions]
-    preferences = Counter(one["preference"].content["preferred"] for one in answers if "preference" in one)
+    preferences = Counter(
+        answer["preference"].content["preferred"] for answer in answers if "preference" in answer
+    )
     ages = [
-        float(one["introduction"].content["age_years"])
-        for one in answers
-        if "introduction" in one and one["introduction"].content["age_years"] is not None
+        float(answer["introduction"].content["age_years"])
+        for answer in answers
+        if "introduction" in answer and answer["introduction"].content["age_years"] is not None
     ]
     return {
         "participants": len(sessions),
@@ -81,7 +83,7 @@ def analysis_of(sessions: Sequence[Session]) -> AnalysisView:
             "none": preferences["none"],
         },
         "recalibrated": sum(
-            bool(one["preference"].content["recalibrated"]) for one in answers if "preference" in one
+            bool(answer["preference"].content["recalibrated"]) for answer in answers if "preference" in answer
         ),
         "sus": sus_analysis([score.sus for score in scores if score.sus is not None]),
         "tlx": {measure: _tlx(scores, measure) for measure in MEASURES},
@@ -197,10 +199,10 @@ def wilcoxon(pairs: Sequence[tuple[float, float]]) -> StatisticalTest:
     from scipy import stats  # noqa: PLC0415 - heavy, and seldom asked for
 
     name = "Wilcoxon signed-rank test, two-sided"
-    differences = [one - other for one, other in pairs if one != other]
+    differences = [first - other for first, other in pairs if first != other]
     if not differences:
         return {"name": name, "n": 0, "why": "needs pairs that differ"}
-    is_tied = len({abs(one) for one in differences}) < len(differences)
+    is_tied = len({abs(difference) for difference in differences}) < len(differences)
     if is_tied and len(differences) <= ALL_SIGNS_UP_TO:
         w, p = _of_all_signs(differences)
         return {"name": name, "n": len(differences), "w": w, "p": p}

@@ -104,8 +104,8 @@ def _box(
     ink = HexColor(colour)
     half = height / 2
 
-    def line(one: tuple[float, float], other: tuple[float, float], width: float = 1.0) -> None:
-        drawing.add(shapes.Line(*one, *other, strokeColor=ink, strokeWidth=width))
+    def line(begin: tuple[float, float], other: tuple[float, float], width: float = 1.0) -> None:
+        drawing.add(shapes.Line(*begin, *other, strokeColor=ink, strokeWidth=width))
 
     for end, edge in (("low", "q1"), ("high", "q3")):
         line((_x(box[end], left), y), (_x(box[edge], left), y))

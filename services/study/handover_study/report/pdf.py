@@ -48,7 +48,7 @@ class _Words:
 
     def of(self, name: str, **values: Any) -> str:
         shown = {
-            one: value if isinstance(value, str) else self.number(value) for one, value in values.items()
+            key: value if isinstance(value, str) else self.number(value) for key, value in values.items()
         }
         return str(self._report[name]).format(**shown)
 

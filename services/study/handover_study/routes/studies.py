@@ -84,18 +84,18 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     @app.get("/sessions/{session}", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def one(session: str) -> SessionWithAnswers:
         """Return a session with its step and its answers."""
-        found = await sessions.one(session)
-        answers = {step: dict(answer.content) for step, answer in found.answers.items()}
-        return {**view_of(found), "answers": answers}
+        present = await sessions.one(session)
+        answers = {step: dict(answer.content) for step, answer in present.answers.items()}
+        return {**view_of(present), "answers": answers}
 
     @app.post(
         "/sessions/{session}/steps/{step}", tags=["study"], dependencies=[require(Permission.CONDUCT_STUDIES)]
     )
     async def answer(
-        session: str, step: str, given: Annotated[dict[str, Any], Body()]
+        session: str, step: str, content: Annotated[dict[str, Any], Body()]
     ) -> SessionView | DeclinedSession:
         """Answer a step; the answer is stored when this returns. Declined consent deletes the session."""
-        moved = await sessions.answer(session, step, given)
+        moved = await sessions.answer(session, step, content)
         if moved is None:
             return {"id": session, "step": DECLINED}
         return view_of(moved)
@@ -156,9 +156,9 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         from handover_study.report.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
         _require_installed("reportlab")
-        found = await analyses.of(study)
+        result = await analyses.of(study)
         today = datetime.now(UTC).date().isoformat()
-        pdf = await asyncio.to_thread(pdf_of, found, study, language, today)
+        pdf = await asyncio.to_thread(pdf_of, result, study, language, today)
         return _file(pdf, "application/pdf", study, "pdf")
 
 
@@ -201,11 +201,11 @@ class _Analyses:
         sessions = await self._study_sessions.sessions(study)
         key = hashlib.sha256(pickle.dumps(sessions)).digest()
         kept = self._kept.pop(key, None)
-        found = kept if kept is not None else await self._analysed(sessions)
-        self._kept[key] = found
+        analysis = kept if kept is not None else await self._analysed(sessions)
+        self._kept[key] = analysis
         while len(self._kept) > MAX_ANALYSES_KEPT:
             del self._kept[next(iter(self._kept))]
-        return found
+        return analysis
 
     async def _analysed(self, sessions: Sequence[Session]) -> AnalysisView:
         from handover_study.report.analysis import analysis_of  # noqa: PLC0415 - seldom asked for

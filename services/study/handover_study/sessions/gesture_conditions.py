@@ -66,10 +66,10 @@ class GestureConditions:
             "person": session.person,
             "gestures": _GESTURES[session.condition] if session.condition is not None else None,
         }
-        self._wanted = {key: one for key, one in self._wanted.items() if not _overlap(one, condition)} | {
-            session.id: condition
-        }
+        self._wanted = {
+            key: wanted for key, wanted in self._wanted.items() if not _overlap(wanted, condition)
+        } | {session.id: condition}
 
 
-def _overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    return any(one[name] is not None and one[name] == other[name] for name in ("glove", "person"))
+def _overlap(wanted: dict[str, Any], other: dict[str, Any]) -> bool:
+    return any(wanted[name] is not None and wanted[name] == other[name] for name in ("glove", "person"))

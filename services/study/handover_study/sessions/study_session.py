@@ -46,17 +46,17 @@ class StudySessions:
             await self._conditions.update(session)
         return session
 
-    async def answer(self, session_id: str, step: str, given: Mapping[str, Any]) -> Session | None:
+    async def answer(self, session_id: str, step: str, body: Mapping[str, Any]) -> Session | None:
         """Store the answer to `step`; return the session at its next step, or None after declined consent.
 
         Repeating the same answer changes nothing; another answer raises `Problem` 409.
         """
         async with self._answering:
             session = await self.one(session_id)
-            content = checked(step, given)
-            known = session.answers.get(step)
-            if known is not None:
-                if known.content == content:
+            content = checked(step, body)
+            present = session.answers.get(step)
+            if present is not None:
+                if present.content == content:
                     return session
                 raise Problem(409, "Answered already", f'"{step}" is answered; the first answer counts')
             if session.step != step:
@@ -88,7 +88,7 @@ class StudySessions:
 
     async def delete_person(self, names: Collection[str]) -> int:
         """Delete the sessions of a person, who is named in one of these ways; return how many."""
-        theirs = [one.id for one in await self.sessions(None) if one.person in names]
+        theirs = [session.id for session in await self.sessions(None) if session.person in names]
         for session_id in theirs:
             with suppress(Problem):  # somebody else has deleted it meanwhile
                 await self.delete(session_id)

@@ -119,16 +119,18 @@ class StudyStore:
             if is_sqlite:
                 connection.exec_driver_sql("PRAGMA secure_delete=ON")
             connection.execute(delete(_answers).where(_answers.c.session == session_id))
-            found = connection.execute(delete(_sessions).where(_sessions.c.id == session_id)).rowcount > 0
+            is_deleted = (
+                connection.execute(delete(_sessions).where(_sessions.c.id == session_id)).rowcount > 0
+            )
             record_request(connection)
             connection.commit()
         purge_log(self._engine)
-        return found
+        return is_deleted
 
     def session(self, session_id: str) -> Session | None:
         """Return the session with that id, if there is one."""
-        found = self._read(_sessions.c.id == session_id)
-        return found[0] if found else None
+        matches = self._read(_sessions.c.id == session_id)
+        return matches[0] if matches else None
 
     def sessions(self, study: str | None = None) -> list[Session]:
         """Return all sessions (of `study`) in the order in which they began."""

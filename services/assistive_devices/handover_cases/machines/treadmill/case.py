@@ -271,7 +271,7 @@ class TreadmillMachine(Machine):
                 "hasModel": self._model is not None,
                 "zone": {"lowBpm": plan.zone.low_bpm, "highBpm": plan.zone.high_bpm},
                 **with_code("reason", REASONS[self.training.belt.reason]),
-                "interventions": [one.shown() for one in self._interventions],
+                "interventions": [intervention.shown() for intervention in self._interventions],
             }
         }
 
@@ -295,7 +295,7 @@ class TreadmillMachine(Machine):
         said = 0
         while self.training.is_running:
             await trial.until(news, partial(self._has_news, said), PATIENCE_S)
-            for shown in [one for one in self._interventions if one.number > said]:
+            for shown in [intervention for intervention in self._interventions if intervention.number > said]:
                 said = shown.number
                 trial.say(
                     message(
@@ -313,7 +313,9 @@ class TreadmillMachine(Machine):
             await self._lose_strap(trial)
 
     def _has_news(self, said: int) -> bool:
-        return not self.training.is_running or any(one.number > said for one in self._interventions)
+        return not self.training.is_running or any(
+            intervention.number > said for intervention in self._interventions
+        )
 
     def _bpm(self) -> float:
         return 0.0 if self.heart is None else self.heart[0]
@@ -360,13 +362,13 @@ def model_of(settings: AssistiveSettings) -> ModelWording | None:
 
 def _last_of(log: SessionLog) -> list[_Intervention]:
     """Return the interventions of the last session, to show them after a restart."""
-    found = []
+    views = []
     for session in log.sessions()[:1]:
         for row in log.interventions(session.id)[-SHOWN_INTERVENTIONS:]:
             shown = _Intervention(row.number, row.at_us, row.advice, row.reason)
             shown.words = Words(row.text, row.source or "") if row.text else None
-            found.append(shown)
-    return found
+            views.append(shown)
+    return views
 
 
 def _now_us() -> int:

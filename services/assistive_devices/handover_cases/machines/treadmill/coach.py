@@ -120,7 +120,7 @@ class Coach:
         """Return the coach with one more valid heart rate; what is no rate, or older, is ignored."""
         if not (math.isfinite(bpm) and 20 <= bpm <= 250) or (self.rates and at_s <= self.rates[-1][0]):
             return self
-        kept = tuple(one for one in self.rates if at_s - one[0] <= TREND_S)[-(MAX_RATES - 1) :]
+        kept = tuple(rate for rate in self.rates if at_s - rate[0] <= TREND_S)[-(MAX_RATES - 1) :]
         return replace(self, rates=(*kept, (at_s, bpm)))
 
     def decide(self, now_s: float, *, is_at_limit: bool) -> tuple["Coach", Decision | None]:
@@ -136,10 +136,10 @@ class Coach:
             return Advice.SLOWER, Reason.NO_SIGNAL
         present = self.rates[-1][1]
         expected = present + LEAD_S * self._trend()
-        found = self.zone.judged(present, expected)
-        if found[0] is Advice.FASTER and is_at_limit:
+        judgement = self.zone.judged(present, expected)
+        if judgement[0] is Advice.FASTER and is_at_limit:
             return Advice.KEEP, Reason.AT_LIMIT
-        return found
+        return judgement
 
     def _trend(self) -> float:
         """Return the slope of the last rates by least squares, in bpm a second, at most half a bpm."""

@@ -209,7 +209,7 @@ class WheelchairMachine(Machine):
                 vmax = self.controller.vmax.value
                 worst = max(worst, abs(vmax - vmax_of(rate, maximum)))
                 checked.update(
-                    {bpm: vmax for bpm, known in checked.items() if math.isnan(known) and rate >= bpm}
+                    {bpm: vmax for bpm, measured in checked.items() if math.isnan(measured) and rate >= bpm}
                 )
             return rate is not None and rate >= 118
 

@@ -50,13 +50,13 @@ class RecordingDriver(SensorDriver):
 
     def __init__(self, source: str, settings: RecordingSettings) -> None:
         super().__init__(source, settings)
-        meanings = {name: Meaning(one.kind, one.unit) for name, one in settings.channels.items()}
+        meanings = {name: Meaning(meaning.kind, meaning.unit) for name, meaning in settings.channels.items()}
         self.recording: Recording = read(settings.path, meanings)
         self._tracks = distinct_tracks(self.recording.tracks)
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        return {one.name: one.reason for one in self.recording.left_out}
+        return {track.name: track.reason for track in self.recording.left_out}
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:

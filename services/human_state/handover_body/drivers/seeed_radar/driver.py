@@ -110,7 +110,9 @@ class RadarDriver(SensorDriver):
         except ImportError as error:  # a platform without a list of ports
             raise UsageError(f"serial ports cannot be listed here: {error}") from error
         ports = await asyncio.to_thread(comports)
-        return [FoundDevice(one.device, one.description) for one in ports if (one.vid, one.pid) in USB_IDS]
+        return [
+            FoundDevice(port.device, port.description) for port in ports if (port.vid, port.pid) in USB_IDS
+        ]
 
 
 def _read(port: "object") -> bytes:
