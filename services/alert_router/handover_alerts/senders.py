@@ -23,6 +23,8 @@ from handover_alerts.settings import RouterSettings
 
 MAX_ANSWER_BYTES: Final = 64 * 1024
 MAX_SUBJECT: Final = 200
+SEND_TIMEOUT_S: Final = 30.0
+"""A server that takes longer to accept a message is tried again later."""
 
 
 class NotSent(Exception):
@@ -93,10 +95,9 @@ class Senders:
         self._http.close()
 
     async def send(self, channel: Channel, message: Outgoing) -> None:
-        """Send a message; raise `NotSent`. It takes no longer than HANDOVER_SEND_TIMEOUT_S."""
-        timeout_s = self._settings.send_timeout_s
+        """Send a message; raise `NotSent`. It takes no longer than `SEND_TIMEOUT_S`."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with asyncio.timeout(SEND_TIMEOUT_S):
                 if isinstance(channel, MailChannel):
                     await self._send_mail(channel, message)
                 elif isinstance(channel, WebhookChannel):
@@ -104,7 +105,7 @@ class Senders:
                 else:
                     await _send_by_apprise(channel, message)
         except TimeoutError:
-            raise NotSent(f"no answer within {timeout_s:g} s") from None
+            raise NotSent(f"no answer within {SEND_TIMEOUT_S:g} s") from None
 
     async def _send_mail(self, channel: MailChannel, message: Outgoing) -> None:
         server = self._server
@@ -130,7 +131,7 @@ class Senders:
                 use_tls=server.is_tls,
                 start_tls=False if server.is_tls else None if may_be_plain else True,
                 tls_context=client_context(*self._settings.ca_files),
-                timeout=self._settings.send_timeout_s,
+                timeout=SEND_TIMEOUT_S,
             )
         except aiosmtplib.SMTPRecipientsRefused as refused:
             is_final = all(recipient.code >= 500 for recipient in refused.recipients)
@@ -154,9 +155,7 @@ class Senders:
                 ("Handover-Signature", f"sha256={hmac.new(key, body, hashlib.sha256).hexdigest()}")
             )
         try:
-            response = await self._http.request(
-                "POST", channel.url, headers, body, self._settings.send_timeout_s
-            )
+            response = await self._http.request("POST", channel.url, headers, body, SEND_TIMEOUT_S)
         except AddressRefused as refused:
             raise NotSent(str(refused), is_final=True) from None
         except (SendError, OSError) as error:

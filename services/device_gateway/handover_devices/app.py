@@ -92,7 +92,7 @@ class _Parts:
         self.guard = Guard(settings, "device-gateway")
         self.broker = BrokerClient(settings, credentials=self.guard.access)
         self.history = HistoryWriter(engine)
-        self.dispatcher = Dispatcher(engine, self.history, settings.device_ack_timeout_s)
+        self.dispatcher = Dispatcher(engine, self.history)
         self.reports = BrokerReports(
             settings, self.broker, settings.device_report_interval_s, settings.device_reports_per_s
         )

@@ -8,6 +8,9 @@ from typing import Any, Final
 VALID: Final = "valid"
 OF_SENSOR: Final = "@"
 MIN_QUALITY: Final = 0.5
+FREE_BPM: Final = 90.0
+STRAINED_BPM: Final = 125.0
+"""The heart rates of ROS4HC between which a machine slows down."""
 
 
 @dataclass(frozen=True, slots=True)

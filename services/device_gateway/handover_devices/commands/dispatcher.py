@@ -42,6 +42,8 @@ from handover_devices.storage.history_writer import HistoryWriter, MessageRow
 log = get_logger(__name__)
 
 TICK_S: Final = 0.2
+ACK_TIMEOUT_S: Final = 2.0
+"""A command without an answer for this time is sent again, if its kind allows it."""
 MAX_OPEN: Final = 64
 """Open commands of one device."""
 MAX_ENDED: Final = 2_000
@@ -90,7 +92,7 @@ class Dispatcher:
         self,
         engine: Engine,
         writer: HistoryWriter,
-        ack_timeout_s: float,
+        ack_timeout_s: float = ACK_TIMEOUT_S,
         clock: Callable[[], float] | None = None,
     ) -> None:
         self._engine = engine

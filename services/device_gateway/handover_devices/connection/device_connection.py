@@ -31,6 +31,7 @@ from handover_devices.settings import GatewaySettings
 
 log = get_logger(__name__)
 
+HELLO_TIMEOUT_S: Final = 5.0
 MAX_WAITING_FOR_HELLO: Final = 128
 REFUSAL_LINGER_S: Final = 1.0
 """How long a refused connection stays open, so that the other side can read the reason."""
@@ -210,10 +211,9 @@ class DeviceConnection(asyncio.Protocol):
 
     def check(self, now_s: float) -> None:
         """End the connection if its hello is missing or it was idle for too long."""
-        settings = self._settings
         if self._session is None:
-            if now_s - self._active_s > settings.device_hello_timeout_s:
-                self.refuse("noHello", f"no hello within {settings.device_hello_timeout_s:g} s", retry=True)
+            if now_s - self._active_s > HELLO_TIMEOUT_S:
+                self.refuse("noHello", f"no hello within {HELLO_TIMEOUT_S:g} s", retry=True)
         elif self._is_paused and not self._cannot_write:
             self._active_s = now_s  # it waits for us
         elif now_s - self._active_s > self._max_silence_s():

@@ -18,6 +18,7 @@ from handover.messages import message
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.security.service_access import ServiceAccess
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
+from handover_cases.model.body import FREE_BPM, STRAINED_BPM
 from handover_cases.model.sensor import Sensor
 from handover_cases.trial import HEART_RATE_IS_VALID, NOT_IN_PAPER, Trial, TrialFailed
 
@@ -253,8 +254,8 @@ CASE: Final = Case(
     person_settings={
         "restBpm": REST_BPM,
         "maximumBpm": MAXIMUM_BPM,
-        "freeBpm": 90.0,
-        "strainedBpm": 125.0,
+        "freeBpm": FREE_BPM,
+        "strainedBpm": STRAINED_BPM,
         "leastFraction": LEAST,
     },
     services=("task-orchestrator", "trajectory-tool"),

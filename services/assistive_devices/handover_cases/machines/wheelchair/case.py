@@ -10,6 +10,7 @@ from handover.messages import message
 from handover_cases.machine import Case, Machine, MachineState, Seen
 from handover_cases.machines.wheelchair.controller import Centre, Wheelchair, WheelchairParameters
 from handover_cases.machines.wheelchair.simulation import Chair, Driver
+from handover_cases.model.body import FREE_BPM, STRAINED_BPM
 from handover_cases.model.command import Command, VelocityCommand
 from handover_cases.model.sensor import Sensor
 from handover_cases.trial import (
@@ -21,8 +22,6 @@ from handover_cases.trial import (
     Trial,
 )
 
-FREE_BPM: Final = 90.0
-STRAINED_BPM: Final = 125.0
 PAPER_DURATION_S: Final = 180.0
 SHORT_S: Final = 60.0
 """A trial that is to be shorter leaves out the stop at 125 bpm and the strap."""
