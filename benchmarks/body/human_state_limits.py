@@ -80,7 +80,7 @@ class Wearer:
         return done
 
 
-class Bench:
+class LimitBench:
     """The people, and the times that were measured."""
 
     def __init__(self, wearers: Sequence[Wearer]) -> None:
@@ -173,7 +173,7 @@ async def counts(rest: httpx.AsyncClient) -> dict[str, float]:
 
 async def measure(options: argparse.Namespace, ports: dict[str, int], process: psutil.Process) -> None:
     """Set everybody up, measure, and print."""
-    bench = Bench([Wearer(f"w{n}", port) for n, port in enumerate(free_ports(WEARERS))])
+    bench = LimitBench([Wearer(f"w{n}", port) for n, port in enumerate(free_ports(WEARERS))])
     base = f"127.0.0.1:{ports['human']}"
     async with (
         httpx.AsyncClient(base_url=f"http://{base}", timeout=120, trust_env=False) as rest,

@@ -45,7 +45,7 @@ SERVICES = {
 PORTS = ("BROKER", "ACCOUNTS", "GATEWAY", "DEVICE", "WEBUI", "PROXY")
 
 
-class Device(asyncio.Protocol):
+class LoadDevice(asyncio.Protocol):
     """A device that answers each command at once, and notes when it came."""
 
     def __init__(self, name: str, token: str, received: dict[str, float]) -> None:
@@ -171,7 +171,7 @@ class Site:
                         await asyncio.sleep(0.2)
                 secret = made.raise_for_status().json()["token"]
                 await loop.create_connection(
-                    partial(Device, name, secret, self.received),
+                    partial(LoadDevice, name, secret, self.received),
                     "127.0.0.1",
                     self.ports["DEVICE"],
                 )

@@ -34,7 +34,7 @@ REST_S = 20.0
 STARTED_TOGETHER = 4
 
 
-class Cell:
+class PerformedCell:
     """An orchestrator and its performer."""
 
     def __init__(self, name: str, folder: Path, broker_url: str) -> None:
@@ -82,7 +82,7 @@ class Load:
     refused: int = 0
     unfinished: int = 0
 
-    async def run(self, cells: Sequence[Cell], rate: float, seconds: float) -> None:
+    async def run(self, cells: Sequence[PerformedCell], rate: float, seconds: float) -> None:
         """Start processes at `rate` per second in each cell for some seconds, and wait for their ends."""
         async with httpx.AsyncClient(trust_env=False, timeout=60) as http:
             await asyncio.gather(
@@ -91,7 +91,7 @@ class Load:
             )  # fmt: skip
 
     async def _run(
-        self, http: httpx.AsyncClient, cell: Cell, delay_s: float, rate: float, seconds: float
+        self, http: httpx.AsyncClient, cell: PerformedCell, delay_s: float, rate: float, seconds: float
     ) -> None:
         begun = time.monotonic() + delay_s
         starts = []
@@ -115,7 +115,7 @@ class Load:
             for instance in ended.values()
         ]
 
-    async def _start(self, http: httpx.AsyncClient, cell: Cell) -> str | None:
+    async def _start(self, http: httpx.AsyncClient, cell: PerformedCell) -> str | None:
         body = {"definition": "sequence", "parameters": {"stop": False}}
         try:
             answer = await http.post(f"{cell.orchestrator.url}/processes", json=body)
@@ -166,7 +166,8 @@ async def measure(arguments: argparse.Namespace, folder: Path) -> None:
         broker = Service("handover_broker", url, environment, folder)
         broker.start()
     cells = [
-        Cell(f"cell-{number:02}", folder / f"cell-{number:02}", url) for number in range(arguments.cells)
+        PerformedCell(f"cell-{number:02}", folder / f"cell-{number:02}", url)
+        for number in range(arguments.cells)
     ]
     try:
         begun = time.perf_counter()
@@ -194,7 +195,10 @@ async def measure(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 async def _at_rate(
-    rate: float, cells: Sequence[Cell], services: dict[str, list[Service]], arguments: argparse.Namespace
+    rate: float,
+    cells: Sequence[PerformedCell],
+    services: dict[str, list[Service]],
+    arguments: argparse.Namespace,
 ) -> str | None:
     before = {name: sum(service.cpu_s() for service in some) for name, some in services.items()}
     psutil.cpu_percent()

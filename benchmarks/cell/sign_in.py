@@ -44,7 +44,7 @@ class Answer(NamedTuple):
     has_retry_after: bool
 
 
-class Cell:
+class SignInCell:
     """The page server and `accounts` in processes of their own."""
 
     def __init__(self, folder: Path) -> None:
@@ -112,7 +112,7 @@ class Person:
     answers: Counter[int] = field(default_factory=Counter)
 
 
-async def person(cell: Cell, seconds: float) -> Person:
+async def person(cell: SignInCell, seconds: float) -> Person:
     """Sign in and read something every `EVERY_S`."""
     seen = Person()
     end_s = time.monotonic() + seconds
@@ -127,7 +127,7 @@ async def person(cell: Cell, seconds: float) -> Person:
     return seen
 
 
-async def attack(cell: Cell, rate: float, seconds: float, addresses: int) -> Counter[Answer]:
+async def attack(cell: SignInCell, rate: float, seconds: float, addresses: int) -> Counter[Answer]:
     """Send wrong passwords at `rate`; return the answers."""
     answers: Counter[Answer] = Counter()
     pending: set[asyncio.Task[None]] = set()
@@ -149,7 +149,7 @@ async def attack(cell: Cell, rate: float, seconds: float, addresses: int) -> Cou
     return answers
 
 
-async def measure(cell: Cell, rate: float, seconds: float, addresses: int) -> None:
+async def measure(cell: SignInCell, rate: float, seconds: float, addresses: int) -> None:
     """Measure without and with the attack, and print both."""
     await cell.prepare()
     quiet = await person(cell, 4 * EVERY_S)
@@ -189,7 +189,7 @@ def main() -> None:
     parser.add_argument("--addresses", type=int, default=1, help="of the attacker")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        cell = Cell(Path(folder))
+        cell = SignInCell(Path(folder))
         try:
             asyncio.run(measure(cell, options.rate, options.seconds, options.addresses))
         finally:

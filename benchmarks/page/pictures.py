@@ -105,7 +105,7 @@ INSPECTION_FORM = {
 LOCALES = {"en": "en-GB", "de": "de-DE", "fi": "fi-FI"}
 
 
-class Hand:
+class MovingHand:
     """A glove that sends frames in real time from a thread; the fingers move smoothly to the shown code."""
 
     def __init__(self, port: int) -> None:
@@ -163,7 +163,7 @@ class Product:
     def __init__(self, env: dict[str, str], browser: Browser, out: Path) -> None:
         self.base = f"http://127.0.0.1:{env['HANDOVER_WEBUI_PORT']}"
         self.http = httpx.Client(base_url=f"{self.base}/api", timeout=60, trust_env=False)
-        self.hand = Hand(int(env["HANDOVER_GLOVE_PORT"]))
+        self.hand = MovingHand(int(env["HANDOVER_GLOVE_PORT"]))
         self.humanoid = f"ws://127.0.0.1:{env['HANDOVER_WHOLE_BODY_PORT']}"
         self.out = out
         self._browser = browser

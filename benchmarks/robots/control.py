@@ -153,7 +153,7 @@ class User:
 
 
 @dataclass
-class Result:
+class ControlResult:
     """What the recordings of all robots show."""
 
     latencies_s: list[float] = field(default_factory=list)
@@ -296,7 +296,7 @@ async def measure(
     used_s = sum(sum(process.cpu_times()[:2]) for process in processes) - before_s
     for robot in robots:
         await _until_free(robot)
-    result = Result()
+    result = ControlResult()
     for user, robot in zip(users, robots, strict=True):
         result.add(user, await asyncio.to_thread(robot.rows))
     print(

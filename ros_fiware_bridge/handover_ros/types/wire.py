@@ -10,15 +10,7 @@ from typing import Any
 
 from handover_ros.errors import BadMessage
 from handover_ros.types.definition import Definition, FieldType, Many
-from handover_ros.types.excerpt import (
-    BIG,
-    LITTLE,
-    Excerpts,
-    FieldNames,
-    Read,
-    text_of_units,
-    wanted,
-)
+from handover_ros.types.excerpt import BIG, LITTLE, Excerpts, FieldNames, Read, text_of_units, wanted
 
 _HEADER_BYTES = 4
 _MAX_CACHED_READERS = 1000  # more than the rules of a bridge

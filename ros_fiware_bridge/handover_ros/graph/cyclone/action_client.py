@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from handover_ros.errors import GoalRefused, OutcomeUnknown
-from handover_ros.graph.cyclone.services import CycloneClient
+from handover_ros.graph.cyclone.service_client import CycloneClient
 from handover_ros.graph.goals import goal_forgotten, result_within
 from handover_ros.graph.own_goals import OwnGoals
 from handover_ros.graph.port import GoalResult, GoalStatus, Message, Received, Subscription

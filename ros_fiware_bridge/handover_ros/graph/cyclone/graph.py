@@ -11,7 +11,9 @@ from handover_ros.graph.cyclone.action_client import CycloneActionClient
 from handover_ros.graph.cyclone.action_server import CycloneActionServer
 from handover_ros.graph.cyclone.domain import DomainSettings
 from handover_ros.graph.cyclone.node import OwnNode
-from handover_ros.graph.cyclone.services import CycloneClient, CycloneServer, obstacle
+from handover_ros.graph.cyclone.service_client import CycloneClient
+from handover_ros.graph.cyclone.service_server import CycloneServer
+from handover_ros.graph.cyclone.services import obstacle
 from handover_ros.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
 from handover_ros.graph.join_settings import JoinSettings
 from handover_ros.graph.port import (

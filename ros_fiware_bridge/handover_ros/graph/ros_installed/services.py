@@ -7,13 +7,7 @@ from typing import Any
 
 import structlog
 
-from handover_ros.errors import (
-    BadMessage,
-    ClosedUnanswered,
-    OutcomeUnknown,
-    ServerLost,
-    ServiceUnavailable,
-)
+from handover_ros.errors import BadMessage, ClosedUnanswered, OutcomeUnknown, ServerLost, ServiceUnavailable
 from handover_ros.graph.goals import too_busy, unanswered
 from handover_ros.graph.port import Message, ServiceHandler
 from handover_ros.graph.qos import MAX_REQUESTS_IN_FLIGHT

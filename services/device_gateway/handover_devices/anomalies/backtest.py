@@ -4,14 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from handover_devices.anomalies.detectors import (
-    Alarm,
-    Baseline,
-    Seasonal,
-    Silence,
-    Verdict,
-    detector_of,
-)
+from handover_devices.anomalies.detectors import Alarm, Baseline, Seasonal, Silence, Verdict, detector_of
 from handover_devices.anomalies.rules import Rule
 
 

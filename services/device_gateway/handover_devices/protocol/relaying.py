@@ -39,13 +39,7 @@ from typing import Any, Final
 import orjson
 
 from handover_devices.protocol.live import LIVE
-from handover_devices.protocol.messages import (
-    MAX_LINE_BYTES,
-    MAX_SEQ,
-    BadMessage,
-    is_boot,
-    is_device_name,
-)
+from handover_devices.protocol.messages import MAX_LINE_BYTES, MAX_SEQ, BadMessage, is_boot, is_device_name
 
 MAX_RELAYED_BYTES: Final = MAX_LINE_BYTES + 1024
 """A line of an edge: a message of a device, with its number and the name of the device."""

@@ -21,14 +21,7 @@ from handover.telemetry import get_logger
 from handover_datamodels.times import iso
 from handover_gloves.accuracy_tests.report import first_recognized
 from handover_gloves.accuracy_tests.store import AccuracyTest, AccuracyTestStore
-from handover_gloves.accuracy_tests.trials import (
-    Observation,
-    Phase,
-    Plan,
-    Progress,
-    Trial,
-    draw_order,
-)
+from handover_gloves.accuracy_tests.trials import Observation, Phase, Plan, Progress, Trial, draw_order
 from handover_gloves.accuracy_tests.views import TestState, TestSummary
 from handover_gloves.gloves.glove import Glove
 from handover_gloves.gloves.known_gloves import KnownGloves

@@ -37,11 +37,7 @@ from handover_gloves.recognition.gestures import (
     checked_code,
     default_commands,
 )
-from handover_gloves.recognition.thresholds import (
-    M2O2P_THRESHOLDS,
-    Thresholds,
-    WrongThreshold,
-)
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Thresholds, WrongThreshold
 
 _SECTIONS = ("gestures", "commands", "persons", "answers", "gloves")
 

@@ -13,11 +13,7 @@ from typing import Any, Literal
 from handover.messages import message
 from handover_datamodels.states import Outcome
 from handover_gloves.recognition.finger_states import BENT, STRAIGHT
-from handover_gloves.recognition.gesture_views import (
-    CompositeGestureView,
-    PartView,
-    PlainGestureView,
-)
+from handover_gloves.recognition.gesture_views import CompositeGestureView, PartView, PlainGestureView
 from handover_gloves.recognition.thresholds import FINGERS
 
 M2O2P_GESTURES: Mapping[str, str] = {

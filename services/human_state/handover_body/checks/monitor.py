@@ -390,8 +390,8 @@ class SignalMonitor:
     def _judged(self, samples: Samples, arrival_s: float, reports: list[SensorReport]) -> Samples:
         judged = self._values.take(samples)
         had_contact, self._has_contact = self._has_contact, samples.has_contact
-        if judged.found is not None:
-            fault = judged.found
+        if judged.finding is not None:
+            fault = judged.finding
             if self._has_contact is False and had_contact is not False:
                 self._lasting.pop(SensorFault.NO_CONTACT, None)
             self._lasts(fault.fault, arrival_s, fault.text, reports, fault.details)

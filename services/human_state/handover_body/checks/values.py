@@ -97,7 +97,7 @@ class Judged:
 
     values: Floats
     quality: float
-    found: Finding | None = None
+    finding: Finding | None = None
 
 
 class ValueChecks:

@@ -20,14 +20,7 @@ from typing import Any, Final
 import orjson
 
 from handover_body.formats.extra import required
-from handover_body.formats.json_messages import (
-    SCHEMAS,
-    Recorded,
-    schema_name,
-    time_of,
-    to_json,
-    topic_of,
-)
+from handover_body.formats.json_messages import SCHEMAS, Recorded, schema_name, time_of, to_json, topic_of
 from handover_body.model.signals import Samples, SignalKind
 
 SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")

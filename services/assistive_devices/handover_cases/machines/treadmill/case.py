@@ -32,13 +32,7 @@ from handover_cases.machines.treadmill.wording import ModelWording, Words, templ
 from handover_cases.model.command import Command, VelocityCommand
 from handover_cases.model.sensor import Sensor
 from handover_cases.settings import AssistiveSettings
-from handover_cases.trial import (
-    BODY_IS_CALM,
-    HEART_RATE_IS_VALID,
-    LIMIT_FALLS,
-    NOT_IN_PAPER,
-    Trial,
-)
+from handover_cases.trial import BODY_IS_CALM, HEART_RATE_IS_VALID, LIMIT_FALLS, NOT_IN_PAPER, Trial
 from handover_datamodels.times import iso
 
 HEART_RATE_MAX_AGE_S: Final = 5.0

@@ -111,7 +111,7 @@ class Coach:
 
     zone: Zone
     since_s: float
-    given: int = 0
+    decision_count: int = 0
     """How many decisions were made."""
     rates: tuple[tuple[float, float], ...] = ()
     """The last valid heart rates: time in s, bpm."""
@@ -126,10 +126,10 @@ class Coach:
     def decide(self, now_s: float, *, is_at_limit: bool) -> tuple["Coach", Decision | None]:
         """Return the coach and, when 30 s have passed, the next decision. A pause makes up for none."""
         passed = math.floor((now_s - self.since_s) / ADVICE_EVERY_S)
-        if passed <= self.given:
+        if passed <= self.decision_count:
             return self, None
         advice, reason = self._judged(now_s, is_at_limit=is_at_limit)
-        return replace(self, given=passed), Decision(advice, reason, now_s)
+        return replace(self, decision_count=passed), Decision(advice, reason, now_s)
 
     def _judged(self, now_s: float, *, is_at_limit: bool) -> tuple[Advice, Reason]:
         if not self.rates or now_s - self.rates[-1][0] > FRESH_S:

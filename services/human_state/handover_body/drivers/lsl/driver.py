@@ -16,14 +16,7 @@ from pydantic import Field, model_validator
 from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 PULL_S: Final = 0.05
 MAX_SAMPLES: Final = 4096

@@ -12,14 +12,7 @@ from pydantic import Field
 from handover_body.drivers.base import DriverSettings, SensorDriver, Sink, now_s
 from handover_body.drivers.recording.channels import Meaning
 from handover_body.drivers.recording.tracks import Recording, Track, read
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 
 class ChannelSettings(DriverSettings):

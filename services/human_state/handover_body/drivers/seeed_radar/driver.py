@@ -18,14 +18,7 @@ from handover_body.drivers.base import (
     now_s,
 )
 from handover_body.drivers.seeed_radar.protocol import FrameReader, read
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 METHOD: Final = "radar 60 GHz"
 WAVE_POINTS: Final = ("0", "1", "2", "3", "4")

@@ -19,14 +19,7 @@ from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, Se
 from handover_body.drivers.simulated.person import Posture, SimulatedPerson
 from handover_body.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave
 from handover_body.model.cardiovascular import Physiology
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 EVENTS_SILENCE_S = 120.0
 """A sensor of nothing but events, such as blinks, may be silent for so long."""

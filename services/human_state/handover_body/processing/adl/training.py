@@ -17,13 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_body.processing.adl.classifier import (
-    CLASSES,
-    MAT_CELLS,
-    WINDOW_S,
-    WORKING_HZ,
-    features_of,
-)
+from handover_body.processing.adl.classifier import CLASSES, MAT_CELLS, WINDOW_S, WORKING_HZ, features_of
 
 Floats = NDArray[np.float64]
 
