@@ -8,6 +8,7 @@ from fastapi import FastAPI
 from handover.broker import BrokerClient
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
+from handover.service_addresses import ROS_BRIDGE
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover_ros import mapping
@@ -27,7 +28,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts
-    guard = Guard(settings, "ros-bridge")
+    guard = Guard(settings, ROS_BRIDGE)
     broker = BrokerClient(settings, credentials=guard.access)
     holder = BridgeHolder()
 
@@ -68,7 +69,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=guard,
-        audit=AuditTrail(settings, "ros-bridge"),
+        audit=AuditTrail(settings, ROS_BRIDGE),
     )
     rules.add_routes(app, holder, settings)
     robot_sockets.add_routes(app, lambda: holder.get().graph)

@@ -15,7 +15,7 @@ from handover.distribution import version
 from handover.errors import Problem
 from handover.network.tls_trust import client_context
 from handover.security.audit_trail import AuditTrail
-from handover.service_addresses import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE, WHOLE_BODY_CONTROL
+from handover.service_addresses import ASSISTIVE_DEVICES, BROKER, HUMAN_STATE, WEBUI, WHOLE_BODY_CONTROL
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover_web.http.control_proxy import ControlProxy
@@ -72,7 +72,7 @@ class Components:
         self.state = LiveState()
         self.viewers = Viewers()
         engine = connect(settings.database("webui"))
-        self.audit = AuditTrail(settings, "webui", engine)
+        self.audit = AuditTrail(settings, WEBUI, engine)
         self.events = EventLog(engine, self.state.publish_event)
         self.user_settings = UserSettings(engine)
         self.broker = BrokerClient(settings, credentials=guard.access)

@@ -12,6 +12,7 @@ from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
+from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.telemetry import get_logger
@@ -59,7 +60,7 @@ class Bridge:
         settings: Settings,
         *,
         url: str,
-        name: str = "ros-bridge",
+        name: str = ROS_BRIDGE,
         parameters: bool = True,
     ) -> None:
         self.plan = plan

@@ -16,6 +16,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.broker.resync import Resync
 from handover.errors import Problem
 from handover.messages import message
+from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover.subscriptions.notifications import NotificationReceiver, ids_of
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
@@ -146,7 +147,7 @@ class Listeners:
         notify_url: str,
         *,
         prefix: str = "ros-bridge-rule-",
-        service: str = "ros-bridge",
+        service: str = ROS_BRIDGE,
     ) -> None:
         self.watched: frozenset[str] = frozenset()
         self.subscribed = False

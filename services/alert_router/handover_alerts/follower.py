@@ -17,6 +17,7 @@ import orjson
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
+from handover.service_addresses import ALERT_ROUTER
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
@@ -30,7 +31,7 @@ from handover_datamodels.times import iso
 
 log = get_logger(__name__)
 
-SUBSCRIPTION: Final = "alert-router"
+SUBSCRIPTION: Final = ALERT_ROUTER
 STEP_INTERVAL_S: Final = 1.0
 RETENTION_INTERVAL_S: Final = 3600.0
 MAX_PLACES: Final = 10_000

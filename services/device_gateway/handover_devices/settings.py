@@ -7,7 +7,7 @@ from typing import ClassVar
 from pydantic import Field, SecretStr
 
 from handover.extensions import Service
-from handover.service_addresses import GATEWAY, GatewayAddress, TrajectoryAddress
+from handover.service_addresses import DEVICE_GATEWAY, GatewayAddress, TrajectoryAddress
 from handover.settings import MaybePath, Settings
 from handover.transport_security.local_authority import AUTHORITY
 
@@ -156,7 +156,7 @@ class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
 
 
 SERVICE = Service(
-    GATEWAY,
+    DEVICE_GATEWAY,
     "handover_devices",
     GatewaySettings,
     "gateway_port",

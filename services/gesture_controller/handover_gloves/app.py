@@ -10,6 +10,7 @@ from handover.runtime.ports import require_free
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.security.protection import require_protection
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
@@ -39,7 +40,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     require_protection(settings, settings.glove_host, "HANDOVER_GLOVE_HOST")
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
-    guard = Guard(settings, "gesture-controller")
+    guard = Guard(settings, GESTURE_CONTROLLER)
     broker = BrokerClient(settings, credentials=guard.access)
     site = gestures_file.load(settings.gestures_file)
     for restriction in site.restricted_answers():
@@ -71,7 +72,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=guard,
-        audit=AuditTrail(settings, "gesture-controller", controller.database),
+        audit=AuditTrail(settings, GESTURE_CONTROLLER, controller.database),
     )
     controller.mount(app)
     add_gestures(app, controller)

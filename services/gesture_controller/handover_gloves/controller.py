@@ -12,6 +12,7 @@ from handover.database import connect
 from handover.errors import Problem
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover.runtime.background_tasks import BackgroundTasks
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover.telemetry import get_logger
 from handover_datamodels.states import Outcome
 from handover_gloves.calibration.calibration_store import CalibrationStore
@@ -55,7 +56,7 @@ class GestureController(Performer):
         broker: BrokerClient,
         joins: StationJoins,
     ) -> None:
-        super().__init__("gesture-controller", settings, broker, notify_url=settings.notify_url)
+        super().__init__(GESTURE_CONTROLLER, settings, broker, notify_url=settings.notify_url)
         self.configuration = configuration
         self._joins = joins
         self._silence_s = settings.silence_s

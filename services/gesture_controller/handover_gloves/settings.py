@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from handover.extensions import Service
 from handover.network.outbound_policy import is_loopback
 from handover.security.glove_token import site_glove_token
-from handover.service_addresses import CONTROLLER, ControllerAddress, GloveServerAddress
+from handover.service_addresses import GESTURE_CONTROLLER, ControllerAddress, GloveServerAddress
 from handover.settings import Settings
 from handover_gloves.recognition.hold import HoldTiming
 
@@ -90,7 +90,7 @@ class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
 
 
 SERVICE = Service(
-    CONTROLLER,
+    GESTURE_CONTROLLER,
     "handover_gloves",
     ControllerSettings,
     "controller_port",

@@ -18,6 +18,7 @@ from handover.runtime.garbage_collection import freeze_loaded
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
+from handover.service_addresses import HUMAN_STATE
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover_body.exchange.deletions import Deletions
@@ -49,12 +50,12 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     _require_accounts_for_lsl(settings)
     engine = connect(settings.database("human-state"))
-    guard = Guard(settings, "human-state")
+    guard = Guard(settings, HUMAN_STATE)
     broker = BrokerClient(settings, credentials=guard.access)
     store = Store(engine)
     people = People(store)
     tasks = BackgroundTasks("human state")
-    writer = reporting_writer("human-state", settings, broker, REJECTED)
+    writer = reporting_writer(HUMAN_STATE, settings, broker, REJECTED)
     deletions = Deletions(settings, broker, writer)
     activities = ActivityModel(settings.health_activity_model, tasks)
     monitoring = Monitoring(
@@ -104,7 +105,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         breaks.close()
         engine.dispose()
 
-    audit = AuditTrail(settings, "human-state", engine, has_names=True)
+    audit = AuditTrail(settings, HUMAN_STATE, engine, has_names=True)
     app = create_app(
         "Human state",
         description=__doc__ or "",

@@ -7,7 +7,7 @@ from fastapi import FastAPI, WebSocket
 
 from handover.security.guard import authenticated, in_path, on_new_grants, require, require_somewhere
 from handover.security.permissions import Permission
-from handover.service_addresses import GATEWAY, HUMAN_STATE, TRAJECTORY, WHOLE_BODY_CONTROL
+from handover.service_addresses import DEVICE_GATEWAY, HUMAN_STATE, TRAJECTORY, WHOLE_BODY_CONTROL
 from handover_web.http.control_proxy import ControlProxy
 from handover_web.http.stream_proxy import StreamProxy
 from handover_web.live.live_socket import LiveSocket
@@ -35,7 +35,7 @@ def add_streams(app: FastAPI, live_socket: LiveSocket, controls: ControlProxy, s
         dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
     )
     async def drive(socket: WebSocket, robot: str) -> None:
-        await controls.serve(socket, GATEWAY, _control_of(robot))
+        await controls.serve(socket, DEVICE_GATEWAY, _control_of(robot))
 
     @app.websocket(
         "/api/human-state/people/{person}/live",

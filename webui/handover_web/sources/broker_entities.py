@@ -17,7 +17,7 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
-from handover.service_addresses import BROKER
+from handover.service_addresses import BROKER, WEBUI
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
@@ -67,8 +67,8 @@ class BrokerEntities(Source):
         self._broker = broker
         self._handlers = {handler.ngsi_type: handler for handler in handlers}
         self._services = services
-        self._receiver = NotificationReceiver("webui", settings, broker)
-        self._subscriptions = OwnSubscriptions("webui", settings, broker)
+        self._receiver = NotificationReceiver(WEBUI, settings, broker)
+        self._subscriptions = OwnSubscriptions(WEBUI, settings, broker)
         self._cells = OtherCells(settings, broker)
         self._is_subscribed = self._is_unreachable = False
         self._renew_s = 0.0

@@ -9,7 +9,14 @@ import httpx
 import orjson
 
 from handover.broker import BrokerError
-from handover.service_addresses import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
+from handover.service_addresses import (
+    BROKER,
+    DEVICE_GATEWAY,
+    GESTURE_CONTROLLER,
+    ORCHESTRATOR,
+    ROS_BRIDGE,
+    TRAJECTORY,
+)
 from handover_web.live.event_log import Event, EventLog, timestamp
 from handover_web.live.live_state import LiveState
 from handover_web.live.views import LastMessage, ServiceHealth
@@ -33,7 +40,7 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
         "steps": "handover_orchestrator_step_duration_seconds_count",
         "news": "handover_orchestrator_task_changes_total",
     },
-    CONTROLLER: {
+    GESTURE_CONTROLLER: {
         "frames": "handover_gesture_controller_frames_received_total",
         "tasks": "handover_tasks_total",
     },
@@ -41,7 +48,7 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
         "tasks": "handover_tasks_total",
         "scans": "handover_trajectory_tool_scans_total",
     },
-    GATEWAY: {
+    DEVICE_GATEWAY: {
         "received": "handover_device_messages_total",
         "tasks": "handover_tasks_total",
     },

@@ -15,6 +15,7 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
+from handover.service_addresses import DEVICE_GATEWAY
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
@@ -139,7 +140,7 @@ class EdgeState:
 def make_edge_app(settings: GatewaySettings) -> FastAPI:
     """Return the application of an edge; raise `UsageError` if it cannot work with these settings."""
     engine = connect(settings.database("devices"))
-    guard = Guard(settings, "device-gateway")
+    guard = Guard(settings, DEVICE_GATEWAY)
     outbox = Outbox(engine, settings.edge_buffer_mib * MIB)
     writer = HistoryWriter(engine, outbox=outbox)
     dispatcher = EdgeDispatcher(engine, writer)
@@ -181,7 +182,7 @@ def make_edge_app(settings: GatewaySettings) -> FastAPI:
         lifespan=lifespan,
         checks={"storage": storage_check(settings.data_dir)},
         guard=guard,
-        audit=AuditTrail(settings, "device-gateway", engine),
+        audit=AuditTrail(settings, DEVICE_GATEWAY, engine),
     )
 
     @app.get("/edge", tags=["edge"], dependencies=[require(Permission.READ)])

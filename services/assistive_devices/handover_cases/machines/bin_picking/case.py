@@ -17,6 +17,7 @@ from handover.errors import HandoverError
 from handover.messages import message
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.security.service_access import ServiceAccess
+from handover.service_addresses import ASSISTIVE_DEVICES
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
 from handover_cases.model.body import FREE_BPM, STRAINED_BPM
 from handover_cases.model.sensor import Sensor
@@ -53,7 +54,7 @@ class OperatorMachine(Machine):
 
     def prepare(self, context: MachineContext) -> None:
         self.settings = context.settings
-        self._access = ServiceAccess(self.settings, "assistive-devices")
+        self._access = ServiceAccess(self.settings, ASSISTIVE_DEVICES)
         self._http = BodyReadingHttpClient(ca_files=self.settings.ca_files, max_response_bytes=1024 * 1024)
 
     def start(self) -> None:
