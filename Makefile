@@ -201,7 +201,7 @@ schemathesis: $(SCHEMATHESIS_VENV)/.ready  ## schemathesis against the OpenAPI d
 	@$(BIN)/python -m tests.load.schemathesis_run $(SCHEMATHESIS_VENV)/bin/schemathesis $(ARGS)
 
 humanoid-memory: setup
-	@$(BIN)/python -m benchmarks.whole_body_memory
+	@$(BIN)/python -m benchmarks.humanoid.whole_body_memory
 
 containers:
 	@if docker info >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v podman >/dev/null; }; then \
@@ -269,38 +269,38 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-human-state  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
-	@$(BIN)/python -m benchmarks.broker
+	@$(BIN)/python -m benchmarks.cell.broker
 
 bench-orchestrator: setup  ## the token engine alone, and the orchestrator as a service (ARGS=--postgres)
-	@$(BIN)/python -m benchmarks.token_engine
-	@$(BIN)/python -m benchmarks.orchestrator $(ARGS)
+	@$(BIN)/python -m benchmarks.cell.token_engine
+	@$(BIN)/python -m benchmarks.cell.orchestrator $(ARGS)
 
 bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gloves
-	@$(BIN)/python -m benchmarks.gesture_controller $(if $(DATA),--data $(DATA))
+	@$(BIN)/python -m benchmarks.gloves.gesture_controller $(if $(DATA),--data $(DATA))
 
 bench-handover: setup  ## from the held gesture to the robot; cold start; memory
-	@$(BIN)/python -m benchmarks.handover
+	@$(BIN)/python -m benchmarks.cell.handover
 
 bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker, 1,000 messages a second
-	@$(BIN)/python -m benchmarks.ros_graph
-	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
+	@$(BIN)/python -m benchmarks.ros.ros_graph
+	@$(BIN)/python -m benchmarks.ros.ros_bridge $(ARGS)
 
 bench-motion: setup  ## motion planning, and bin picking in simulated physics (SHORT=1: 12 minutes; ARGS="--problems 100")
-	@$(BIN)/python -m benchmarks.motion $(if $(SHORT),--problems 334 --peers 20) $(ARGS)
-	@$(BIN)/python -m benchmarks.random_moves $(if $(SHORT),--moves 2000)
-	@$(BIN)/python -m benchmarks.limits
-	@$(BIN)/python -m benchmarks.universal_robots
-	@$(BIN)/python -m benchmarks.physics
+	@$(BIN)/python -m benchmarks.robots.motion $(if $(SHORT),--problems 334 --peers 20) $(ARGS)
+	@$(BIN)/python -m benchmarks.robots.random_moves $(if $(SHORT),--moves 2000)
+	@$(BIN)/python -m benchmarks.robots.limits
+	@$(BIN)/python -m benchmarks.robots.universal_robots
+	@$(BIN)/python -m benchmarks.robots.physics
 
 bench-devices: setup  ## the device gateway: 1,000 devices at 1 Hz, values stored a second (ARGS=--postgres)
-	@$(BIN)/python -m benchmarks.devices $(ARGS)
+	@$(BIN)/python -m benchmarks.cell.devices $(ARGS)
 
 bench-control: setup  ## people who move robots by hand: input to motion command, 50 users on 50 robots (ARGS="--users 10")
-	@$(BIN)/python -m benchmarks.control $(ARGS)
+	@$(BIN)/python -m benchmarks.robots.control $(ARGS)
 
 bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside neurokit2, xqrs and heartpy (ARGS=--quick)
-	@$(BIN)/python -m benchmarks.human_state $(ARGS)
-	@$(BIN)/python -m benchmarks.human_state_limits
+	@$(BIN)/python -m benchmarks.body.human_state $(ARGS)
+	@$(BIN)/python -m benchmarks.body.human_state_limits
 
 PEERS_VENV := $(VENV)-peers
 
@@ -312,29 +312,29 @@ $(PEERS_VENV)/.ready: requirements/bench.lock | setup
 	@touch $@
 
 bench-whole-body: setup $(PEERS_VENV)/.ready  ## the stack of tasks on COMAN and its peers, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400" CYCLE_SECONDS=600)
-	@$(BIN)/python -m benchmarks.whole_body $(ARGS)
-	@$(BIN)/python -m benchmarks.whole_body_peers $(PEERS_VENV)/bin/python $(ARGS)
-	@$(BIN)/python -m benchmarks.whole_body_walking $(if $(CYCLE_SECONDS),--seconds $(CYCLE_SECONDS))
-	@$(BIN)/python -m benchmarks.whole_body_throwing
+	@$(BIN)/python -m benchmarks.humanoid.whole_body $(ARGS)
+	@$(BIN)/python -m benchmarks.humanoid.whole_body_peers $(PEERS_VENV)/bin/python $(ARGS)
+	@$(BIN)/python -m benchmarks.humanoid.whole_body_walking $(if $(CYCLE_SECONDS),--seconds $(CYCLE_SECONDS))
+	@$(BIN)/python -m benchmarks.humanoid.whole_body_throwing
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
-	@$(BIN)/python -m benchmarks.load $(ARGS)
+	@$(BIN)/python -m benchmarks.cell.load $(ARGS)
 
 bench-cells: setup  ## 50 cells on one broker, until something gives way (ARGS="--cells 10 --broker http://orion.example:1026")
-	@$(BIN)/python -m benchmarks.many_cells $(ARGS)
+	@$(BIN)/python -m benchmarks.cell.many_cells $(ARGS)
 
 bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a person signs in (ARGS="--addresses 500")
-	@$(BIN)/python -m benchmarks.sign_in $(ARGS)
+	@$(BIN)/python -m benchmarks.cell.sign_in $(ARGS)
 
 bench-vr: setup  ## virtual reality with an emulated headset: what the page works, and the way from a pose to its picture (ARGS="--seconds 20")
-	@$(BIN)/python -m benchmarks.humanoid_vr $(ARGS)
+	@$(BIN)/python -m benchmarks.page.humanoid_vr $(ARGS)
 
 bench-screen: setup  ## the screen in Chromium: response times, memory, and the waveforms of the page Health
-	@$(BIN)/python -m benchmarks.screen $(ARGS)
-	@$(BIN)/python -m benchmarks.waveforms
+	@$(BIN)/python -m benchmarks.page.screen $(ARGS)
+	@$(BIN)/python -m benchmarks.page.waveforms
 
 pictures: setup  ## make the pictures of the documentation from the running product (needs Chromium)
-	@$(BIN)/python -m benchmarks.pictures $(ARGS)
+	@$(BIN)/python -m benchmarks.page.pictures $(ARGS)
 
 humanoid-figures: setup  ## the figures of CoSiMA from own runs, in webui/pictures
 	@$(BIN)/handover humanoid figures webui/pictures

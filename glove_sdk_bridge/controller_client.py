@@ -86,9 +86,9 @@ class ControllerClient:
     def _request(self, method: str, path: str, body: object = None) -> dict[str, Any]:
         connection = self._connection()
         try:
-            given = None if body is None else json.dumps(body)
+            body_text = None if body is None else json.dumps(body)
             headers = {"Content-Type": "application/json", **self._headers}
-            connection.request(method, self._path + path, given, headers)
+            connection.request(method, self._path + path, body_text, headers)
             answer = connection.getresponse()
             status, text = answer.status, answer.read(MAX_RESPONSE_BYTES)
         except (OSError, http.client.HTTPException) as error:

@@ -59,13 +59,13 @@ def parse_forwarded(line: bytes, t_s: float) -> Frame | None:
     text = line.decode("utf-8", "replace").strip().removeprefix("\ufeff")
     if not text.startswith("{"):
         return Frame(t_s, five_numbers(text))
-    given = parse_object(text)
-    kind = given.get("type", "frame")
+    message = parse_object(text)
+    kind = message.get("type", "frame")
     if kind == "hello":
         return None
     if kind != "frame":
         raise BadLine('a line has the type "frame", or none')
-    own_s = given.get("t", t_s)
+    own_s = message.get("t", t_s)
     if not is_number(own_s):
         raise BadLine('"t" is a time in seconds')
-    return frame_of({**given, "seq": 0}, own_s)
+    return frame_of({**message, "seq": 0}, own_s)

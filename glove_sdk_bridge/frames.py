@@ -70,24 +70,24 @@ def parse_frame(line: bytes | str, sensors: tuple[str, ...] = FINGERS) -> Frame:
 
     Raises `BadLine` if it is no frame, or if a number is not finite.
     """
-    given = parse_object(line)
-    if given.get("type") != "frame":
+    message = parse_object(line)
+    if message.get("type") != "frame":
         raise BadLine('a frame has the type "frame"')
-    if not is_number(given.get("t")):
+    if not is_number(message.get("t")):
         raise BadLine('a frame needs the time "t" in seconds')
-    return frame_of(given, given["t"], sensors)
+    return frame_of(message, message["t"], sensors)
 
 
-def frame_of(given: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGERS) -> Frame:
+def frame_of(message: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGERS) -> Frame:
     """Return the frame at `t_s` with the values in `given`; raises `BadLine`."""
-    seq, pressure, battery = given.get("seq", 0), given.get("pressure"), given.get("battery")
+    seq, pressure, battery = message.get("seq", 0), message.get("pressure"), message.get("battery")
     if type(seq) is not int or not 0 <= seq <= MAX_VALUE:
         raise BadLine('"seq" counts 0, 1, 2, …')
     if battery is not None and not (is_number(battery) and 0 <= battery <= 1):
         raise BadLine('"battery" is a number from 0 to 1')
     return Frame(
         t_s=float(t_s),
-        bend=five(given.get("bend"), "bend", sensors),
+        bend=five(message.get("bend"), "bend", sensors),
         seq=seq,
         pressure=None if pressure is None else five(pressure, "pressure", sensors),
         battery=battery,
@@ -96,19 +96,19 @@ def frame_of(given: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGE
 
 def parse_hello(line: bytes | str) -> Hello:
     """Return the hello in `line`; raises `BadLine`."""
-    given = parse_object(line)
-    if given.get("type") != "hello":
+    message = parse_object(line)
+    if message.get("type") != "hello":
         raise BadLine('a hello has the type "hello"')
-    if given.get("version") != VERSION:
+    if message.get("version") != VERSION:
         raise BadLine(f"only version {VERSION} is supported")
-    name, hand, token = given.get("glove"), given.get("hand", HANDS[0]), given.get("token", "")
+    name, hand, token = message.get("glove"), message.get("hand", HANDS[0]), message.get("token", "")
     if not is_glove_name(name):
         raise BadLine('"glove" must be 1 to 64 letters, digits, ".", "_" or "-"')
     if hand not in HANDS:
         raise BadLine('"hand" must be "right" or "left"')
     if not isinstance(token, str):
         raise BadLine('"token" must be a text')
-    sensors = given.get("sensors", list(FINGERS))
+    sensors = message.get("sensors", list(FINGERS))
     named = sensors if isinstance(sensors, list) else []
     if not all(isinstance(finger, str) for finger in named) or sorted(named) != sorted(FINGERS):
         raise BadLine(f'"sensors" must name {", ".join(FINGERS)}, each once')
@@ -118,12 +118,12 @@ def parse_hello(line: bytes | str) -> Hello:
 def parse_object(line: bytes | str) -> dict[str, Any]:
     """Return the JSON object in `line`; raises `BadLine`."""
     try:
-        given = json.loads(line)
+        message = json.loads(line)
     except (ValueError, RecursionError):
         raise BadLine("not JSON") from None
-    if not isinstance(given, dict):
+    if not isinstance(message, dict):
         raise BadLine("not a JSON object")
-    return given
+    return message
 
 
 def five(values: object, what: str, sensors: tuple[str, ...] = FINGERS) -> Five:

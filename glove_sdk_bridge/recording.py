@@ -160,8 +160,8 @@ def _end_of_last_line(path: Path) -> int:
         while place > 0:
             start = max(0, place - _CHUNK_BYTES)
             file.seek(start)
-            found = file.read(place - start).rfind(b"\n")
-            if found >= 0:
-                return start + found + 1
+            newline = file.read(place - start).rfind(b"\n")
+            if newline >= 0:
+                return start + newline + 1
             place = start
     return 0

@@ -134,9 +134,9 @@ def _reason(error: Exception) -> str:
 def _ports() -> str:
     from serial.tools.list_ports import comports  # noqa: PLC0415 - only a glove on a wire needs it
 
-    found = sorted(port.device for port in comports())
+    names = sorted(port.device for port in comports())
     return (
-        f"the ports here are {', '.join(found)}"
-        if found
+        f"the ports here are {', '.join(names)}"
+        if names
         else "no serial port is found here; plug the glove in"
     )

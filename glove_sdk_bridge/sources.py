@@ -17,12 +17,12 @@ from glove_sdk_bridge.controller_client import ControllerClient
 from glove_sdk_bridge.errors import BridgeError, Say
 from glove_sdk_bridge.forward import Forward
 from glove_sdk_bridge.replay import RATE_HZ, Replay
-from glove_sdk_bridge.screen import Screen
 from glove_sdk_bridge.serial_port import BAUD, FULL_SCALE, SerialGlove
-from glove_sdk_bridge.simulated_glove import SimulatedGlove
-from glove_sdk_bridge.simulated_hand import RATE_HZ as HAND_RATE_HZ
-from glove_sdk_bridge.simulated_hand import SimulatedHand
-from glove_sdk_bridge.simulated_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.glove import SimulatedGlove
+from glove_sdk_bridge.simulation.glove_operator import SimulatedOperator
+from glove_sdk_bridge.simulation.hand import RATE_HZ as HAND_RATE_HZ
+from glove_sdk_bridge.simulation.hand import SimulatedHand
+from glove_sdk_bridge.simulation.screen import Screen
 from glove_sdk_bridge.source import Source
 
 GROUP = "handover.glove_sources"
@@ -85,9 +85,14 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="again and again")
 
 
-def _replay(given: argparse.Namespace, say: Say) -> Source:
+def _replay(options: argparse.Namespace, say: Say) -> Source:
     return Replay(
-        given.file, say=say, poses=given.pose, rate_hz=given.rate, speed=given.speed, loop=given.loop
+        options.file,
+        say=say,
+        poses=options.pose,
+        rate_hz=options.rate,
+        speed=options.speed,
+        loop=options.loop,
     )
 
 
@@ -106,9 +111,9 @@ def _serial_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _serial(given: argparse.Namespace, say: Say) -> Source:
+def _serial(options: argparse.Namespace, say: Say) -> Source:
     return SerialGlove(
-        given.device, say=say, baud=given.baud, invert=given.invert, full_scale=given.full_scale
+        options.device, say=say, baud=options.baud, invert=options.invert, full_scale=options.full_scale
     )
 
 
@@ -127,13 +132,13 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _simulate(given: argparse.Namespace, say: Say) -> Source:
+def _simulate(options: argparse.Namespace, say: Say) -> Source:
     return SimulatedGlove(
-        SimulatedHand(given.seed, rate_hz=given.rate),
-        SimulatedOperator(given.seed, given.mistakes, given.speed),
-        Screen(ControllerClient(given.controller), given.glove, say=say),
+        SimulatedHand(options.seed, rate_hz=options.rate),
+        SimulatedOperator(options.seed, options.mistakes, options.speed),
+        Screen(ControllerClient(options.controller), options.glove, say=say),
         say=say,
-        calibrate=given.calibrate,
+        calibrate=options.calibrate,
     )
 
 

@@ -100,6 +100,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from handover_datamodels import attributes, entities  # noqa: PLC0415 - not before they are asked for
 
-    found = getattr(entities, name) if hasattr(entities, name) else getattr(attributes, name)
-    globals()[name] = found
-    return found
+    member = getattr(entities, name) if hasattr(entities, name) else getattr(attributes, name)
+    globals()[name] = member
+    return member

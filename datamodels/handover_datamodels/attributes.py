@@ -46,43 +46,43 @@ _DATE_TIME_SCHEMA = {
 }
 
 
-def _moment(given: Any) -> datetime:
-    if isinstance(given, str):
-        return Timestamp.read(given)
-    if not isinstance(given, datetime):
+def _moment(written: Any) -> datetime:
+    if isinstance(written, str):
+        return Timestamp.read(written)
+    if not isinstance(written, datetime):
         raise ValueError("must be a time like 2026-01-31T08:30:00Z")  # noqa: TRY004 - pydantic wants ValueError
-    if given.tzinfo is None:
-        raise ValueError(f"{given.isoformat()} has no time zone; give one, such as datetime.now(UTC)")
-    return given
+    if written.tzinfo is None:
+        raise ValueError(f"{written.isoformat()} has no time zone; give one, such as datetime.now(UTC)")
+    return written
 
 
-def _date_time(given: Any) -> datetime:
-    if isinstance(given, Mapping):
-        if given.get("@type") != "DateTime" or "@value" not in given:
+def _date_time(written: Any) -> datetime:
+    if isinstance(written, Mapping):
+        if written.get("@type") != "DateTime" or "@value" not in written:
             raise ValueError('must be {"@type": "DateTime", "@value": "…"}')
-        given = given["@value"]
-    return _moment(given)
+        written = written["@value"]
+    return _moment(written)
 
 
-def _whole(given: Any) -> Any:
-    if isinstance(given, bool | str):
+def _whole(number: Any) -> Any:
+    if isinstance(number, bool | str):
         raise ValueError("must be a whole number")  # noqa: TRY004 - pydantic wants ValueError
-    return given
+    return number
 
 
-def _only(given: Any) -> Any:
-    return given[0] if isinstance(given, list | tuple) and len(given) == 1 else given
+def _only(member: Any) -> Any:
+    return member[0] if isinstance(member, list | tuple) and len(member) == 1 else member
 
 
-def _as_list(given: Any) -> Any:
+def _as_list(instances: Any) -> Any:
     """Accept a single item as a list: the JSON-LD compaction of some brokers unpacks lists of one."""
-    return given if isinstance(given, list | tuple) else (given,)
+    return instances if isinstance(instances, list | tuple) else (instances,)
 
 
-def _geometry(given: dict[str, Any]) -> dict[str, Any]:
-    if not forms.is_geometry(given):
+def _geometry(geometry: dict[str, Any]) -> dict[str, Any]:
+    if not forms.is_geometry(geometry):
         raise ValueError('must be a GeoJSON geometry like {"type": "Point", "coordinates": [23.7, 61.5]}')
-    return given
+    return geometry
 
 
 Moment = Annotated[datetime, PlainValidator(_moment), WithJsonSchema(_MOMENT_SCHEMA)]
@@ -152,16 +152,16 @@ class Attribute(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any) -> Any:
-        if isinstance(given, cls):
-            return given
-        if isinstance(given, Attribute):
-            given = given.to_normalized()
-        if isinstance(given, Bare):
-            return cls._from_bare(given.value)
-        if forms.are_instances(given):
-            return cls._from_instances(given)
-        return cls._from_one(given)
+    def _read(cls, written: Any) -> Any:
+        if isinstance(written, cls):
+            return written
+        if isinstance(written, Attribute):
+            written = written.to_normalized()
+        if isinstance(written, Bare):
+            return cls._from_bare(written.value)
+        if forms.are_instances(written):
+            return cls._from_instances(written)
+        return cls._from_one(written)
 
     @classmethod
     def _from_bare(cls, value: Any) -> dict[str, Any]:
@@ -176,25 +176,25 @@ class Attribute(BaseModel):
 
     @classmethod
     def _from_instances(cls, instances: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        main = next((one for one in instances if "datasetId" not in one), instances[0])
-        others = [forms.normalized_attribute(one) for one in instances if one is not main]
+        main = next((instance for instance in instances if "datasetId" not in instance), instances[0])
+        others = [forms.normalized_attribute(instance) for instance in instances if instance is not main]
         return {**cls._from_one(main), "@alternatives": others}
 
     @classmethod
-    def _from_one(cls, given: Any) -> dict[str, Any]:
-        if not isinstance(given, Mapping):
-            return {cls.member: given}
-        kind = given.get("type")
+    def _from_one(cls, instance: Any) -> dict[str, Any]:
+        if not isinstance(instance, Mapping):
+            return {cls.member: instance}
+        kind = instance.get("type")
         if isinstance(kind, str) and kind in forms.MEMBERS:
             if kind != cls.kind:
                 raise ValueError(f"is a {kind}, but must be a {cls.kind}")
-            if cls.member not in given:
+            if cls.member not in instance:
                 raise ValueError(f'is a {cls.kind} without "{cls.member}"')
-        elif "type" in given or cls.member not in given:
-            return {cls.member: given}
-        known = _known_members(cls)
-        rest = {key: value for key, value in given.items() if key not in known}
-        kept = {key: value for key, value in given.items() if key in known}
+        elif "type" in instance or cls.member not in instance:
+            return {cls.member: instance}
+        members = _known_members(cls)
+        rest = {key: value for key, value in instance.items() if key not in members}
+        kept = {key: value for key, value in instance.items() if key in members}
         return {**kept, **forms.with_normalized_members(rest, cls.member)}
 
     @classmethod
@@ -237,14 +237,14 @@ class Measurement(Property[T], Generic[T]):
         """
         return (
             self.model_copy(update={"alternatives": ()}),
-            *(type(self).model_validate(one) for one in self.alternatives),
+            *(type(self).model_validate(alternative) for alternative in self.alternatives),
         )
 
     @classmethod
-    def _from_one(cls, given: Any) -> dict[str, Any]:
+    def _from_one(cls, instance: Any) -> dict[str, Any]:
         """Accept keyValues of several instances in any form, since no measurement is a JSON object."""
-        is_bare = forms.bare_instances(given) is not None
-        return cls._from_bare(given) if is_bare else super()._from_one(given)
+        is_bare = forms.bare_instances(instance) is not None
+        return cls._from_bare(instance) if is_bare else super()._from_one(instance)
 
 
 class Relationship(Attribute):
@@ -271,8 +271,8 @@ class TaskLocation(Relationship):
     location_function: Property[str] | None = None
 
 
-def _source_kind(given: Any) -> str:
-    bare = given.value if isinstance(given, Bare) else given
+def _source_kind(source: Any) -> str:
+    bare = source.value if isinstance(source, Bare) else source
     if isinstance(bare, str):
         return "Relationship" if bare.startswith("urn:") else "Property"
     if isinstance(bare, Mapping):
@@ -326,22 +326,22 @@ class Links(tuple[LinkT_co, ...], Generic[LinkT_co]):  # noqa: SLOT001 - a tuple
         )
 
 
-def _links_property(given: Any) -> Any:
-    if isinstance(given, Links):
-        return given.about
-    if isinstance(given, Bare):
-        given = given.value
-    if isinstance(given, Property):
-        given = given.to_normalized()
-    if not isinstance(given, Mapping) or ("value" not in given and "objectList" not in given):
-        return Bare(tuple(_each_link(given)))
-    member = "value" if "value" in given else "objectList"
-    rest = {key: value for key, value in given.items() if key not in {"type", member}}
-    return {"type": "Property", "value": tuple(_each_link(given[member])), **rest}
+def _links_property(attribute: Any) -> Any:
+    if isinstance(attribute, Links):
+        return attribute.about
+    if isinstance(attribute, Bare):
+        attribute = attribute.value
+    if isinstance(attribute, Property):
+        attribute = attribute.to_normalized()
+    if not isinstance(attribute, Mapping) or ("value" not in attribute and "objectList" not in attribute):
+        return Bare(tuple(_each_link(attribute)))
+    member = "value" if "value" in attribute else "objectList"
+    rest = {key: value for key, value in attribute.items() if key not in {"type", member}}
+    return {"type": "Property", "value": tuple(_each_link(attribute[member])), **rest}
 
 
-def _each_link(given: Any) -> Iterable[Any]:
-    for item in given if isinstance(given, list | tuple) else (given,):
+def _each_link(attribute: Any) -> Iterable[Any]:
+    for item in attribute if isinstance(attribute, list | tuple) else (attribute,):
         objects = item.get("object") if isinstance(item, Mapping) else None
         if isinstance(objects, list | tuple):
             yield from ({**item, "object": target} for target in objects)

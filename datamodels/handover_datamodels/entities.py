@@ -129,14 +129,16 @@ class Entity(BaseModel):
         """
         if not isinstance(data, Mapping):
             raise DataModelError(f"an entity is a JSON object, not {type(data).__name__}")
-        given = {
+        attributes = {
             key: Bare(value) if form is Form.KEY_VALUES and not forms.is_entity_member(key) else value
             for key, value in data.items()
         }
-        for name in (given.keys() & _names(cls)) - _aliases(cls):  # an attribute with the name of a field
-            given[name] = forms.normalized_attribute(given[name])
+        for name in (attributes.keys() & _names(cls)) - _aliases(
+            cls
+        ):  # an attribute with the name of a field
+            attributes[name] = forms.normalized_attribute(attributes[name])
         try:
-            return cls.model_validate(given, by_alias=True, by_name=False)
+            return cls.model_validate(attributes, by_alias=True, by_name=False)
         except ValidationError as error:
             raise DataModelError(explained(cls.ngsi_type(), data, error.errors())) from None
 
@@ -170,12 +172,12 @@ class Entity(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any) -> Any:
-        if not isinstance(given, Mapping):
-            return given
+    def _read(cls, entity: Any) -> Any:
+        if not isinstance(entity, Mapping):
+            return entity
         declared = _names(cls) | _aliases(cls)
         data: dict[str, Any] = {}
-        for key, value in given.items():
+        for key, value in entity.items():
             if key in declared:
                 if not _is_deleted(value):
                     data[key] = value
@@ -507,8 +509,8 @@ def read(data: Mapping[str, Any], form: Form | None = None) -> Entity:
     """
     if not isinstance(data, Mapping):
         return Entity.from_ngsild(data, form)
-    given = data.get("type")
-    types = given if isinstance(given, list | tuple) else (given,)
+    type_name = data.get("type")
+    types = type_name if isinstance(type_name, list | tuple) else (type_name,)
     model = next((TYPES[name] for name in types if isinstance(name, str) and name in TYPES), Entity)
     return model.from_ngsild(data, form)
 

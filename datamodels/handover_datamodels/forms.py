@@ -85,18 +85,18 @@ def are_instances(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and all(kind_of(item) for item in value)
 
 
-def normalized_attribute(given: Any) -> Any:
+def normalized_attribute(attribute: Any) -> Any:
     """Return an attribute of any form in normalized form (a list if it has several instances)."""
-    if isinstance(given, Bare):
-        return _from_bare(given.value)
-    if are_instances(given):
-        return [normalized_attribute(instance) for instance in given]
-    if not isinstance(given, Mapping):
-        return {"type": "Property", "value": given}
-    kind = kind_of(given) or _concise_kind(given)
+    if isinstance(attribute, Bare):
+        return _from_bare(attribute.value)
+    if are_instances(attribute):
+        return [normalized_attribute(instance) for instance in attribute]
+    if not isinstance(attribute, Mapping):
+        return {"type": "Property", "value": attribute}
+    kind = kind_of(attribute) or _concise_kind(attribute)
     if kind is None:
-        return {"type": "GeoProperty" if is_geometry(given) else "Property", "value": given}
-    return {"type": kind, **with_normalized_members(given, MEMBERS[kind])}
+        return {"type": "GeoProperty" if is_geometry(attribute) else "Property", "value": attribute}
+    return {"type": kind, **with_normalized_members(attribute, MEMBERS[kind])}
 
 
 def with_normalized_members(attribute: Mapping[str, Any], member: str) -> dict[str, Any]:
@@ -136,11 +136,11 @@ def is_entity_member(name: str) -> bool:
     return name in ENTITY_MEMBERS or name.startswith("@")
 
 
-def _concise_kind(given: Mapping[str, Any]) -> str | None:
-    if "type" in given:
+def _concise_kind(attribute: Mapping[str, Any]) -> str | None:
+    if "type" in attribute:
         return None
-    kind = next((kind for member, kind in _KINDS.items() if member in given), None)
-    return "GeoProperty" if kind == "Property" and is_geometry(given["value"]) else kind
+    kind = next((kind for member, kind in _KINDS.items() if member in attribute), None)
+    return "GeoProperty" if kind == "Property" and is_geometry(attribute["value"]) else kind
 
 
 def bare_instances(value: Any) -> dict[str, Any] | None:

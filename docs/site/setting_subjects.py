@@ -39,8 +39,8 @@ SUBJECTS: Mapping[str, tuple[str, ...]] = {
         *("device_leases", "lease_urls"),
     ),
     "Gloves and gestures": (
-        *("glove_", "gestures_file", "announce_ms", "confirm_ms", "hold_gap_ms", "hands_apart_ms"),
-        *("sequence_within_ms", "filtering", "recognizer", "silence_s", "hello_timeout_s"),
+        *("glove_", "gestures_file", "announce_ms", "confirm_ms", "hands_apart_ms"),
+        *("sequence_within_ms", "filtering", "recognizer", "silence_s"),
         *("max_gloves", "max_undeclared_gloves"),
     ),
     "Robots and scenes": (
@@ -51,7 +51,7 @@ SUBJECTS: Mapping[str, tuple[str, ...]] = {
     "ROS 2": ("ros_", "rosbridge_url", "bridge_name"),
     "Devices": ("device_", "gateway_replica_host"),
     "Edges": ("edge_",),
-    "Alerts to people": ("alert_routes", "alert_retention_days", "smtp_", "send_timeout_s"),
+    "Alerts to people": ("alert_routes", "alert_retention_days", "smtp_"),
     "Body signals": ("health_",),
     "Case studies": ("assistive_machines", "assistive_ros_domain", "trainer_"),
     "Humanoids": ("humanoid_",),

@@ -24,12 +24,12 @@ else:
 
 BROKER: Final = "context-broker"
 ORCHESTRATOR: Final = "task-orchestrator"
-CONTROLLER: Final = "gesture-controller"
+GESTURE_CONTROLLER: Final = "gesture-controller"
 TRAJECTORY: Final = "trajectory-tool"
 STUDY: Final = "study"
 ALERT_ROUTER: Final = "alert-router"
 ACCOUNTS: Final = "accounts"
-GATEWAY: Final = "device-gateway"
+DEVICE_GATEWAY: Final = "device-gateway"
 HUMAN_STATE: Final = "human-state"
 ASSISTIVE_DEVICES: Final = "assistive-devices"
 WHOLE_BODY_CONTROL: Final = "whole-body-control"
@@ -38,9 +38,9 @@ WEBUI: Final = "webui"
 OWN_SERVICES: Final = (
     BROKER,
     ORCHESTRATOR,
-    CONTROLLER,
+    GESTURE_CONTROLLER,
     TRAJECTORY,
-    GATEWAY,
+    DEVICE_GATEWAY,
     ALERT_ROUTER,
     ACCOUNTS,
     STUDY,
@@ -247,9 +247,9 @@ class CellAddresses(
         urls = {
             BROKER: self.broker_url,
             ORCHESTRATOR: self.orchestrator,
-            CONTROLLER: self.gesture_controller,
+            GESTURE_CONTROLLER: self.gesture_controller,
             TRAJECTORY: self.trajectory_tool,
-            GATEWAY: self.device_gateway,
+            DEVICE_GATEWAY: self.device_gateway,
             ALERT_ROUTER: self.alert_router,
             STUDY: self.study,
             HUMAN_STATE: self.human_state,

@@ -9,11 +9,12 @@ of each value.
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 from urllib.parse import quote, urlsplit
 
 from dotenv import dotenv_values
@@ -87,6 +88,8 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, env_file=ENV_FILE, env_file_encoding="utf-8", extra="ignore", frozen=True
     )
+    removed: ClassVar[Mapping[str, str]] = {}
+    """Former settings, each with what holds instead; until 1.0, one that is still set raises a warning."""
 
     factory: str = Field("demo", pattern=r"^[A-Za-z0-9_.-]+$", description="the factory part of entity ids")
     host: str = Field("127.0.0.1", description="the address that servers listen on")
@@ -406,6 +409,7 @@ class Settings(BaseSettings):
     @classmethod
     def load(cls, **overrides: Any) -> Self:
         """Read the settings; raise `UsageError` with one line for each invalid setting."""
+        _warn_of(cls.removed)
         try:
             return cls(**overrides)
         except ValidationError as error:
@@ -515,6 +519,25 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the sources of settings in the order of precedence."""
         return init_settings, SecretFiles(settings_cls), env_settings, dotenv_settings
+
+
+_warned: set[str] = set()
+
+
+def _warn_of(removed: Mapping[str, str]) -> None:
+    """Warn once of each removed setting that the environment or `.env` still has."""
+    if not removed:
+        return
+    present = {name.upper() for name in (*os.environ, *dotenv_values(ENV_FILE))}
+    for field, instead in removed.items():
+        name = f"{PREFIX}{field}".upper()
+        if name in present and name not in _warned:
+            _warned.add(name)
+            warnings.warn(
+                f"{name} has no effect any more: {instead}; remove it from the environment or {ENV_FILE}",
+                FutureWarning,  # shown to users, other than DeprecationWarning
+                stacklevel=3,
+            )
 
 
 Source = Literal["environment", "secret file", ".env", "default"]

@@ -1,8 +1,9 @@
 """Run the ROS bridge: `python -m handover_ros`."""
 
+from handover.service_addresses import ROS_BRIDGE
 from handover.serving.server import run
 from handover_ros.app import make_app
 from handover_ros.settings import BridgeSettings
 
 if __name__ == "__main__":
-    run("ros-bridge", make_app, BridgeSettings, port_field="bridge_port")
+    run(ROS_BRIDGE, make_app, BridgeSettings, port_field="bridge_port")

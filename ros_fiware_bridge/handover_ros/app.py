@@ -1,44 +1,25 @@
 """The REST interface of the ROS bridge: its rules with rates, last values and errors, and the live graph."""
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI
 
 from handover.broker import BrokerClient
-from handover.errors import Problem
-from handover.messages import message
 from handover.security.audit_trail import AuditTrail
-from handover.security.guard import Guard, require
-from handover.security.permissions import Permission
+from handover.security.guard import Guard
+from handover.service_addresses import ROS_BRIDGE
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
-from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
-from handover_ros import mapping, robot_sockets
+from handover_ros import mapping
 from handover_ros.graph.joining import load_adapter
-from handover_ros.inspection import graph_view
 from handover_ros.joining import join
 from handover_ros.mapping.document import Document
+from handover_ros.routes import robot_sockets, rules
+from handover_ros.routes.rules import BridgeHolder
 from handover_ros.rules import plan as planning
 from handover_ros.running.bridge import Bridge
-from handover_ros.running.rule_view import RuleView
 from handover_ros.settings import BridgeSettings
-
-
-class _BridgeHolder:
-    """Holds the bridge while it runs."""
-
-    bridge: Bridge | None = None
-
-    def get(self) -> Bridge:
-        if self.bridge is None:
-            raise Problem(
-                503,
-                "Not ready",
-                message("ros.not_ready", "the ROS bridge is starting; try again in a moment"),
-            )
-        return self.bridge
 
 
 def make_app(settings: BridgeSettings) -> FastAPI:
@@ -47,9 +28,9 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts
-    guard = Guard(settings, "ros-bridge")
+    guard = Guard(settings, ROS_BRIDGE)
     broker = BrokerClient(settings, credentials=guard.access)
-    holder = _BridgeHolder()
+    holder = BridgeHolder()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -88,9 +69,9 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=guard,
-        audit=AuditTrail(settings, "ros-bridge"),
+        audit=AuditTrail(settings, ROS_BRIDGE),
     )
-    _add_routes(app, holder, settings)
+    rules.add_routes(app, holder, settings)
     robot_sockets.add_routes(app, lambda: holder.get().graph)
     return app
 
@@ -100,59 +81,3 @@ def read_mapping(settings: BridgeSettings) -> Document:
     if settings.ros_mapping is None:
         return mapping.parse("", "no mapping (HANDOVER_ROS_MAPPING)")
     return mapping.load(settings.ros_mapping)
-
-
-def _add_routes(app: FastAPI, holder: _BridgeHolder, settings: BridgeSettings) -> None:
-    @app.get("/rules", tags=["rules"], dependencies=[require(Permission.READ)])
-    async def rules() -> Sequence[RuleView]:
-        """Return every rule with its rates, last value and last error."""
-        return holder.get().views()
-
-    @app.get("/rules/{rule}", tags=["rules"], dependencies=[require(Permission.READ)])
-    async def one_rule(rule: str) -> RuleView:
-        """Return a rule with its rates, last value and last error."""
-        return holder.get().view(rule)
-
-    @app.post("/rules/{rule}/enable", tags=["rules"], dependencies=[require(Permission.CONFIGURE)])
-    async def enable(rule: str) -> RuleView:
-        """Switch a rule on; it stays on after a restart."""
-        await holder.get().switch(rule, on=True)
-        return holder.get().view(rule)
-
-    @app.post("/rules/{rule}/disable", tags=["rules"], dependencies=[require(Permission.CONFIGURE)])
-    async def disable(rule: str) -> RuleView:
-        """Switch a rule off; it stays off after a restart."""
-        await holder.get().switch(rule, on=False)
-        return holder.get().view(rule)
-
-    @app.get("/graph", tags=["graph"], dependencies=[require(Permission.READ)])
-    async def graph() -> dict[str, Any]:
-        """Return the nodes, topics, services and actions of the ROS graph."""
-        by_dds = settings.ros_adapter != "rosbridge"
-        return {
-            "domain": settings.ros_domain_id if by_dds else None,
-            **graph_view.of(holder.get().graph),
-        }
-
-    @app.get("/broker", tags=["graph"], dependencies=[require(Permission.READ)])
-    async def broker_link() -> dict[str, Any]:
-        """Return the state of the connection to the broker: availability, pending updates, subscriptions."""
-        bridge = holder.get()
-        return {
-            "url": bridge.broker.url,
-            "available": bridge.broker_writer.away_since_s is None,
-            "pending": len(bridge.broker_writer.outbox),
-            "subscribed": bridge.listeners.subscribed,
-        }
-
-    @app.post(
-        "/notifications/{rule}",
-        status_code=204,
-        tags=["notifications"],
-        dependencies=[REQUIRES_NOTIFICATION_KEY],
-    )
-    async def notify(rule: str, request: Request) -> Response:
-        """Have a rule process the current state of the entities in a notification."""
-        listeners = holder.get().listeners
-        await listeners.take_notification(rule, request)
-        return Response(status_code=204)

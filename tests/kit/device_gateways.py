@@ -37,7 +37,7 @@ async def running_gateway(
     """Return a gateway; with `is_writing` False its database is never written, as if the disk hung."""
     schema.prepare(engine)
     writer = HistoryWriter(engine)
-    dispatcher = Dispatcher(engine, writer, settings.device_ack_timeout_s)
+    dispatcher = Dispatcher(engine, writer)
     reports = BrokerReports(settings, BrokerClient(settings), 1.0, 100.0)
     times = TimeRule(settings.device_max_age_h * 3600, settings.device_max_ahead_s)
     gateway = DeviceGateway(engine, writer, dispatcher, reports, times, **options)

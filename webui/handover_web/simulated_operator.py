@@ -18,7 +18,7 @@ from handover.runtime.python_processes import module_command
 from handover.runtime.retry import Backoff
 from handover.security.glove_token import site_glove_token
 from handover.security.service_access import ServiceAccess
-from handover.service_addresses import CONTROLLER
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from handover_web.live.event_log import Event, EventLog, timestamp
@@ -129,7 +129,7 @@ class SimulatedOperator:
             return self.view()
 
     async def _is_in_use(self, glove: str) -> bool:
-        url = self._settings.service_urls[CONTROLLER]
+        url = self._settings.service_urls[GESTURE_CONTROLLER]
         with suppress(httpx.HTTPError, ValueError):
             response = await self._http.get(f"{url}/gloves/{glove}", timeout=2.0)
             return response.is_success and bool(response.json().get("connected"))
@@ -184,7 +184,7 @@ class SimulatedOperator:
             *module_command("glove_sdk_bridge"), "simulate",
             "--host", settings.glove_server_host,
             "--port", str(settings.glove_port),
-            "--controller", settings.service_urls[CONTROLLER],
+            "--controller", settings.service_urls[GESTURE_CONTROLLER],
             "--glove", self._glove,
             "--tls" if settings.expects_tls(settings.glove_server_host) else "--no-tls",
         ]  # fmt: skip

@@ -99,14 +99,14 @@ def typescript() -> str:
 
 def schemas() -> dict[str, Schema]:
     """Return the JSON Schema of every view, by name, a type after those that it contains."""
-    found: dict[str, Schema] = {}
+    definitions: dict[str, Schema] = {}
     for view in views.VIEWS:
         schema = _schema(view)
         for name, definition in schema.pop("$defs", {}).items():
-            found.setdefault(name, definition)
+            definitions.setdefault(name, definition)
         if "$ref" not in schema:
-            found.setdefault(view.__name__, schema)
-    return found
+            definitions.setdefault(view.__name__, schema)
+    return definitions
 
 
 def _schema(view: Any) -> dict[str, Any]:

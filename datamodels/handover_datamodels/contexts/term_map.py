@@ -223,8 +223,8 @@ class _Reading:
             return meant
         if meant in definitions and meant != term:
             self._define(meant, definitions, begun)
-        if (known := self.terms.get(meant)) is not None:
-            return known
+        if (defined := self.terms.get(meant)) is not None:
+            return defined
         prefix, colon, suffix = meant.partition(":")
         if not colon:
             return (self.vocab or DEFAULT_VOCAB) + meant
@@ -243,7 +243,7 @@ def _too_deep() -> DataModelError:
 def _shortest_terms(iris: Mapping[str, str]) -> dict[str, str]:
     """Return the shortest term of each IRI, the lexicographically first of equals (as in JSON-LD)."""
     terms: dict[str, str] = {}
-    for term, iri in sorted(iris.items(), key=lambda known: (len(known[0]), known[0])):
+    for term, iri in sorted(iris.items(), key=lambda pair: (len(pair[0]), pair[0])):
         terms.setdefault(iri, term)
     return terms
 

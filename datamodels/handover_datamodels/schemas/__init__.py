@@ -107,12 +107,12 @@ def _referred(schema: Any, values: Mapping[str, tuple[Any, str]]) -> Any:
     name = str(schema.get("$ref", "")).removeprefix("#/$defs/")
     if name not in values:
         return {key: _referred(value, values) for key, value in schema.items()}
-    given, common = values[name]
-    value = _referred(given, values)
-    one = {"$ref": f"#/$defs/{common}"} | ({"properties": {"value": value}} if value else {})
+    shown, common = values[name]
+    value = _referred(shown, values)
+    reference = {"$ref": f"#/$defs/{common}"} | ({"properties": {"value": value}} if value else {})
     if common == "Property":
-        return one
-    return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+        return reference
+    return {"anyOf": [reference, {"type": "array", "items": reference, "minItems": 1}]}
 
 
 def _untitled(schema: Any) -> Any:

@@ -12,7 +12,7 @@ same for a body that is no model.
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 _MAX_WHOLE: Final = 2.0**63
@@ -112,6 +112,12 @@ class StrictModel(BaseModel):
             model = model["schema"]  # that which a validator of the whole model has inside
         model["schema"] = _strict(model["schema"])
         return schema
+
+
+class RequestBody(StrictModel):
+    """A frozen request body that refuses unknown members."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class StrictJson:

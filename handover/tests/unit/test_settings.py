@@ -1,6 +1,7 @@
 """Settings: one prefix, and one readable line for a wrong one."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from pydantic import Field, SecretStr
@@ -13,6 +14,8 @@ class LampSettings(Settings):
     lamp_port: int = Field(9000, description="where the lamp listens")
     lamp_token: SecretStr = Field(SecretStr(""), description="what a lamp must say")
 
+    removed: ClassVar = {"lamp_glow_s": "a lamp glows for 2 s"}
+
 
 def test_a_value_comes_from_the_environment_before_the_file_before_the_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -24,6 +27,22 @@ def test_a_value_comes_from_the_environment_before_the_file_before_the_default(
     assert (seen["HANDOVER_LAMP_PORT"].value, seen["HANDOVER_LAMP_PORT"].origin) == ("9002", "environment")
     assert (seen["HANDOVER_FACTORY"].value, seen["HANDOVER_FACTORY"].origin) == ("from-file", ".env")
     assert seen["HANDOVER_HOST"].origin == "default"
+
+
+@pytest.mark.parametrize("place", ["environment", ".env"])
+def test_a_removed_setting_raises_one_warning_that_names_what_holds_instead(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("handover.settings._warned", set())
+    monkeypatch.chdir(tmp_path)
+    if place == "environment":
+        monkeypatch.setenv("HANDOVER_LAMP_GLOW_S", "any text")
+    else:
+        (tmp_path / ".env").write_text("HANDOVER_LAMP_GLOW_S=3\n")
+    text = "HANDOVER_LAMP_GLOW_S has no effect .*: a lamp glows for 2 s;"
+    with pytest.warns(FutureWarning, match=text) as seen:
+        assert LampSettings.load().lamp_port == LampSettings.load().lamp_port
+    assert len(seen) == 1
 
 
 def test_secrets_are_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:

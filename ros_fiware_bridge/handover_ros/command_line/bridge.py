@@ -69,8 +69,8 @@ def graph(wait_s: WaitS = DISCOVERY_WAIT_S) -> None:
 
     settings = BridgeSettings.load()
 
-    async def look(found: Any) -> dict[str, Any]:
-        return graph_view.of(found)
+    async def look(ros: Any) -> dict[str, Any]:
+        return graph_view.of(ros)
 
     view = _asked_of_bridge("/graph")
     if view is not None and view.get("domain") not in {None, settings.ros_domain_id}:
@@ -110,18 +110,22 @@ def scaffold(
         print(scaffolding.mapping_for(wanted, store.resolve(type_name), None, store), end="")
         return
 
-    async def look(found: Any) -> Any:
-        return next((one for one in found.topics() if one.name == wanted and one.publishers), None)
+    async def look(ros: Any) -> Any:
+        return next((sent for sent in ros.topics() if sent.name == wanted and sent.publishers), None)
 
-    found = asyncio.run(on_the_graph(settings, store, wait_s, look))
-    if found is None:
+    topic_seen = asyncio.run(on_the_graph(settings, store, wait_s, look))
+    if topic_seen is None:
         raise UsageError(
             f"no node publishes {wanted} in ROS domain {settings.ros_domain_id}; start its node, set "
             "ROS_DOMAIN_ID, or name its type with --type"
         )
-    if len(found.type_names) > 1:
-        raise UsageError(f"{wanted} has the types {' and '.join(found.type_names)}; choose one with --type")
-    print(scaffolding.mapping_for(wanted, found.type_names[0], found.publishers[0].qos, store), end="")
+    if len(topic_seen.type_names) > 1:
+        raise UsageError(
+            f"{wanted} has the types {' and '.join(topic_seen.type_names)}; choose one with --type"
+        )
+    print(
+        scaffolding.mapping_for(wanted, topic_seen.type_names[0], topic_seen.publishers[0].qos, store), end=""
+    )
 
 
 @app.command()
@@ -136,8 +140,8 @@ def definitions(
     from handover_ros.inspection import definition_retrieval  # noqa: PLC0415
     from handover_ros.types.type_store import TypeStore  # noqa: PLC0415
 
-    async def look(found: Any) -> Any:
-        return await definition_retrieval.retrieve(found, topic)
+    async def look(ros: Any) -> Any:
+        return await definition_retrieval.retrieve(ros, topic)
 
     retrieved = asyncio.run(on_the_graph(BridgeSettings.load(), TypeStore(), wait_s, look))
     definition_retrieval.write(retrieved, to)
@@ -151,12 +155,12 @@ async def on_the_graph(
     """Return what `look` returns with the graph, `wait_s` seconds after it was joined."""
     from handover_ros.joining import join  # noqa: PLC0415 - loads the middleware
 
-    found = await join(settings, store)
+    joined = await join(settings, store)
     try:
         await asyncio.sleep(wait_s)
-        return await look(found)
+        return await look(joined)
     finally:
-        await found.close()
+        await joined.close()
 
 
 def _asked_of_bridge(path: str) -> Any:

@@ -63,7 +63,7 @@ _INSTALL_RCLPY = (
 
 def installed() -> list[Adapter]:
     """Return our adapters whose libraries are installed."""
-    return [one for one in Adapter if all(map(importlib.util.find_spec, _REQUIRED_MODULES[one]))]
+    return [adapter for adapter in Adapter if all(map(importlib.util.find_spec, _REQUIRED_MODULES[adapter]))]
 
 
 def load_adapter(name: str) -> Join:

@@ -247,17 +247,19 @@ class _MixedServer:
     @property
     def calls(self) -> int:
         """Return the number of requests."""
-        return sum(one.calls for one in self._all())
+        return sum(client.calls for client in self._all())
 
     @property
     def failed(self) -> int:
         """Return the number of failed requests."""
-        return sum(one.failed for one in self._all())
+        return sum(client.failed for client in self._all())
 
     @property
     def last_error(self) -> str | None:
         """Return the last error."""
-        return self._fault or next((one.last_error for one in reversed(self._all()) if one.last_error), None)
+        return self._fault or next(
+            (client.last_error for client in reversed(self._all()) if client.last_error), None
+        )
 
     def _all(self) -> list[Served]:
         return [*self._ended, *([self._served] if self._served is not None else [])]

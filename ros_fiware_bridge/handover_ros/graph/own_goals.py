@@ -68,7 +68,7 @@ class OwnGoals:
         try:
             kept = orjson.loads(await asyncio.to_thread(self._file.read_bytes))
             prefix = int(kept["prefix"], 16).to_bytes(PREFIX_BYTES, "big")
-            actions = [str(one) for one in kept["actions"]]
+            actions = [str(name) for name in kept["actions"]]
         except FileNotFoundError:
             return
         except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
@@ -110,8 +110,8 @@ class OwnGoals:
         for task in self._cancelling.values():
             task.cancel()
         await asyncio.gather(*self._cancelling.values(), return_exceptions=True)
-        for one in self._subscriptions.values():
-            await one.close()
+        for subscription in self._subscriptions.values():
+            await subscription.close()
         self._subscriptions.clear()
 
     async def _keep(self) -> None:
@@ -137,8 +137,8 @@ class OwnGoals:
         )
 
     def _on_status(self, action: str, listed: Iterable[Message]) -> None:
-        for one in listed:
-            goal_id, status = bytes(one["goal_info"]["goal_id"]["uuid"]), one["status"]
+        for goal in listed:
+            goal_id, status = bytes(goal["goal_info"]["goal_id"]["uuid"]), goal["status"]
             if not goal_id.startswith(self._prefix) or goal_id in self._awaited:
                 continue
             if status >= GoalStatus.SUCCEEDED:

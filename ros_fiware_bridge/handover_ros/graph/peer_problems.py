@@ -8,14 +8,14 @@ from handover_ros.graph.port import Endpoint, TopicInfo
 
 def topic_problems(topics: Iterable[TopicInfo]) -> list[GraphError]:
     """Return the incompatibilities between our endpoints and those of others."""
-    found = (
+    problems = (
         mismatch(topic.name, reader, writer)
         for topic in topics
         for reader in topic.subscribers
         for writer in topic.publishers
         if reader.ours is not writer.ours
     )
-    return [one for one in found if one is not None]
+    return [problem for problem in problems if problem is not None]
 
 
 def mismatch(topic: str, reader: Endpoint, writer: Endpoint) -> GraphError | None:
@@ -41,5 +41,5 @@ def mismatch(topic: str, reader: Endpoint, writer: Endpoint) -> GraphError | Non
     )
 
 
-def _short(one: Endpoint) -> str:
-    return f"{one.qos.reliability.value}, {one.qos.durability.value}"
+def _short(endpoint: Endpoint) -> str:
+    return f"{endpoint.qos.reliability.value}, {endpoint.qos.durability.value}"

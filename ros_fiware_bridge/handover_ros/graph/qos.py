@@ -52,19 +52,19 @@ class Qos:
         try:
             return PROFILES[name]
         except KeyError:
-            known = ", ".join(PROFILES)
-            raise UnknownQos(f'there is no quality of service "{name}"; it is one of {known}') from None
+            names = ", ".join(PROFILES)
+            raise UnknownQos(f'there is no quality of service "{name}"; it is one of {names}') from None
 
     def matching(self, offered: "Iterable[Qos]") -> "Qos":
         """Return this QoS with the reliability and durability that all `offered` writers can provide.
 
         Without a writer it is unchanged.
         """
-        found = list(offered)
-        if not found:
+        publishers = list(offered)
+        if not publishers:
             return self
-        reliable = all(one.reliability is Reliability.RELIABLE for one in found)
-        late = all(one.durability is Durability.TRANSIENT_LOCAL for one in found)
+        reliable = all(publisher.reliability is Reliability.RELIABLE for publisher in publishers)
+        late = all(publisher.durability is Durability.TRANSIENT_LOCAL for publisher in publishers)
         return replace(
             self,
             reliability=Reliability.RELIABLE if reliable else Reliability.BEST_EFFORT,

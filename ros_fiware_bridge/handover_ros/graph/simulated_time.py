@@ -16,11 +16,11 @@ CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 def clock_publishers(graph: RosGraph) -> list[str]:
     """Return the nodes that publish simulated time."""
     return [
-        one.node or "a node without a name"
+        publisher.node or "a node without a name"
         for topic in graph.topics()
         if topic.name == CLOCK
-        for one in topic.publishers
-        if not one.ours and one.type_name == CLOCK_TYPE
+        for publisher in topic.publishers
+        if not publisher.ours and publisher.type_name == CLOCK_TYPE
     ]
 
 

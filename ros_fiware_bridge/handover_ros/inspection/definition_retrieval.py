@@ -36,8 +36,12 @@ async def retrieve(
     """
 
     def ends() -> list[Endpoint]:
-        found = next((one for one in graph.topics() if one.name == topic), None)
-        return [one for one in (*found.publishers, *found.subscribers) if not one.ours] if found else []
+        info = next((candidate for candidate in graph.topics() if candidate.name == topic), None)
+        return (
+            [endpoint for endpoint in (*info.publishers, *info.subscribers) if not endpoint.ours]
+            if info
+            else []
+        )
 
     await until(lambda: any(end.node and end.type_hash for end in ends()), discovery_s)
     refused = []
@@ -62,9 +66,11 @@ async def _requested_from(graph: RosGraph, end: Endpoint, timeout_s: float) -> D
     files = dict(_files(end.node, answer["type_sources"]))
     with tempfile.TemporaryDirectory() as folder:
         write(files, Path(folder))
-        given = TypeStore([Path(folder)]).hash(end.type_name)
-    if given != end.type_hash:
-        raise GraphError(f"{end.node} provided another definition of {end.type_name} than it uses ({given})")
+        type_hash = TypeStore([Path(folder)]).hash(end.type_name)
+    if type_hash != end.type_hash:
+        raise GraphError(
+            f"{end.node} provided another definition of {end.type_name} than it uses ({type_hash})"
+        )
     return files
 
 

@@ -32,7 +32,7 @@ def lines(plan: Plan) -> Iterator[str]:
             f"{' and '.join(served.resources)}; the response is sent once the Task is {served.rule.answer}"
         )
     watched = plan.watched()
-    both = {name for one in plan.ros_to_ngsild for name in one.rule.attributes} & watched
+    both = {name for extractor in plan.ros_to_ngsild for name in extractor.rule.attributes} & watched
     if both:
         yield f"both ways: {', '.join(sorted(both))}; a value is not sent back to the side it came from"
     if not list(plan.names()):
@@ -45,26 +45,30 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
     for planned in plan.ros_to_ngsild:
         pattern = planned.pattern or re.compile(re.escape(planned.rule.topic))
         fitting = [topic for name, topic in topics.items() if pattern.fullmatch(name)]
-        speakers = [one for topic in fitting for one in topic.publishers if not one.ours]
+        speakers = [publisher for topic in fitting for publisher in topic.publishers if not publisher.ours]
         if not speakers:
             yield f"{planned.name}: no node publishes {planned.rule.topic} now"
         type_name = planned.extractor.type_name if planned.extractor else None
-        for one in speakers:
-            if type_name is not None and (why := _other_type(plan, type_name, one, "publishes")) is not None:
+        for publisher in speakers:
+            if (
+                type_name is not None
+                and (why := _other_type(plan, type_name, publisher, "publishes")) is not None
+            ):
                 yield f"{planned.name}: {why}"
             qos = planned.reader_qos(other.qos for other in speakers)
-            if (unmet := qos.unmet(one.qos)) is not None:
-                yield f"{planned.name}: {one.shown_node} will not be received: {unmet}; {CHANGE_QOS}"
+            if (unmet := qos.unmet(publisher.qos)) is not None:
+                yield f"{planned.name}: {publisher.shown_node} will not be received: {unmet}; {CHANGE_QOS}"
     for to_ros in plan.ngsild_to_ros:
         topic = topics.get(to_ros.rule.topic.with_settings(plan.settings).constant or "")
-        for one in topic.subscribers if topic else ():
+        for publisher in topic.subscribers if topic else ():
             if (
-                not one.ours
-                and (why := _other_type(plan, to_ros.rule.type, one, "subscribes to")) is not None
+                not publisher.ours
+                and (why := _other_type(plan, to_ros.rule.type, publisher, "subscribes to")) is not None
             ):
                 yield f"{to_ros.name}: {why}"
-            if not one.ours and (unmet := one.qos.unmet(to_ros.qos)) is not None:
-                yield f"{to_ros.name}: {one.shown_node} will not receive messages: {unmet}; {CHANGE_QOS}"
+            if not publisher.ours and (unmet := publisher.qos.unmet(to_ros.qos)) is not None:
+                node = publisher.shown_node
+                yield f"{to_ros.name}: {node} will not receive messages: {unmet}; {CHANGE_QOS}"
     for asked in plan.requests:
         yield from _request_problems(asked, graph)
 
@@ -86,14 +90,16 @@ def _request_problems(asked: PlannedRequest, graph: RosGraph) -> Iterator[str]:
     rule = asked.rule
     if isinstance(rule, ServiceCall):
         name, carrier, type_name = rule.service, rule.service, rule.type
-        found: list[ServiceInfo | ActionInfo] = [one for one in graph.services() if one.name == name]
+        services: list[ServiceInfo | ActionInfo] = [
+            service for service in graph.services() if service.name == name
+        ]
     else:
         name, carrier, type_name = rule.action, f"{rule.action}/_action/send_goal", f"{rule.type}_SendGoal"
-        found = [one for one in graph.actions() if one.name == name]
-    if not any(one.servers for one in found):
+        services = [action for action in graph.actions() if action.name == name]
+    if not any(service.servers for service in services):
         yield f"{asked.name}: no node serves {name} now"
         return
-    others = sorted({kind for one in found for kind in one.type_names} - {rule.type})
+    others = sorted({kind for service in services for kind in service.type_names} - {rule.type})
     if others:
         theirs = " and ".join(others)
         yield f"{asked.name}: {name} has the type {theirs}, not {rule.type}; give the rule that type"
@@ -111,7 +117,7 @@ def _topic_rule(plan: Plan, planned: PlannedRosToNgsild) -> Iterator[str]:
     made = planned.extractor.attributes if planned.extractor else ()
     for attribute in made:
         asked = rule.attributes[attribute.name]
-        of = next(getattr(asked, one) for one in MADE_OF if one in asked.model_fields_set)
+        of = next(getattr(asked, key) for key in MADE_OF if key in asked.model_fields_set)
         shown = ", ".join(map(str, of)) if isinstance(of, tuple) else of
         unit = f", {asked.convert}" if asked.convert else ""
         code = f" [{attribute.unit_code}]" if attribute.unit_code else ""
@@ -131,7 +137,7 @@ def _source(source: Source) -> str:
 
 
 def _rate(rule: RosToNgsild) -> str:
-    banded = rule.dead_band or any(one.dead_band for one in rule.attributes.values())
+    banded = rule.dead_band or any(attribute.dead_band for attribute in rule.attributes.values())
     parts = [
         f"every {rule.every_ms} ms at most" if rule.every_ms else "",
         "on change" if rule.on_change or banded else "",

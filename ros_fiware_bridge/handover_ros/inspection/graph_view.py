@@ -23,20 +23,25 @@ def of(graph: RosGraph) -> dict[str, Any]:
             for topic in graph.topics()
         ],
         "services": [
-            {"name": one.name, "types": list(one.type_names), "servers": list(one.servers)}
-            for one in graph.services()
+            {"name": service.name, "types": list(service.type_names), "servers": list(service.servers)}
+            for service in graph.services()
         ],
         "actions": [
-            {"name": one.name, "types": list(one.type_names), "servers": list(one.servers)}
-            for one in graph.actions()
+            {"name": action.name, "types": list(action.type_names), "servers": list(action.servers)}
+            for action in graph.actions()
         ],
         "problems": [str(problem) for problem in graph.problems()],
     }
 
 
 def _endpoints(endpoints: Iterable[Endpoint]) -> Iterable[dict[str, Any]]:
-    for one in endpoints:
-        yield {"node": one.node, "qos": str(one.qos), "middleware": one.vendor, "ours": one.ours}
+    for endpoint in endpoints:
+        yield {
+            "node": endpoint.node,
+            "qos": str(endpoint.qos),
+            "middleware": endpoint.vendor,
+            "ours": endpoint.ours,
+        }
 
 
 def lines(view: dict[str, Any]) -> Iterable[str]:
@@ -46,11 +51,12 @@ def lines(view: dict[str, Any]) -> Iterable[str]:
     for topic in view["topics"]:
         yield f"topic     {topic['name']}  {', '.join(topic['types'])}"
         for role, verb in (("publishers", "from"), ("subscribers", "to")):
-            for one in topic[role]:
-                yield f"            {verb} {one['node'] or 'a node without a name yet'} ({one['qos']})"
+            for endpoint in topic[role]:
+                node = endpoint["node"] or "a node without a name yet"
+                yield f"            {verb} {node} ({endpoint['qos']})"
     for kind in ("services", "actions"):
-        for one in view[kind]:
-            served = ", ".join(filter(None, one["servers"])) or "no node yet"
-            yield f"{kind[:-1]:<9} {one['name']}  {', '.join(one['types'])}, served by {served}"
+        for entry in view[kind]:
+            served = ", ".join(filter(None, entry["servers"])) or "no node yet"
+            yield f"{kind[:-1]:<9} {entry['name']}  {', '.join(entry['types'])}, served by {served}"
     for problem in view["problems"]:
         yield f"problem   {problem}"

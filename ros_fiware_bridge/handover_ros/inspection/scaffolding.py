@@ -48,8 +48,8 @@ def _qos(qos: Qos | None) -> Iterator[str]:
         return
     alike = [
         name
-        for name, one in PROFILES.items()
-        if (one.reliability, one.durability) == (qos.reliability, qos.durability)
+        for name, profile in PROFILES.items()
+        if (profile.reliability, profile.durability) == (qos.reliability, qos.durability)
     ]
     if "default" in alike:
         return
@@ -59,26 +59,26 @@ def _qos(qos: Qos | None) -> Iterator[str]:
         yield f"    qos: {{reliability: {qos.reliability.value}, durability: {qos.durability.value}}}"
 
 
-def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> Iterator[tuple[str, str]]:
-    if found.many is not Many.ONE:
-        if found.is_octets or (found.is_message and found.many is Many.SEQUENCE):
+def _attributes(kind: FieldType, path: str, store: TypeStore, depth: int) -> Iterator[tuple[str, str]]:
+    if kind.many is not Many.ONE:
+        if kind.is_octets or (kind.is_message and kind.many is Many.SEQUENCE):
             return
-        yield path, str(found)
+        yield path, str(kind)
         return
-    if not found.is_message:
-        yield path, str(found)
+    if not kind.is_message:
+        yield path, str(kind)
         return
-    fields = store.definition(found.base).fields
+    fields = store.definition(kind.base).fields
     small = len(fields) <= MAX_INLINE_FIELDS and not any(
-        one.type.is_message or one.type.is_octets for one in fields
+        field.type.is_message or field.type.is_octets for field in fields
     )
     if path and (small or depth >= MAX_DEPTH):
-        yield path, found.base
+        yield path, kind.base
         return
-    for one in fields:
-        if one.type == FieldType(HEADER):
+    for field in fields:
+        if field.type == FieldType(HEADER):
             continue
-        yield from _attributes(one.type, f"{path}.{one.name}" if path else one.name, store, depth + 1)
+        yield from _attributes(field.type, f"{path}.{field.name}" if path else field.name, store, depth + 1)
 
 
 def _attribute_name(path: str, used: set[str]) -> str:

@@ -61,19 +61,19 @@ def load(path: Path) -> Document:
 
     Raises `InvalidMapping`.
     """
-    found = path if path.exists() else SHIPPED / f"{path.name.removesuffix('.yaml')}.yaml"
-    if not found.exists():
+    mapping_file = path if path.exists() else SHIPPED / f"{path.name.removesuffix('.yaml')}.yaml"
+    if not mapping_file.exists():
         shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
         raise UsageError(f"there is no mapping file {path}; the shipped mappings are {shipped}")
     try:
-        if found.stat().st_size > MAX_FILE_BYTES:
+        if mapping_file.stat().st_size > MAX_FILE_BYTES:
             raise UsageError(
                 f"the mapping file {path} is larger than {MAX_FILE_BYTES} bytes; split it in two"
             )
-        text = found.read_text(encoding="utf-8")
+        text = mapping_file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"the mapping file {path} cannot be read: {error}") from None
-    return parse(text, str(path) if found is path else found.name, found.parent)
+    return parse(text, str(path) if mapping_file is path else mapping_file.name, mapping_file.parent)
 
 
 def parse(text: str, file: str = "mapping.yaml", folder: Path = Path()) -> Document:
@@ -86,7 +86,9 @@ def parse(text: str, file: str = "mapping.yaml", folder: Path = Path()) -> Docum
     try:
         mapping = Mapping.model_validate(content)
     except ValidationError as error:
-        faults = sorted({_fault(written, dict(one)) for one in error.errors()}, key=lambda one: one.line)
+        faults = sorted(
+            {_fault(written, dict(detail)) for detail in error.errors()}, key=lambda detail: detail.line
+        )
         raise InvalidMapping(file, faults) from None
     return Document(file, mapping, written, folder)
 
@@ -108,8 +110,8 @@ def _why(error: dict[str, Any], where: Where) -> str:
     if kind == "model_type":
         part = part_at(Mapping, where)
         return f"a mapping with these keys is expected: {', '.join(keys_of(part) if part else [])}"
-    given = repr(error.get("input"))
-    return f"{reason[:1].lower()}{reason[1:]}; the value is {given[:80]}"
+    text = repr(error.get("input"))
+    return f"{reason[:1].lower()}{reason[1:]}; the value is {text[:80]}"
 
 
 def _key(where: Where) -> str:

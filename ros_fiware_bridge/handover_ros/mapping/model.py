@@ -45,7 +45,7 @@ def _rule_name(name: Any) -> str:
 RuleName = Annotated[str, BeforeValidator(_rule_name)]
 
 
-class Qos(Part):
+class RuleQos(Part):
     """A quality of service: a named one (`preset`), with changes by the other keys.
 
     `match` takes reliability and durability from the publishers of the topic, unless the rule sets one of
@@ -59,7 +59,7 @@ class Qos(Part):
     depth: int | None = Field(None, ge=1, le=10_000)
 
 
-QosGiven = Annotated[Qos, short_form("preset")]
+QosGiven = Annotated[RuleQos, short_form("preset")]
 
 
 class EntityTemplate(Part):
@@ -89,36 +89,36 @@ class EntitySelector(Part):
         return self
 
 
-def _entity(given: Any) -> Any:
+def _entity(written: Any) -> Any:
     """Expand `Device:ur10-1` to its type and id."""
-    if not isinstance(given, str):
-        return given
-    kind, colon, rest = given.partition(":")
+    if not isinstance(written, str):
+        return written
+    kind, colon, rest = written.partition(":")
     if kind == "urn":
-        parts = given.split(":")
+        parts = written.split(":")
         if len(parts) < 4 or "{" in parts[2]:
             raise ValueError(
-                f'"{given}" does not contain the type; write it as {{type: Device, id: "{given}"}}'
+                f'"{written}" does not contain the type; write it as {{type: Device, id: "{written}"}}'
             )
-        return {"type": parts[2], "id": given}
+        return {"type": parts[2], "id": written}
     if not colon or not kind or not rest or "{" in kind:
         raise ValueError(
-            f'"{given}" is not an entity; write Type:id, such as Device:ur10-1 or '
+            f'"{written}" is not an entity; write Type:id, such as Device:ur10-1 or '
             "Device:{header.frame_id}, or {type: …, id: …}"
         )
     return {"type": kind, "id": f"urn:ngsi-ld:{kind}:{{factory}}:{rest}"}
 
 
-def _selector(given: Any) -> Any:
-    given = _entity(given)
-    if isinstance(given, dict) and "{" in str(given.get("id", "")).replace("{factory}", ""):
+def _selector(written: Any) -> Any:
+    written = _entity(written)
+    if isinstance(written, dict) and "{" in str(written.get("id", "")).replace("{factory}", ""):
         raise ValueError("the id of an entity to read must be constant; id_pattern selects several entities")
-    return given
+    return written
 
 
-def _resource(given: Any) -> Any:
-    found = _selector(given)
-    return parse_template(found["id"]) if isinstance(found, dict) and "id" in found else given
+def _resource(written: Any) -> Any:
+    selector = _selector(written)
+    return parse_template(selector["id"]) if isinstance(selector, dict) and "id" in selector else written
 
 
 EntityGiven = Annotated[EntityTemplate, BeforeValidator(_entity)]
@@ -132,15 +132,15 @@ class Buffer(Part):
     keep: int = Field(1, ge=1, le=100_000)
 
 
-def _moment(given: Any) -> Any:
-    return given if given in {"received", "none"} else paths.parse(str(given))
+def _moment(written: Any) -> Any:
+    return written if written in {"received", "none"} else paths.parse(str(written))
 
 
 MomentGiven = Annotated[Path | Literal["received", "none"], BeforeValidator(_moment)]
 
 
-def _buffer(given: Any) -> Any:
-    return {"keep": 1} if given == "latest" else given
+def _buffer(written: Any) -> Any:
+    return {"keep": 1} if written == "latest" else written
 
 
 class AlertFromRos(Part):
@@ -165,7 +165,7 @@ class RosToNgsild(Part):
     topic: TopicPattern
     type: MessageType | None = None
     """May be left out if a node publishes the topic already."""
-    qos: QosGiven = Qos()
+    qos: QosGiven = RuleQos()
     each: PathText | None = None
     """An array of the message: the rule applies to each of its elements, `status[]`."""
     json_text: tuple[PathText, ...] = ()
@@ -207,7 +207,7 @@ class NgsildToRos(Part):
     topic: TemplateText
     """A name; `{id}` is the last part of the entity's id, for one topic per entity."""
     type: MessageType
-    qos: QosGiven = Qos()
+    qos: QosGiven = RuleQos()
     fields: dict[PathText, SourceGiven] = Field(min_length=1)
     at_start: bool | None = None
     """Whether the state in the broker is published at the start; by default only on latched topics."""

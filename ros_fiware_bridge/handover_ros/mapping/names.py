@@ -46,12 +46,12 @@ def matcher(text: str) -> re.Pattern[str]:
 
 def type_name(text: str, kind: Kind) -> str:
     """Return the full name of a type: `std_msgs/String` is `std_msgs/msg/String`. Raises ValueError."""
-    found = _TYPE.fullmatch(text)
-    if found is None or found["kind"] not in {None, kind}:
+    match = _TYPE.fullmatch(text)
+    if match is None or match["kind"] not in {None, kind}:
         example = {
             "msg": "sensor_msgs/msg/JointState",
             "srv": "std_srvs/srv/Trigger",
             "action": "control_msgs/action/FollowJointTrajectory",
         }[kind]
         raise ValueError(f'"{text}" is not a {kind} type; write it like {example}')
-    return f"{found['package']}/{kind}/{found['name']}"
+    return f"{match['package']}/{kind}/{match['name']}"

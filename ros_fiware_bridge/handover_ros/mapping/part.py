@@ -40,30 +40,34 @@ def part_at(top: type[Part], where: Sequence[str | int]) -> type[Part] | None:
 def _without_wrapping(annotation: Any) -> Any:
     """Return `X` of `Annotated[X, …]` and of `X | None`."""
     while (kind := get_origin(annotation)) in {Annotated, Union, UnionType}:
-        choices = [one for one in get_args(annotation) if one is not NoneType]
+        choices = [choice for choice in get_args(annotation) if choice is not NoneType]
         annotation = choices[0]
         if kind is not Annotated and len(choices) > 1:
             break
     return annotation
 
 
-def unknown(word: str, known: Sequence[str]) -> str:
+def unknown(word: str, words: Sequence[str]) -> str:
     """Return the error text for a word that is not in `known`."""
-    close = get_close_matches(word, known, n=1)
-    meant = f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(known)}"
+    close = get_close_matches(word, words, n=1)
+    meant = f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(words)}"
     return f'"{word}" is unknown here; {meant}'
 
 
-def _path(given: Any) -> Path:
-    return given if isinstance(given, Path) else paths.parse(str(given) if isinstance(given, str) else "")
+def _path(written: Any) -> Path:
+    return (
+        written
+        if isinstance(written, Path)
+        else paths.parse(str(written) if isinstance(written, str) else "")
+    )
 
 
-def _template(given: Any) -> Template:
-    if isinstance(given, Template):
-        return given
-    if not isinstance(given, str | int) or isinstance(given, bool):
+def _template(written: Any) -> Template:
+    if isinstance(written, Template):
+        return written
+    if not isinstance(written, str | int) or isinstance(written, bool):
         raise ValueError("text is expected, such as Device:ur10-1 or Device:{header.frame_id}")  # noqa: TRY004
-    return templates.parse(str(given))
+    return templates.parse(str(written))
 
 
 def _type_in(kind: names.Kind) -> AfterValidator:
@@ -85,7 +89,11 @@ QosWord = Literal["match", "default", "sensor_data", "services", "latched"]
 def short_form(key: str) -> BeforeValidator:
     """Return a validator that accepts a bare word for `{key: word}`."""
 
-    def expanded(given: Any) -> Any:
-        return {key: given} if isinstance(given, str | int | float) and not isinstance(given, bool) else given
+    def expanded(written: Any) -> Any:
+        return (
+            {key: written}
+            if isinstance(written, str | int | float) and not isinstance(written, bool)
+            else written
+        )
 
     return BeforeValidator(expanded)

@@ -36,7 +36,7 @@ class MissingValue(HandoverError):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class FieldStep:
     """Selects the field `name`."""
 
     name: str
@@ -74,7 +74,7 @@ class Each:
         return "[]"
 
 
-Step: TypeAlias = Field | Index | Where | Each
+Step: TypeAlias = FieldStep | Index | Where | Each
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class Path:
     def root(self) -> str | None:
         """Return the first field; None for the whole message."""
         first = self.steps[0] if self.steps else None
-        return first.name if isinstance(first, Field) else None
+        return first.name if isinstance(first, FieldStep) else None
 
     def split(self) -> tuple["Path", "Path"] | None:
         """Return the path to the array and the path inside its element; None without `[]`."""
@@ -120,21 +120,21 @@ def parse(text: str) -> Path:
 def _steps(text: str) -> Iterator[Step]:
     at, after_dot = 0, True
     while at < len(text):
-        found = _TOKEN.match(text, at)
-        if found is None or (found["name"] is not None) is not after_dot:
+        match = _TOKEN.match(text, at)
+        if match is None or (match["name"] is not None) is not after_dot:
             raise InvalidPath(
                 f'the path "{text}" cannot be parsed from "{text[at:]}"; '
                 "a path looks like header.stamp, position[0] or position[name=elbow_joint]"
             )
-        at = found.end()
-        if found["name"] is not None:
-            yield Field(found["name"])
-        elif found["index"] is not None:
-            yield Index(int(found["index"]))
-        elif found["each"] is not None:
+        at = match.end()
+        if match["name"] is not None:
+            yield FieldStep(match["name"])
+        elif match["index"] is not None:
+            yield Index(int(match["index"]))
+        elif match["each"] is not None:
             yield Each()
         else:
-            yield Where(found["key"], found["wanted"])
+            yield Where(match["key"], match["wanted"])
         after_dot = text[at : at + 1] == "."
         if after_dot:
             at += 1
@@ -151,7 +151,7 @@ def getter(path: Path) -> Getter:
     """
     if not path.steps:
         return lambda message: message
-    names = [step.name for step in path.steps if isinstance(step, Field)]
+    names = [step.name for step in path.steps if isinstance(step, FieldStep)]
     if len(names) == len(path.steps):
         return _through_fields(names, str(path))
     steps = [_stepper(path, place) for place in range(len(path.steps))]
@@ -191,7 +191,7 @@ def _take(place: _Place, step: Callable[[_Place], _Place]) -> _Place:
 
 def _stepper(path: Path, place: int) -> Callable[[_Place], _Place]:
     step, written = path.steps[place], str(Path(path.steps[: place + 1]))
-    if isinstance(step, Field):
+    if isinstance(step, FieldStep):
 
         def field(at: _Place) -> _Place:
             message = at[0]

@@ -36,9 +36,9 @@ class Template:
         """Return the text if it does not depend on a message."""
         return None if self.paths else "".join(part for part in self.parts if isinstance(part, str))
 
-    def with_settings(self, given: Mapping[str, str]) -> "Template":
+    def with_settings(self, settings: Mapping[str, str]) -> "Template":
         """Return the template with placeholders such as `{factory}` filled."""
-        filled = (given.get(str(part), part) if isinstance(part, Path) else part for part in self.parts)
+        filled = (settings.get(str(part), part) if isinstance(part, Path) else part for part in self.parts)
         return Template(tuple(filled))
 
     def filler(self, getter: Callable[[Path], Callable[[Any], Any]]) -> Callable[[Any], str]:
@@ -46,9 +46,9 @@ class Template:
         if self.constant is not None:
             text = self.constant
             return lambda _: text
-        found = [part if isinstance(part, str) else getter(part) for part in self.parts]
+        pieces = [part if isinstance(part, str) else getter(part) for part in self.parts]
         return lambda message: "".join(
-            part if isinstance(part, str) else str(part(message)) for part in found
+            part if isinstance(part, str) else str(part(message)) for part in pieces
         )
 
 

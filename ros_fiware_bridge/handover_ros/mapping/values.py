@@ -63,8 +63,8 @@ class Conversion(Part):
     @property
     def units(self) -> tuple[str, str] | None:
         """Return the unit of the source and the unit of the result."""
-        found = _CONVERSION.fullmatch(self.convert) if self.convert is not None else None
-        return (found["given"], found["wanted"]) if found else None
+        match = _CONVERSION.fullmatch(self.convert) if self.convert is not None else None
+        return (match["given"], match["wanted"]) if match else None
 
     @model_validator(mode="after")
     def _says_what_it_does(self) -> Self:
@@ -121,14 +121,14 @@ class Attribute(Conversion):
 
     @model_validator(mode="after")
     def _made_of_one_thing(self) -> Self:
-        given = [name for name in MADE_OF if name in self.model_fields_set]
-        if len(given) != 1:
+        sources = [name for name in MADE_OF if name in self.model_fields_set]
+        if len(sources) != 1:
             raise ValueError(
                 f"an attribute has one of the sources {', '.join(MADE_OF)}; "
-                f"this one has {' and '.join(given) or 'none'}"
+                f"this one has {' and '.join(sources) or 'none'}"
             )
-        self._fits_its_kind(given[0])
-        if any(one.sub_attributes for one in self.sub_attributes.values()):
+        self._fits_its_kind(sources[0])
+        if any(attribute.sub_attributes for attribute in self.sub_attributes.values()):
             raise ValueError("a sub-attribute has no sub-attributes; write them beside it")
         return self
 
@@ -172,25 +172,24 @@ class Source(Conversion):
     @model_validator(mode="after")
     def _from_one_place(self) -> Self:
         places = ("attribute", "name", "text", "constant", "observed_at", "now", "json_of", "json_fields")
-        given = [name for name in places if name in self.model_fields_set]
-        if len(given) != 1:
-            raise ValueError(
-                f"a field has one of the sources {', '.join(places)}; it has {' and '.join(given) or 'none'}"
-            )
+        sources = [name for name in places if name in self.model_fields_set]
+        if len(sources) != 1:
+            has = " and ".join(sources) or "none"
+            raise ValueError(f"a field has one of the sources {', '.join(places)}; it has {has}")
         return self
 
     def attributes(self) -> set[str]:
         """Return the names of the attributes that the source reads."""
-        found = {name for name in (self.name, self.observed_at, self.json_of) if name and name != "."}
+        used = {name for name in (self.name, self.observed_at, self.json_of) if name and name != "."}
         if self.attribute is not None and self.attribute.root:
-            found.add(self.attribute.root)
+            used.add(self.attribute.root)
         paths = [*(self.text.paths if self.text else ()), *(self.json_fields or {}).values()]
         for path in paths:
             if path.root == OBSERVED_AT and len(path.steps) > 1:
-                found.add(str(path.steps[1]).removeprefix("."))
+                used.add(str(path.steps[1]).removeprefix("."))
             elif path.root:
-                found.add(path.root)
-        return found - OF_EVERY_ENTITY
+                used.add(path.root)
+        return used - OF_EVERY_ENTITY
 
 
 class Condition(Part):

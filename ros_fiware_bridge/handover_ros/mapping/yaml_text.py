@@ -79,7 +79,7 @@ class _Reader:
         self._inside.append(node)
         try:
             if isinstance(node, yaml.SequenceNode):
-                return [self.value(one, (*where, index)) for index, one in enumerate(node.value)]
+                return [self.value(item, (*where, index)) for index, item in enumerate(node.value)]
             return self._mapping(node, where)
         finally:
             self._inside.pop()

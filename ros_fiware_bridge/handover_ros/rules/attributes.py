@@ -81,7 +81,9 @@ def compiled(
         _require_convertible(attribute, schema)
         unconverted, converted = make, convert
         make = lambda scope: converted(unconverted(scope))  # noqa: E731 - a composition
-    parts = tuple(compiled(part, one, context) for part, one in attribute.sub_attributes.items())
+    parts = tuple(
+        compiled(part, sub_attribute, context) for part, sub_attribute in attribute.sub_attributes.items()
+    )
     return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band, parts)
 
 
@@ -165,21 +167,21 @@ def _place(attribute: Attribute, schema: MessageSchema) -> Make:
             return _from_metres(lambda scope: [find(scope) for find in finds], attribute.origin)
         return lambda scope: _point([find(scope) for find in finds])
     assert attribute.field is not None  # noqa: S101 - the mapping has made sure of it
-    found = schema.target(attribute.field).type
+    kind = schema.target(attribute.field).type
     find = schema.find(attribute.field)
-    if found is None:
+    if kind is None:
         return find
-    names = _coordinates(found.base, schema) if found.many is Many.ONE and found.is_message else None
+    names = _coordinates(kind.base, schema) if kind.many is Many.ONE and kind.is_message else None
     if names is None:
         raise InvalidRule(
-            f"{attribute.field} is {found}; a GeoProperty needs a message with longitude and latitude, "
+            f"{attribute.field} is {kind}; a GeoProperty needs a message with longitude and latitude, "
             "or with x and y in metres (and an `origin`), or of a `point` of two paths"
         )
     if names[0] == "longitude":
         return lambda scope: _point([find(scope)[name] for name in names])
     if attribute.origin is None:
         raise InvalidRule(
-            f"{attribute.field} is {found}, in metres of its frame, but a GeoProperty is in degrees; set "
+            f"{attribute.field} is {kind}, in metres of its frame, but a GeoProperty is in degrees; set "
             "the position of the frame (origin: {longitude: …, latitude: …}), or map it as a Property"
         )
     return _from_metres(lambda scope: [find(scope)[name] for name in names], attribute.origin)
@@ -209,7 +211,7 @@ def _from_metres(place: Make, origin: Origin) -> Make:
 
 
 def _point(coordinates: list[Any]) -> dict[str, Any]:
-    numbers = [float(one) for one in coordinates]
+    numbers = [float(coordinate) for coordinate in coordinates]
     if not all(map(math.isfinite, numbers)) or abs(numbers[0]) > 180 or abs(numbers[1]) > 90:
         raise InvalidPosition(f"longitude {numbers[0]} and latitude {numbers[1]} are not a position on earth")
     return {"type": "Point", "coordinates": [round(numbers[0], 9), round(numbers[1], 9), *numbers[2:]]}
@@ -218,13 +220,13 @@ def _point(coordinates: list[Any]) -> dict[str, Any]:
 def _require_convertible(attribute: Attribute, schema: MessageSchema) -> None:
     if attribute.values is not None or attribute.field is None:
         return
-    found = schema.target(attribute.field).type
+    kind = schema.target(attribute.field).type
     if attribute.units == conversion.QUATERNION_TO_YAW:
-        if found is not None and found.base != conversion.QUATERNION:
-            raise InvalidRule(f"{attribute.field} is {found}; a yaw is that of a {conversion.QUATERNION}")
+        if kind is not None and kind.base != conversion.QUATERNION:
+            raise InvalidRule(f"{attribute.field} is {kind}; a yaw is that of a {conversion.QUATERNION}")
         return
-    if found is not None and (found.is_message or found.base in {*TEXTS, "bool"}):
-        raise InvalidRule(f"{attribute.field} is {found}, but only numbers are converted and rounded")
+    if kind is not None and (kind.is_message or kind.base in {*TEXTS, "bool"}):
+        raise InvalidRule(f"{attribute.field} is {kind}, but only numbers are converted and rounded")
 
 
 def _then(first: Make, second: Make) -> Make:

@@ -45,25 +45,28 @@ class ChangeTracker:
     def take(self, entity: Mapping[str, Any], now_s: float) -> bool:
         """Record the state of an entity (normalized); return whether it has changed for the ROS graph."""
         entity_id = str(entity.get("id"))
-        known = self._known.setdefault(entity_id, _Known())
-        known.taken_s, known.unnotified = now_s, None
+        entity_state = self._known.setdefault(entity_id, _Known())
+        entity_state.taken_s, entity_state.unnotified = now_s, None
         changed = False
         for name, attribute in self._watched(entity).items():
             at = str(attribute.get("observedAt", ""))
-            if _is_older(at, known.observed.get(name, "")):
+            if _is_older(at, entity_state.observed.get(name, "")):
                 continue
             now = origin.digest(attribute)
-            if known.digests.get(name) != now or known.observed.get(name, "") != at:
-                known.foreign.pop(name, None)
+            if entity_state.digests.get(name) != now or entity_state.observed.get(name, "") != at:
+                entity_state.foreign.pop(name, None)
                 if not origin.is_ours(attribute):
-                    changed, known.foreign[name] = True, (origin.coarse_digest(_value_of(attribute)), now_s)
-            known.digests[name], known.observed[name] = now, at
+                    changed, entity_state.foreign[name] = (
+                        True,
+                        (origin.coarse_digest(_value_of(attribute)), now_s),
+                    )
+            entity_state.digests[name], entity_state.observed[name] = now, at
         self._trim(entity_id)
         return changed
 
     def was_taken_since(self, entity_id: str, read_s: float) -> bool:
         """Return whether a state was recorded since `read_s`; what was read then may be older."""
-        return (known := self._known.get(entity_id)) is not None and known.taken_s >= read_s
+        return (entity := self._known.get(entity_id)) is not None and entity.taken_s >= read_s
 
     def is_missed(self, entity: Mapping[str, Any], now_s: float) -> bool:
         """Return whether a polled state was never notified.
@@ -72,31 +75,32 @@ class ChangeTracker:
         returned it for `MISSED_AFTER_S`, and no notification of the entity has arrived in that time.
         """
         entity_id = str(entity.get("id"))
-        known = self._known.setdefault(entity_id, _Known())
+        entity_state = self._known.setdefault(entity_id, _Known())
         self._trim(entity_id)
         state = {
             name: (origin.digest(attribute), str(attribute.get("observedAt", "")))
             for name, attribute in self._watched(entity).items()
         }
         if all(
-            (known.digests.get(name), known.observed.get(name)) == digests for name, digests in state.items()
+            (entity_state.digests.get(name), entity_state.observed.get(name)) == digests
+            for name, digests in state.items()
         ):
-            known.unnotified = None
+            entity_state.unnotified = None
             return False
-        if known.unnotified is None or known.unnotified[0] != state:
-            known.unnotified = state, now_s
-        return now_s - known.unnotified[1] >= MISSED_AFTER_S
+        if entity_state.unnotified is None or entity_state.unnotified[0] != state:
+            entity_state.unnotified = state, now_s
+        return now_s - entity_state.unnotified[1] >= MISSED_AFTER_S
 
     def is_echo(self, entity_id: str, attribute: str, value: Any, now_s: float) -> bool:
         """Return whether this value is what another client has just written."""
-        known = self._known.get(entity_id)
-        written, at_s = known.foreign.get(attribute, ("", 0.0)) if known is not None else ("", 0.0)
+        entity = self._known.get(entity_id)
+        written, at_s = entity.foreign.get(attribute, ("", 0.0)) if entity is not None else ("", 0.0)
         return now_s - at_s <= ECHO_WINDOW_S and written == origin.coarse_digest(value)
 
     def wrote(self, entity_id: str, attribute: str) -> None:
         """Record that a value of the ROS graph replaces what other clients wrote."""
-        if (known := self._known.get(entity_id)) is not None:
-            known.foreign.pop(attribute, None)
+        if (entity := self._known.get(entity_id)) is not None:
+            entity.foreign.pop(attribute, None)
 
     def _watched(self, entity: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
         return {
@@ -147,10 +151,10 @@ def _plain(value: Any) -> Any:
     return value["@value"] if isinstance(value, Mapping) and "@value" in value else value
 
 
-def _is_older(at: str, known: str) -> bool:
-    if not at or not known or at == known:
+def _is_older(at: str, latest: str) -> bool:
+    if not at or not latest or at == latest:
         return False
     try:
-        return parse(at) < parse(known)
+        return parse(at) < parse(latest)
     except ValueError:
         return False

@@ -49,7 +49,7 @@ def compiled(conversion: Conversion) -> Convert | None:
             value = _yaw(value)
         elif isinstance(value, bool) or not isinstance(value, int | float):
             if isinstance(value, list):
-                return [convert(one) for one in value]
+                return [convert(element) for element in value]
             raise NotNumeric(f"{value!r:.80} is not a number; only numbers are converted and rounded")
         for step in steps:
             value = step(value)
@@ -77,24 +77,24 @@ def _yaw(quaternion: Any) -> float:
 
 
 @cache
-def affine(given: str, wanted: str) -> tuple[float, float]:
+def affine(unit: str, wanted: str) -> tuple[float, float]:
     """Return factor and offset of the conversion between two units. Raises `InvalidRule`."""
     import pint  # noqa: PLC0415 - reading its units takes a while, and few mappings convert
 
     registry = _registry()
     try:
         at_0, at_1, at_2 = (
-            float(registry.Quantity(number, given).to(wanted).magnitude) for number in (0.0, 1.0, 2.0)
+            float(registry.Quantity(number, unit).to(wanted).magnitude) for number in (0.0, 1.0, 2.0)
         )
     except pint.DimensionalityError as error:
-        raise InvalidRule(f'"{given}" cannot be converted to "{wanted}": {error}') from None
+        raise InvalidRule(f'"{unit}" cannot be converted to "{wanted}": {error}') from None
     except (pint.UndefinedUnitError, pint.PintError, AttributeError, ValueError, TypeError) as error:
-        raise InvalidRule(f'"{given} -> {wanted}" has a unit that pint does not know: {error}') from None
+        raise InvalidRule(f'"{unit} -> {wanted}" has a unit that pint does not know: {error}') from None
     except (ZeroDivisionError, OverflowError, ArithmeticError):
         at_0, at_1, at_2 = math.inf, 0.0, 0.0
     factor = at_1 - at_0
     if not math.isclose(at_2, at_0 + 2 * factor, rel_tol=1e-9, abs_tol=1e-12) or not math.isfinite(at_2):
-        raise InvalidRule(f'"{given} -> {wanted}" is not a factor with an offset; convert in the sender')
+        raise InvalidRule(f'"{unit} -> {wanted}" is not a factor with an offset; convert in the sender')
     return factor, at_0
 
 
@@ -108,7 +108,7 @@ def _registry() -> Any:
 def _lookup(conversion: Conversion) -> Convert:
     values, otherwise = dict(conversion.values or {}), conversion.otherwise
     has_otherwise = "otherwise" in conversion.model_fields_set
-    known = ", ".join(map(repr, values))
+    names = ", ".join(map(repr, values))
 
     def look_up(value: Any) -> Any:
         try:
@@ -117,7 +117,7 @@ def _lookup(conversion: Conversion) -> Convert:
             if has_otherwise:
                 return otherwise
             raise UnmappedValue(
-                f"{value!r:.80} is not among the `values` {known:.200}; add it, or add `otherwise`"
+                f"{value!r:.80} is not among the `values` {names:.200}; add it, or add `otherwise`"
             ) from None
 
     return look_up

@@ -44,32 +44,32 @@ class JsonValues:
         if target.type is None:
             return lambda value: self._any(value, what, nan)
         self._refuse_large(target.type, what)
-        found = target.type
-        if found.many is Many.ONE and not found.is_message:
-            if found.base in FLOATS:
+        kind = target.type
+        if kind.many is Many.ONE and not kind.is_message:
+            if kind.base in FLOATS:
                 return lambda value: _finite(value, what, nan)
-            if found.base in TEXTS:
+            if kind.base in TEXTS:
                 return lambda value: _short(value, what)
             return _plain
         return lambda value: self._any(value, what, nan)
 
-    def _refuse_large(self, found: FieldType, what: str, inside: str = "") -> None:
+    def _refuse_large(self, kind: FieldType, what: str, inside: str = "") -> None:
         if self._large:
             return
         named = f"{what}{inside}"
-        if found.is_octets and not 0 < found.size <= self._max_elements:
+        if kind.is_octets and not 0 < kind.size <= self._max_elements:
             raise InvalidRule(
-                f"{named} is {found}, bytes without a bound (an image, a point cloud): a context broker "
+                f"{named} is {kind}, bytes without a bound (an image, a point cloud): a context broker "
                 "stores each version and sends it to every subscriber; map fields that describe it, or set "
                 "large_arrays: true"
             )
-        if found.many is Many.FIXED and found.size > self._max_elements:
+        if kind.many is Many.FIXED and kind.size > self._max_elements:
             raise InvalidRule(
-                f"{named} holds {found.size} elements, more than {self._max_elements} (max_elements); "
+                f"{named} holds {kind.size} elements, more than {self._max_elements} (max_elements); "
                 "choose some of them, or set large_arrays: true"
             )
-        if found.is_message:
-            for field in self._definitions.definition(found.base).fields:
+        if kind.is_message:
+            for field in self._definitions.definition(kind.base).fields:
                 self._refuse_large(field.type, what, f"{inside}.{field.name}")
 
     def _any(self, value: Any, what: str, nan: Any) -> Any:
@@ -87,7 +87,7 @@ class JsonValues:
         if isinstance(value, dict):
             return {name: self._any(inner, f"{what}.{name}", nan) for name, inner in value.items()}
         self._bound(len(value), what)
-        return [self._any(one, what, nan) for one in value]
+        return [self._any(element, what, nan) for element in value]
 
     def _numbers(self, array: Any, what: str, nan: Any) -> Any:
         self._bound(array.size, what)

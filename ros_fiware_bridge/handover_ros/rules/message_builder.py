@@ -14,7 +14,7 @@ from handover.errors import HandoverError
 from handover_datamodels.times import parse
 from handover_ros.errors import BadMessage
 from handover_ros.mapping import paths
-from handover_ros.mapping.paths import Field, Index, MissingValue, Path, Where
+from handover_ros.mapping.paths import FieldStep, Index, MissingValue, Path, Where
 from handover_ros.mapping.values import Source
 from handover_ros.rules import conversion
 from handover_ros.rules.entity_extractor import ErrorScope, ReportError
@@ -89,12 +89,12 @@ class MessageBuilder:
     def _steps(self, path: Path, schema: MessageSchema) -> "list[_Step]":
         steps: list[_Step] = []
         for place, step in enumerate(path.steps):
-            if not isinstance(step, Field | Index):
+            if not isinstance(step, FieldStep | Index):
                 raise InvalidRule(f"{path}: a target cannot contain {step}; use a number, as in [0]")
             here = schema.target(Path(path.steps[: place + 1])).type
             assert here is not None  # noqa: S101 - fields of JSON text cannot be set
             following = path.steps[place + 1] if place + 1 < len(path.steps) else None
-            key: str | int = step.name if isinstance(step, Field) else step.place
+            key: str | int = step.name if isinstance(step, FieldStep) else step.place
             filler = _empty(here.item) if isinstance(following, Index) else None
             size = here.size if isinstance(following, Index) and here.many is Many.FIXED else 0
             steps.append(_Step(key, filler, size))
@@ -102,11 +102,11 @@ class MessageBuilder:
 
     def _try_constants(self, steps: "tuple[_Step, ...]", source: Source) -> None:
         """Refuse a constant, default or mapped value that can never be sent."""
-        given = [source.constant] if "constant" in source.model_fields_set else []
-        given += [source.default] if "default" in source.model_fields_set else []
-        given += [value for value in (source.values or {}).values() if value is not None]
-        given += [source.otherwise] if source.otherwise is not None else []
-        for value in given:
+        constants = [source.constant] if "constant" in source.model_fields_set else []
+        constants += [source.default] if "default" in source.model_fields_set else []
+        constants += [value for value in (source.values or {}).values() if value is not None]
+        constants += [source.otherwise] if source.otherwise is not None else []
+        for value in constants:
             made: dict[str, Any] = {}
             if steps:
                 _put(made, steps, value)
@@ -143,18 +143,18 @@ def _put(made: dict[str, Any], steps: tuple[_Step, ...], value: Any) -> None:
         here = here[step.key] if isinstance(step.key, int) else here.setdefault(step.key, empty)
 
 
-def _empty(one: FieldType) -> Callable[[], Any]:
-    if one.is_message:
+def _empty(kind: FieldType) -> Callable[[], Any]:
+    if kind.is_message:
         return dict
-    if one.base in TEXTS:
+    if kind.base in TEXTS:
         return str
-    if one.base == "bool":
+    if kind.base == "bool":
         return bool
-    return float if one.base in FLOATS else int
+    return float if kind.base in FLOATS else int
 
 
 def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[str, str]) -> Fill:
-    found = _found(path, source, target, settings)
+    reader = _found(path, source, target, settings)
     convert = conversion.compiled(source)
     default = source.default if "default" in source.model_fields_set else _NOTHING
     if source.units == conversion.YAW_TO_QUATERNION:
@@ -165,7 +165,7 @@ def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[st
 
     def fill(scope: Scope) -> Any:
         try:
-            value = found(scope)
+            value = reader(scope)
         except MissingValue:
             value = None
         if value is None:
@@ -211,7 +211,7 @@ def _words(path: Path, source: Source, target: PathTarget, settings: Mapping[str
 
 
 def _by_path(path: Path) -> Fill:
-    if any(not isinstance(step, Field | Index | Where) for step in path.steps):
+    if any(not isinstance(step, FieldStep | Index | Where) for step in path.steps):
         raise InvalidRule(f"{path}: here nothing is gone through element by element; drop the []")
     find = paths.getter(path)
     return lambda scope: find(scope.values)

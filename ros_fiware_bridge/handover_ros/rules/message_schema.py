@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from handover_ros.mapping.paths import Each, Field, Getter, Index, Path, Step, Where, getter
+from handover_ros.mapping.paths import Each, FieldStep, Getter, Index, Path, Step, Where, getter
 from handover_ros.types.definition import TEXTS, Definition, FieldType, Many
 from handover_ros.types.excerpt import FieldNames
 
@@ -61,21 +61,21 @@ class MessageSchema:
         self,
         definitions: Definitions,
         type_name: str,
-        each: Path | None = None,
+        element: Path | None = None,
         json_text: Sequence[Path] = (),
     ) -> None:
         self._definitions = definitions
         self._top = FieldType(type_name)
-        self.each = each
+        self.each = element
         self._json_text: frozenset[Path] = frozenset()
         self._looked_at: set[FieldNames] = set()
         for path in json_text:
-            if not (found := self._resolve(path)).is_text:
-                raise InvalidRule(f"{path} is {found}, and only text (string) can hold JSON")
+            if not (kind := self._resolve(path)).is_text:
+                raise InvalidRule(f"{path} is {kind}, and only text (string) can hold JSON")
         self._json_text = frozenset(json_text)
-        through = self._resolve(each).type if each is not None else None
+        through = self._resolve(element).type if element is not None else None
         if through is not None and through.many is Many.ONE:
-            raise InvalidRule(f"{each} is one {through}; `each` is for arrays, so drop it and its []")
+            raise InvalidRule(f"{element} is one {through}; `each` is for arrays, so drop it and its []")
 
     def target(self, path: Path) -> PathTarget:
         """Return the target of `path`. Raises `InvalidRule` if there is none."""
@@ -85,8 +85,8 @@ class MessageSchema:
         if split[0] != self.each:
             meant = f"`each` is {self.each}" if self.each else f"the rule has no `each: {split[0]}`"
             raise InvalidRule(f"{path} goes over each element of {split[0]}, but {meant}")
-        found = self._resolve(split[0]).type
-        return PathTarget(None) if found is None else self._walk(split[1], found.item, path)
+        kind = self._resolve(split[0]).type
+        return PathTarget(None) if kind is None else self._walk(split[1], kind.item, path)
 
     @property
     def fields(self) -> frozenset[FieldNames]:
@@ -95,9 +95,9 @@ class MessageSchema:
 
     def require_time(self, path: Path) -> None:
         """Raise `InvalidRule` unless `path` is a time field."""
-        if not (found := self.target(path)).is_message(TIME):
+        if not (moment := self.target(path)).is_message(TIME):
             raise InvalidRule(
-                f"{path} is {found}, not a time ({TIME}); name a time field, or write received or none"
+                f"{path} is {moment}, not a time ({TIME}); name a time field, or write received or none"
             )
 
     def find(self, path: Path) -> Getter:
@@ -135,7 +135,7 @@ class MessageSchema:
             if Path(path.steps[:place]) in self._json_text:
                 return PathTarget(None)
             so_far = str(Path(path.steps[:place])) if place else "the message"
-            if isinstance(step, Field):
+            if isinstance(step, FieldStep):
                 holder = self._definition_of(here, so_far, step.name)
                 here = _field_of(holder, step.name, so_far)
             elif isinstance(step, Each):
@@ -180,15 +180,15 @@ def _names(steps: Sequence[Step]) -> FieldNames:
     """Return the fields of a path up to its first array."""
     names: list[str] = []
     for step in steps:
-        if not isinstance(step, Field):
+        if not isinstance(step, FieldStep):
             break
         names.append(step.name)
     return tuple(names)
 
 
 def _field_of(definition: Definition, name: str, so_far: str) -> FieldType:
-    found = definition.field(name)
-    if found is not None:
-        return found.type
+    field = definition.field(name)
+    if field is not None:
+        return field.type
     hint = definition.suggest_field(name)
     raise InvalidRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {hint}')

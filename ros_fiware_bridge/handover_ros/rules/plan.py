@@ -168,14 +168,14 @@ def compile_rule(plan: Plan, rule: RosToNgsild, type_name: str, report: ReportEr
     return EntityExtractor(rule, type_name, plan.definitions, plan.settings, report)
 
 
-def qos_of(given: model.Qos) -> Qos:
+def qos_of(rule_qos: model.RuleQos) -> Qos:
     """Return the quality of service of a rule."""
-    preset = Qos.named("default" if given.preset == "match" else given.preset)
+    preset = Qos.named("default" if rule_qos.preset == "match" else rule_qos.preset)
     return Qos(
-        Reliability(given.reliability) if given.reliability else preset.reliability,
-        Durability(given.durability) if given.durability else preset.durability,
-        History(given.history) if given.history else preset.history,
-        given.depth or preset.depth,
+        Reliability(rule_qos.reliability) if rule_qos.reliability else preset.reliability,
+        Durability(rule_qos.durability) if rule_qos.durability else preset.durability,
+        History(rule_qos.history) if rule_qos.history else preset.history,
+        rule_qos.depth or preset.depth,
     )
 
 
@@ -209,12 +209,12 @@ class _Maker:
         if placeholders and type_name is None:
             raise InvalidRule(f"the topic {rule.topic} has placeholders; set its type as well (type: …)")
         if type_name is None:
-            known = self._types_of(rule.topic)
-            if len(known) > 1:
+            types = self._types_of(rule.topic)
+            if len(types) > 1:
                 raise InvalidRule(
-                    f"{rule.topic} has the types {' and '.join(known)}; set one of them (type: …)"
+                    f"{rule.topic} has the types {' and '.join(types)}; set one of them (type: …)"
                 )
-            type_name = known[0] if known else None
+            type_name = types[0] if types else None
         sample = replace(self.plan, settings={**self.plan.settings, **dict.fromkeys(placeholders, "x")})
         made = (
             compile_rule(sample, rule, type_name, self._reporter("ros_to_ngsild", name))
@@ -307,9 +307,9 @@ class _Maker:
     def _verdict(self, rule: ServiceCall | ActionGoal, answer: MessageSchema, report: ReportError) -> None:
         if rule.success is not None:
             with ErrorScope(report, ("success",)):
-                if (found := answer.target(rule.success)).type is not None and found.type.base != "bool":
+                if (target := answer.target(rule.success)).type is not None and target.type.base != "bool":
                     raise InvalidRule(
-                        f"{rule.success} is {found}; `success` is a field that is true or false"
+                        f"{rule.success} is {target}; `success` is a field that is true or false"
                     )
         if rule.message is not None:
             with ErrorScope(report, ("message",)):

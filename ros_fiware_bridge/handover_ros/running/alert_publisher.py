@@ -8,6 +8,7 @@ from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
 from handover.alerts.catalogue import AlertType
 from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
+from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover_datamodels.states import Severity
 from handover_ros.rules.entity_extractor import AlertState
@@ -29,7 +30,7 @@ class AlertPublisher:
         self._broker = broker
         self._settings = settings
         self._known: OrderedDict[str, _State] = OrderedDict()
-        self._writer = reporting_writer("ros-bridge", settings, broker)
+        self._writer = reporting_writer(ROS_BRIDGE, settings, broker)
 
     def publish(self, rule: str, alert_state: AlertState) -> None:
         """Queue a state of the rule `rule`, unless it is the last known one."""

@@ -147,7 +147,7 @@ class ArmStream:
         assert self._actions is not None  # noqa: S101 - set on entry
         trajectory = {
             "joint_names": list(self.setup.joint_names),
-            "points": [_point(each) for each in goal.points],
+            "points": [_point(point) for point in goal.points],
         }
         try:
             accepted = await self._actions.send_goal(
@@ -276,12 +276,12 @@ def _point(point: TrajectoryPoint) -> Message:
 def _joints(message: Message) -> ArmJoints:
     """Return the joints of a JointState. Raises `ValueError` for values that are not finite."""
     stamp = message["header"]["stamp"]
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         part: tuple(map(float, message[key]))
         for part, key in (("positions", "position"), ("velocities", "velocity"), ("efforts", "effort"))
     }
-    if not all(map(math.isfinite, (*found["positions"], *found["velocities"]))):
+    if not all(map(math.isfinite, (*result["positions"], *result["velocities"]))):
         raise ValueError("positions or velocities that are not finite")
-    if not all(map(math.isfinite, found["efforts"])):
-        found["efforts"] = ()
-    return ArmJoints(stamp=stamp["sec"] + stamp["nanosec"] / 1e9, names=tuple(message["name"]), **found)
+    if not all(map(math.isfinite, result["efforts"])):
+        result["efforts"] = ()
+    return ArmJoints(stamp=stamp["sec"] + stamp["nanosec"] / 1e9, names=tuple(message["name"]), **result)

@@ -12,6 +12,7 @@ from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
+from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.telemetry import get_logger
@@ -59,7 +60,7 @@ class Bridge:
         settings: Settings,
         *,
         url: str,
-        name: str = "ros-bridge",
+        name: str = ROS_BRIDGE,
         parameters: bool = True,
     ) -> None:
         self.plan = plan
@@ -174,12 +175,12 @@ class Bridge:
         return cast("RuleView", seen)
 
     def _no_such_rule(self, name: str) -> Problem:
-        known = ", ".join(self.stats) or "none"
+        names = ", ".join(self.stats) or "none"
         return Problem(
             404,
             "No such rule",
             message(
-                "ros.no_such_rule", 'there is no rule "{name}"; there are {known}', name=name, known=known
+                "ros.no_such_rule", 'there is no rule "{name}"; there are {known}', name=name, known=names
             ),
         )
 
@@ -193,7 +194,9 @@ class Bridge:
                 "to": str(entity_forwarder.planned.rule.topic),
                 "type": entity_forwarder.planned.rule.type,
                 "qos": str(entity_forwarder.planned.qos),
-                "subscribers": sum(one.subscribers() for one in entity_forwarder.publishers.values()),
+                "subscribers": sum(
+                    publisher.subscribers() for publisher in entity_forwarder.publishers.values()
+                ),
             }
         asks = {planned.name: planned for planned in self.plan.requests}
         if (asked := asks.get(name)) is not None:

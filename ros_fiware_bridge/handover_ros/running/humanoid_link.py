@@ -55,9 +55,9 @@ class HumanoidLink:
         await self._close()
 
     async def _close(self) -> None:
-        for each in (*self._publishers, self._wishes):
-            if each is not None:
-                await each.close()
+        for endpoint in (*self._publishers, self._wishes):
+            if endpoint is not None:
+                await endpoint.close()
 
     def take(self, state: LinkState) -> None:
         """Publish a state. Raises `ValueError` for one that does not fit the setup."""

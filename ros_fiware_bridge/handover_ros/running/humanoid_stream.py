@@ -91,7 +91,7 @@ class HumanoidStream:
             _check(count, command.stiffness, command.damping)
             self._gains.publish({"data": [*command.stiffness, *command.damping]})
             return
-        parts = [each for each in (command.positions, command.velocities, command.efforts) if each]
+        parts = [values for values in (command.positions, command.velocities, command.efforts) if values]
         if not command.positions and not command.efforts:
             raise ValueError("a command has positions, efforts, or both")
         _check(count, *parts)
@@ -100,9 +100,9 @@ class HumanoidStream:
         self._wakes.set()
 
     async def _close(self) -> None:
-        for each in (*self._subscriptions, self._publisher, self._gains):
-            if each is not None:
-                await each.close()
+        for endpoint in (*self._subscriptions, self._publisher, self._gains):
+            if endpoint is not None:
+                await endpoint.close()
 
     # Commands
 
@@ -179,7 +179,7 @@ class HumanoidStream:
         imu = self._parts[self.setup.imu]
         wrenches = [self._parts[topic] for topic in self.setup.wrenches]
         now_s = time.time()
-        oldest_s = min(each.received_at_s for each in (received, imu, *wrenches))
+        oldest_s = min(wrench.received_at_s for wrench in (received, imu, *wrenches))
         order = self._places(joints["name"])
         stamp = joints["header"]["stamp"]
         last = self._last
@@ -190,7 +190,7 @@ class HumanoidStream:
             efforts=_ordered(joints["effort"], order, "efforts") if len(joints["effort"]) else (),
             gyroscope=_vector(imu.message["angular_velocity"]),
             accelerometer=_vector(imu.message["linear_acceleration"]),
-            wrenches=tuple(_wrench(each.message) for each in wrenches),
+            wrenches=tuple(_wrench(wrench.message) for wrench in wrenches),
             age_s=max(now_s - oldest_s, 0.0),
             echo_s=None if last is None else last.sent_s,
             held_s=0.0 if last is None else time.monotonic() - self._commanded_s,

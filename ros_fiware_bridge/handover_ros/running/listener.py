@@ -16,6 +16,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.broker.resync import Resync
 from handover.errors import Problem
 from handover.messages import message
+from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover.subscriptions.notifications import NotificationReceiver, ids_of
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
@@ -146,7 +147,7 @@ class Listeners:
         notify_url: str,
         *,
         prefix: str = "ros-bridge-rule-",
-        service: str = "ros-bridge",
+        service: str = ROS_BRIDGE,
     ) -> None:
         self.watched: frozenset[str] = frozenset()
         self.subscribed = False
@@ -172,7 +173,8 @@ class Listeners:
         """Return whether this value is what another client has just written."""
         now_s = time.monotonic()
         return any(
-            one.tracker.is_echo(entity_id, attribute, value, now_s) for one in self._listeners.values()
+            listener.tracker.is_echo(entity_id, attribute, value, now_s)
+            for listener in self._listeners.values()
         )
 
     def wrote(self, entity_id: str, attribute: str) -> None:
@@ -220,7 +222,10 @@ class Listeners:
 
     async def _synchronize(self) -> bool:
         try:
-            there = {str(one.get("id")): one for one in await self._broker.subscriptions()}
+            there = {
+                str(subscription.get("id")): subscription
+                for subscription in await self._broker.subscriptions()
+            }
             await self._delete_unused(there)
             for name, listener in self._listeners.items():
                 if listener.enabled:
@@ -234,8 +239,10 @@ class Listeners:
 
     async def _delete_unused(self, there: Iterable[str]) -> None:
         """Delete the subscriptions of disabled rules and of earlier mappings."""
-        wanted = {self._id(name) for name, one in self._listeners.items() if one.enabled}
-        for subscription_id in {one for one in there if one.startswith(self._id(""))} - wanted:
+        wanted = {self._id(name) for name, listener in self._listeners.items() if listener.enabled}
+        for subscription_id in {
+            identifier for identifier in there if identifier.startswith(self._id(""))
+        } - wanted:
             await self._subscriptions.drop(subscription_id)
 
     async def _listen(

@@ -48,7 +48,7 @@ class Parameters:
         names = sorted(
             name
             for name in self._values()
-            if not prefixes or any(name == one or name.startswith(f"{one}.") for one in prefixes)
+            if not prefixes or any(name == prefix or name.startswith(f"{prefix}.") for prefix in prefixes)
         )
         above = {name.rpartition(".")[0] for name in names} - {""}
         return {"result": {"names": names, "prefixes": sorted(above)}}

@@ -271,14 +271,14 @@ class RosTaskPerformer(Performer):
         operation = str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
         request = self._requests.get((job.resource, operation))
         if request is None:
-            known = ", ".join(task for resource, task in self._requests if resource == job.resource)
+            tasks = ", ".join(task for resource, task in self._requests if resource == job.resource)
             raise TaskFailed(
                 message(
                     "ros.no_rule_for_operation",
                     'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
                     operation=operation,
                     resource=job.resource,
-                    known=known,
+                    known=tasks,
                 )
             )
         if not request.stats.enabled:
@@ -369,9 +369,11 @@ class ChangeTrigger:
 
     def _write(self, scope: Scope, outputs: Mapping[str, Any]) -> None:
         planned = self.request.planned
-        known = {attribute.name: attribute for attribute in (*planned.outputs, *planned.feedback)}
+        planned_of = {attribute.name: attribute for attribute in (*planned.outputs, *planned.feedback)}
         attributes = {
-            name: known[name].written(value, None) for name, value in outputs.items() if name in known
+            name: planned_of[name].written(value, None)
+            for name, value in outputs.items()
+            if name in planned_of
         }
         if attributes:
             entity_id, kind = str(scope.values["entityId"]), str(scope.values["type"])

@@ -167,8 +167,10 @@ class DropReporter:
         for stats in self._stats:
             for cause, number in stats.dropped_by_cause.items():
                 key = stats.name, cause
-                known = self._reported.get(key)
-                if known is not None and (number == known.number or now_s - known.at_s < REPORT_INTERVAL_S):
+                reported_s = self._reported.get(key)
+                if reported_s is not None and (
+                    number == reported_s.number or now_s - reported_s.at_s < REPORT_INTERVAL_S
+                ):
                     continue
                 self._reported[key] = _Report(number, now_s)
                 words = CAUSES[cause].replace("{why}", stats.last_error or "see the log")

@@ -88,7 +88,7 @@ class ServedService:
     def _task(self, task_id: str, request: Message) -> Task:
         asked = self.planned.rule.task
         parameters = {name: self._value(source, request) for name, source in asked.parameters.items()}
-        given = {name: value for name, value in parameters.items() if value is not None}
+        arguments = {name: value for name, value in parameters.items() if value is not None}
         definition = self._settings.entity_id("TaskDefinition", self._filled(asked.definition, request))
         now = iso(datetime.now(UTC))
         entity: dict[str, Any] = {
@@ -98,14 +98,16 @@ class ServedService:
             "status": {"type": "Property", "value": TaskStatus.PENDING.value, "observedAt": now},
             "involves": {
                 "type": "Property",
-                "value": [{"type": "Relationship", "object": one} for one in self.planned.resources],
+                "value": [
+                    {"type": "Relationship", "object": resource} for resource in self.planned.resources
+                ],
             },
         }
         if asked.description is not None:
             description = self._filled(asked.description, request)
             entity["description"] = {"type": "Property", "value": description}
-            given.setdefault("description", description)
-        entity["workParameters"] = {"type": "Property", "value": given}
+            arguments.setdefault("description", description)
+        entity["workParameters"] = {"type": "Property", "value": arguments}
         return Task.from_ngsild(entity)
 
     def _value(self, source: Source, request: Message) -> Any:

@@ -84,8 +84,10 @@ class TopicForwarder:
 
     def _reader_qos(self) -> Qos:
         topic = self.planned.rule.topic
-        found = next((each for each in self._graph.topics() if each.name == topic), None)
-        return self.planned.reader_qos(one.qos for one in (found.publishers if found else ()) if not one.ours)
+        topic_info = next((candidate for candidate in self._graph.topics() if candidate.name == topic), None)
+        return self.planned.reader_qos(
+            publisher.qos for publisher in (topic_info.publishers if topic_info else ()) if not publisher.ours
+        )
 
     async def _subscribe(self, qos: Qos) -> None:
         assert self.extractor is not None  # noqa: S101 - the type is known before anything subscribes
@@ -258,11 +260,13 @@ class TopicForwarder:
     def _new_filter(self) -> UpdateFilter:
         rule = self.planned.rule
         attributes = self.extractor.attributes if self.extractor is not None else ()
-        dead_bands = {each.name: each.dead_band for each in attributes if each.dead_band is not None}
-        for each in attributes:
-            for part in each.parts:
+        dead_bands = {
+            attribute.name: attribute.dead_band for attribute in attributes if attribute.dead_band is not None
+        }
+        for attribute in attributes:
+            for part in attribute.parts:
                 if part.dead_band is not None:
-                    dead_bands[f"{each.name}.{part.name}"] = part.dead_band
+                    dead_bands[f"{attribute.name}.{part.name}"] = part.dead_band
         return UpdateFilter(
             every_s=rule.every_ms / 1000,
             on_change=rule.on_change,
@@ -302,16 +306,16 @@ class PatternForwarder:
         """Subscribe to matching topics that are new. Raises `GraphError`."""
         pattern = self.planned.pattern
         for topic in self._graph.topics():
-            found = pattern.fullmatch(topic.name) if pattern is not None else None
+            match = pattern.fullmatch(topic.name) if pattern is not None else None
             full = len(self.members) >= self.planned.rule.max_entities
             if (
-                found is None
+                match is None
                 or full
                 or topic.name in self.members
-                or all(one.ours for one in topic.publishers)
+                or all(publisher.ours for publisher in topic.publishers)
             ):
                 continue
-            member = self._make(self.planned.for_topic(self._plan, topic.name, found.groupdict()))
+            member = self._make(self.planned.for_topic(self._plan, topic.name, match.groupdict()))
             self.members[topic.name] = member
             await member.start()
 

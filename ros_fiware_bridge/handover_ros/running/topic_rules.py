@@ -79,16 +79,18 @@ class TopicRules:
         if forwarder is None:
             return None
         rule = forwarder.planned.rule
-        read = [one.subscription for one in self.forwarders_of(name) if one.subscription is not None]
+        read = [reader.subscription for reader in self.forwarders_of(name) if reader.subscription is not None]
         extractor = forwarder.planned.extractor
         details: dict[str, Any] = {
             "from": rule.topic,
             "to": str(rule.entity.id.with_settings(self._plan.settings)) if rule.entity else "Alert",
             "type": extractor.type_name if extractor is not None else None,
             "qos": str(read[0].qos if read else forwarder.planned.qos),
-            "publishers": sum(one.publishers() for one in read),
-            "unreadable": sum(one.refused for one in read),
-            "lastUnreadable": next((one.last_error for one in read if one.last_error), None),
+            "publishers": sum(subscription.publishers() for subscription in read),
+            "unreadable": sum(subscription.refused for subscription in read),
+            "lastUnreadable": next(
+                (subscription.last_error for subscription in read if subscription.last_error), None
+            ),
         }
         if isinstance(forwarder, PatternForwarder):
             details["topics"] = sorted(forwarder.members)
@@ -104,7 +106,7 @@ class TopicRules:
 
     def dropped(self, rule: str, number: int, cause: str) -> None:
         """Count updates that newer ones have replaced."""
-        if any(one.planned.rule.buffer.keep > 1 for one in self.forwarders_of(rule)):
+        if any(forwarder.planned.rule.buffer.keep > 1 for forwarder in self.forwarders_of(rule)):
             self._stats[rule].count_dropped(cause, number)
         else:
             self._stats[rule].count_conflated(number)
@@ -151,19 +153,19 @@ class TopicRules:
 
     async def _find_type(self, name: str, forwarder: TopicForwarder) -> None:
         topic = forwarder.planned.rule.topic
-        found = next((one.type_names for one in self._graph.topics() if one.name == topic), ())
-        if not found:
+        type_names = next((info.type_names for info in self._graph.topics() if info.name == topic), ())
+        if not type_names:
             return
         errors: list[str] = []
 
         def report(where: tuple[str, ...], why: InvalidRule) -> None:
             errors.append(f"{'.'.join(where)}: {why}")
 
-        if len(found) > 1:
-            errors.append(f"{topic} has the types {' and '.join(found)}; set one of them (type: …)")
+        if len(type_names) > 1:
+            errors.append(f"{topic} has the types {' and '.join(type_names)}; set one of them (type: …)")
         else:
             try:
-                made = planning.compile_rule(self._plan, forwarder.planned.rule, found[0], report)
+                made = planning.compile_rule(self._plan, forwarder.planned.rule, type_names[0], report)
             except (GraphError, InvalidRule) as error:
                 errors.append(str(error))
             else:

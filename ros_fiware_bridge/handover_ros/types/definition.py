@@ -102,11 +102,11 @@ class Definition:
 
     def field(self, name: str) -> Field | None:
         """Return the field of that name, or None."""
-        return next((one for one in self.fields if one.name == name), None)
+        return next((candidate for candidate in self.fields if candidate.name == name), None)
 
     def suggest_field(self, name: str) -> str:
         """Return a hint for an unknown field: the one that `name` may mean, or all fields."""
-        names = [one.name for one in self.fields]
+        names = [candidate.name for candidate in self.fields]
         if close := get_close_matches(name, names, n=1):
             return f'did you mean "{close[0]}"?'
         return f"it has {', '.join(names) or 'no fields'}"

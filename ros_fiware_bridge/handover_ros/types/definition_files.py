@@ -31,13 +31,13 @@ def find(path: Path) -> Iterator[tuple[str, Path]]:
     if path.is_file():
         yield _named(path), path
         return
-    found = False
+    is_present = False
     for kind in KINDS:
         for file in sorted(path.rglob(f"*.{kind}")):
             if file.parent.name == kind:
-                found = True
+                is_present = True
                 yield _named(file), file
-    if not found:
+    if not is_present:
         raise BadDefinition(
             f"type_paths: {path} contains no definition; the layout is PACKAGE/msg/NAME.msg, "
             "PACKAGE/srv/NAME.srv or PACKAGE/action/NAME.action"
@@ -117,21 +117,21 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
             ) from None
         for constant in message.constants:
             constants[constant.name] = _bare(constant.value)
-        for one in message.fields:
-            if any(one.name == other.name for other in fields):
-                raise BadDefinition(f'{where}, line {number}: the field "{one.name}" is a duplicate')
+        for field in message.fields:
+            if any(field.name == other.name for other in fields):
+                raise BadDefinition(f'{where}, line {number}: the field "{field.name}" is a duplicate')
             cardinality = {"scalar": Many.ONE, "array": Many.FIXED, "sequence": Many.SEQUENCE}
-            base = "wstring" if is_wide else str(getattr(one.typ.ref.name, "value", one.typ.ref.name))
-            many = cardinality[one.typ.cardinality.value]
-            if many is Many.FIXED and one.typ.size < 1:
+            base = "wstring" if is_wide else str(getattr(field.typ.ref.name, "value", field.typ.ref.name))
+            many = cardinality[field.typ.cardinality.value]
+            if many is Many.FIXED and field.typ.size < 1:
                 raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without elements')
-            kind = FieldType(base, many, one.typ.size, one.typ.str_size)
-            fields.append(Field(one.name, kind, _bare(one.value)))
+            kind = FieldType(base, many, field.typ.size, field.typ.str_size)
+            fields.append(Field(field.name, kind, _bare(field.value)))
     return Definition(type_name, tuple(fields), constants)
 
 
 def _bare(value: object) -> object:
     """Return a default or constant without the backslashes before quotes."""
     if isinstance(value, list):
-        return [_bare(one) for one in value]
+        return [_bare(element) for element in value]
     return re.sub(r"\\(['\"])", r"\1", value) if isinstance(value, str) else value

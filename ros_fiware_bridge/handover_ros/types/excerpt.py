@@ -246,8 +246,8 @@ class Excerpts:
         skips = self._skips(field.type for field in self._definition_of(kind.base).fields)
 
         def skip(data: memoryview, at: int) -> int:
-            for one in skips:
-                at = one(data, at)
+            for piece in skips:
+                at = piece(data, at)
             return at
 
         return skip
@@ -302,9 +302,9 @@ class Excerpts:
 
         def count(data: memoryview, at: int) -> tuple[int, int]:
             at = (at + 3) & -4
-            found = length(data, at)[0]
-            _require_room(data, at + 4, found, shortest)
-            return found, at + 4
+            length_read = length(data, at)[0]
+            _require_room(data, at + 4, length_read, shortest)
+            return length_read, at + 4
 
         return count_of_fixed if kind.many is Many.FIXED else count
 
@@ -330,16 +330,16 @@ def _texts_unless_as_before(read: Read) -> Read:
 
 def _unless_as_before(read: Read) -> Read:
     """Return a `read` that caches its last result: the names of joints seldom change."""
-    before, before_at, known = b"", -1, None
+    before, before_at, last = b"", -1, None
 
     def read_if_new(data: memoryview, at: int) -> tuple[Any, int]:
-        nonlocal before, before_at, known
+        nonlocal before, before_at, last
         end = at + len(before)
         if at == before_at and bytes(data[at:end]) == before:
-            return known, end
-        found, end = read(data, at)
+            return last, end
+        value, end = read(data, at)
         if end - at <= _MAX_CACHED_BYTES:
-            before, before_at, known = bytes(data[at:end]), at, found
-        return found, end
+            before, before_at, last = bytes(data[at:end]), at, value
+        return value, end
 
     return read_if_new

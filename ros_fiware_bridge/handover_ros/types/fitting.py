@@ -56,14 +56,16 @@ class Fitting:
             raise BadMessage(f"{where}: {error.rule}") from None
 
     def _message_fit(self, type_name: str) -> Fit:
-        known = self._fits.get(type_name)
-        if known is not None:
-            return known
+        cached = self._fits.get(type_name)
+        if cached is not None:
+            return cached
         definition = self._definition_of(type_name)
-        attributes = [self._attribute_of(one.name) for one in definition.fields]
-        fits = {one.name: self._field_fit(one.type) for one in definition.fields}
+        attributes = [self._attribute_of(field.name) for field in definition.fields]
+        fits = {field.name: self._field_fit(field.type) for field in definition.fields}
         parts = list(zip(definition.fields, attributes, fits.values(), strict=True))
-        defaults = {name: self._default(one) for one, name in zip(definition.fields, attributes, strict=True)}
+        defaults = {
+            name: self._default(field) for field, name in zip(definition.fields, attributes, strict=True)
+        }
         empty = SimpleNamespace(**defaults, structure_needs_at_least_one_member=0)
         self._defaults[type_name] = empty
 
@@ -73,8 +75,8 @@ class Fitting:
             taken = 0
             made = SimpleNamespace(structure_needs_at_least_one_member=0)
             slots = made.__dict__
-            for one, attribute, inner in parts:
-                name = one.name
+            for field, attribute, inner in parts:
+                name = field.name
                 if name in value:
                     taken += 1
                     try:
@@ -103,8 +105,8 @@ class Fitting:
                 return np.zeros(kind.size if kind.many is Many.FIXED else 0, np.uint8)
             if kind.is_number_array:
                 return np.zeros(kind.size if kind.many is Many.FIXED else 0, kind.base)
-            one = self._empty(kind.item)
-            return [one] * kind.size if kind.many is Many.FIXED else []
+            element = self._empty(kind.item)
+            return [element] * kind.size if kind.many is Many.FIXED else []
         return self._empty(kind)
 
     def _empty(self, kind: FieldType) -> Any:

@@ -47,13 +47,13 @@ def description(type_name: str, definition_of: Callable[[str], Definition]) -> d
             return
         described[name] = {}
         definition = definition_of(name)
-        fields = [_field(one.name, one.type) for one in definition.fields]
+        fields = [_field(field.name, field.type) for field in definition.fields]
         if not fields:
             fields = [_field("structure_needs_at_least_one_member", FieldType("uint8"))]
         described[name] = {"type_name": name, "fields": fields}
-        for one in definition.fields:
-            if one.type.is_message:
-                describe(one.type.base)
+        for field in definition.fields:
+            if field.type.is_message:
+                describe(field.type.base)
 
     describe(type_name)
     return {

@@ -107,20 +107,20 @@ class TypeStore:
         Raises:
             UnknownType, UnsupportedType, BadDefinition.
         """
-        found = self._definitions.get(type_name)
-        if found is not None:
-            return found
+        cached = self._definitions.get(type_name)
+        if cached is not None:
+            return cached
         if type_name in self._files and "/msg/" in type_name:
-            (found,) = definition_files.read(type_name, self._files[type_name])
+            (cached,) = definition_files.read(type_name, self._files[type_name])
         elif type_name in self._builtin:
-            found = self._builtin[type_name]
+            cached = self._builtin[type_name]
         elif self._derive(type_name):
             return self._definitions[type_name]
         else:
             self.resolve(type_name)
             raise UnknownType(f"{type_name} is not a message type; use its request, goal or result")
-        self._definitions[type_name] = found
-        return found
+        self._definitions[type_name] = cached
+        return cached
 
     def _derive(self, type_name: str) -> bool:
         """Derive the messages of the service or action of `type_name`; False if there is none."""
@@ -136,7 +136,7 @@ class TypeStore:
                 made += [*wrappers.of_action(base), *wrappers.hashed_with_action(base)]
             for service in services:
                 made += wrappers.hashed_with_service(service)
-            self._definitions.update({one.type_name: one for one in made})
+            self._definitions.update({added.type_name: added for added in made})
         return type_name in self._definitions
 
     def sound(self, type_name: str) -> Definition:
@@ -155,22 +155,22 @@ class TypeStore:
             )
         if type_name in self._sound:
             return
-        for one in self.definition(type_name).fields:
-            if one.type.is_message:
+        for field in self.definition(type_name).fields:
+            if field.type.is_message:
                 try:
-                    self._walk(one.type.base, (*above, type_name))
+                    self._walk(field.type.base, (*above, type_name))
                 except UnknownType as error:
-                    raise UnknownType(f"{type_name}.{one.name}: {error}") from None
+                    raise UnknownType(f"{type_name}.{field.name}: {error}") from None
         self._sound.add(type_name)
 
     def hash(self, type_name: str) -> str:
         """Return the RIHS01 hash of a message, service or action type, `RIHS01_…`."""
-        known = self._hashes.get(type_name)
-        if known is None:
+        type_hash = self._hashes.get(type_name)
+        if type_hash is None:
             if type_name in self._files and "/msg/" not in type_name:
                 self._derive(type_name)
-            known = self._hashes[type_name] = rihs01(type_name, self.definition)
-        return known
+            type_hash = self._hashes[type_name] = rihs01(type_name, self.definition)
+        return type_hash
 
     def description(self, type_name: str) -> dict[str, Any]:
         """Return what the hash of a type is of: its fields, and those of all types that it contains."""
@@ -223,11 +223,11 @@ def _stripped(file: Path, type_name: str) -> list[Definition]:
 def _from_library(name: str, constants: Any, fields: Any) -> Definition:
     defaults = _DEFAULTS.get(name, {})
     made = [
-        Field(one, _kind(described), defaults.get(one))
-        for one, described in fields
-        if one != "structure_needs_at_least_one_member"
+        Field(field_name, _kind(described), defaults.get(field_name))
+        for field_name, described in fields
+        if field_name != "structure_needs_at_least_one_member"
     ]
-    return Definition(name, tuple(made), {one: value for one, _, value in constants})
+    return Definition(name, tuple(made), {field_name: value for field_name, _, value in constants})
 
 
 def _kind(described: Any) -> FieldType:

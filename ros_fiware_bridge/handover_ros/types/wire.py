@@ -10,15 +10,7 @@ from typing import Any
 
 from handover_ros.errors import BadMessage
 from handover_ros.types.definition import Definition, FieldType, Many
-from handover_ros.types.excerpt import (
-    BIG,
-    LITTLE,
-    Excerpts,
-    FieldNames,
-    Read,
-    text_of_units,
-    wanted,
-)
+from handover_ros.types.excerpt import BIG, LITTLE, Excerpts, FieldNames, Read, text_of_units, wanted
 
 _HEADER_BYTES = 4
 _MAX_CACHED_READERS = 1000  # more than the rules of a bridge
@@ -96,10 +88,10 @@ class Wire:
             self._store.fielddefs[_WIDE] = ([], [("units", _described(_UNITS))])
             self._store.types[_WIDE] = text_of_units
         definition = self._definition_of(type_name)
-        for one in definition.fields:
-            if one.type.is_message:
-                self._meet(one.type.base)
-        described = [(one.name, _described(one.type)) for one in definition.fields]
+        for field in definition.fields:
+            if field.type.is_message:
+                self._meet(field.type.base)
+        described = [(field.name, _described(field.type)) for field in definition.fields]
         self._store.fielddefs[type_name] = ([], described or [(_MEMBER, _described(FieldType("uint8")))])
         self._store.types[type_name] = _maker(definition)
         self._met.add(type_name)
@@ -114,8 +106,8 @@ def _require_cdr(type_name: str, data: bytes) -> None:
 
 
 def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
-    names = [one.name for one in definition.fields]
-    octets = [one.name for one in definition.fields if one.type.is_octets]
+    names = [field.name for field in definition.fields]
+    octets = [field.name for field in definition.fields if field.type.is_octets]
     if not names:
         return lambda _member: {}
     if not octets:

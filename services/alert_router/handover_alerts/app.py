@@ -10,26 +10,27 @@ from handover.database import connect
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
+from handover.service_addresses import ALERT_ROUTER
 from handover.serving.leadership import Leadership, OnlyLeading
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
-from handover_alerts import tables
 from handover_alerts.directory import Directory
 from handover_alerts.follower import Follower
-from handover_alerts.model import Configuration, read_configuration
-from handover_alerts.rest import add_routes
+from handover_alerts.model.configuration import Configuration, read_configuration
+from handover_alerts.routes.channels import add_routes
 from handover_alerts.senders import Senders
 from handover_alerts.sending import Sending
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Store
+from handover_alerts.storage import tables
+from handover_alerts.storage.store import Store
 
 
 def make_app(settings: RouterSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     engine = connect(settings.database("alerts"))
-    guard = Guard(settings, "alert-router")
+    guard = Guard(settings, ALERT_ROUTER)
     broker = BrokerClient(settings, credentials=guard.access)
-    leadership = Leadership(engine, "alert-router")
+    leadership = Leadership(engine, ALERT_ROUTER)
     store = Store(engine, leadership.transaction)
     file = settings.alert_routes
     directory = Directory(store, Configuration() if file is None else read_configuration(file))
@@ -65,7 +66,7 @@ def make_app(settings: RouterSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=guard,
-        audit=AuditTrail(settings, "alert-router", engine),
+        audit=AuditTrail(settings, ALERT_ROUTER, engine),
     )
     app.add_middleware(OnlyLeading, leadership=leadership)
     add_routes(app, store, directory, senders, follower)

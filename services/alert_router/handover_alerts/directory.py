@@ -7,8 +7,8 @@ import orjson
 from pydantic import TypeAdapter, ValidationError
 
 from handover.telemetry import get_logger
-from handover_alerts.model import AppriseChannel, Channel, Configuration, Route, WebhookChannel
-from handover_alerts.store import Store
+from handover_alerts.model.configuration import AppriseChannel, Channel, Configuration, Route, WebhookChannel
+from handover_alerts.storage.store import Store
 
 log = get_logger(__name__)
 

@@ -17,20 +17,21 @@ import orjson
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
+from handover.service_addresses import ALERT_ROUTER
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
 from handover_alerts import metrics
-from handover_alerts.model import Route
-from handover_alerts.occurrence import CLEARED, RAISED, AlertView, DueStep, Occurrence, due_steps
+from handover_alerts.model.configuration import Route
+from handover_alerts.model.occurrence import CLEARED, RAISED, AlertView, DueStep, Occurrence, due_steps
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Message, Store
+from handover_alerts.storage.store import Message, Store
 from handover_datamodels.entities import Alert, AlertState, DataModelError, Severity
 from handover_datamodels.times import iso
 
 log = get_logger(__name__)
 
-SUBSCRIPTION: Final = "alert-router"
+SUBSCRIPTION: Final = ALERT_ROUTER
 STEP_INTERVAL_S: Final = 1.0
 RETENTION_INTERVAL_S: Final = 3600.0
 MAX_PLACES: Final = 10_000
@@ -95,30 +96,30 @@ class Follower:
             await self._subscriptions.keep(self._subscription())
             self._is_subscribed = True
             entities = await self._broker.query(type="Alert")
-            found = {}
+            alerts = {}
             for entity in entities:
                 if self._cells.has(entity.get("id")):
                     continue
                 view = await self._view(entity)
                 if view is not None:
-                    found[view.id, int(view.issued.timestamp() * 1e6)] = view
+                    alerts[view.id, int(view.issued.timestamp() * 1e6)] = view
         except BrokerError as error:
             log.warning("alerts not read", error=str(error))
             self._is_subscribed = False
             return False
-        self._merge(found)
+        self._merge(alerts)
         await self._take_due()
         return True
 
-    def _merge(self, found: Mapping[Key, AlertView]) -> None:
-        for key, view in found.items():
-            known = self._occurrences.get(key)
-            if known is not None:
-                known.alert = view
+    def _merge(self, alerts: Mapping[Key, AlertView]) -> None:
+        for key, view in alerts.items():
+            present = self._occurrences.get(key)
+            if present is not None:
+                present.alert = view
             elif view.is_active or key in self._taken:
                 self._occurrences[key] = Occurrence(view, self._taken.pop(key, {}))
         for key, occurrence in self._occurrences.items():
-            if key not in found:
+            if key not in alerts:
                 occurrence.alert = _returned(occurrence.alert)
         metrics.ACTIVE.set(len(self._occurrences))
 
@@ -165,10 +166,10 @@ class Follower:
         """Return the Location of the source of an Alert; empty if there is none."""
         if source not in self._places:
             try:
-                found = await self._broker.retrieve(source) if source else {}
+                entity = await self._broker.retrieve(source) if source else {}
             except NotFound:
-                found = {}
-            place = found.get("isLocatedAt", {})
+                entity = {}
+            place = entity.get("isLocatedAt", {})
             if len(self._places) >= MAX_PLACES:
                 self._places.clear()
             self._places[source] = str(place.get("object", "")) if isinstance(place, Mapping) else ""

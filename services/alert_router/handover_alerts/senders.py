@@ -18,11 +18,13 @@ from handover.errors import UsageError
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.network.outbound_policy import AddressRefused, is_loopback
 from handover.network.tls_trust import client_context
-from handover_alerts.model import AppriseChannel, Channel, MailChannel, WebhookChannel
+from handover_alerts.model.configuration import AppriseChannel, Channel, MailChannel, WebhookChannel
 from handover_alerts.settings import RouterSettings
 
 MAX_ANSWER_BYTES: Final = 64 * 1024
 MAX_SUBJECT: Final = 200
+SEND_TIMEOUT_S: Final = 30.0
+"""A server that takes longer to accept a message is tried again later."""
 
 
 class NotSent(Exception):
@@ -70,13 +72,13 @@ class MailServer:
             )
         is_tls = parts.scheme == "smtps"
         secret = settings.smtp_password.get_secret_value() if settings.smtp_password else ""
-        given = unquote(parts.password) if parts.password else None
+        password_of_url = unquote(parts.password) if parts.password else None
         return cls(
             host,
             port or (465 if is_tls else 587),
             is_tls,
             unquote(parts.username) if parts.username else None,
-            secret or given,
+            secret or password_of_url,
         )
 
 
@@ -93,10 +95,9 @@ class Senders:
         self._http.close()
 
     async def send(self, channel: Channel, message: Outgoing) -> None:
-        """Send a message; raise `NotSent`. It takes no longer than HANDOVER_SEND_TIMEOUT_S."""
-        timeout_s = self._settings.send_timeout_s
+        """Send a message; raise `NotSent`. It takes no longer than `SEND_TIMEOUT_S`."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with asyncio.timeout(SEND_TIMEOUT_S):
                 if isinstance(channel, MailChannel):
                     await self._send_mail(channel, message)
                 elif isinstance(channel, WebhookChannel):
@@ -104,7 +105,7 @@ class Senders:
                 else:
                     await _send_by_apprise(channel, message)
         except TimeoutError:
-            raise NotSent(f"no answer within {timeout_s:g} s") from None
+            raise NotSent(f"no answer within {SEND_TIMEOUT_S:g} s") from None
 
     async def _send_mail(self, channel: MailChannel, message: Outgoing) -> None:
         server = self._server
@@ -130,10 +131,10 @@ class Senders:
                 use_tls=server.is_tls,
                 start_tls=False if server.is_tls else None if may_be_plain else True,
                 tls_context=client_context(*self._settings.ca_files),
-                timeout=self._settings.send_timeout_s,
+                timeout=SEND_TIMEOUT_S,
             )
         except aiosmtplib.SMTPRecipientsRefused as refused:
-            is_final = all(one.code >= 500 for one in refused.recipients)
+            is_final = all(recipient.code >= 500 for recipient in refused.recipients)
             raise NotSent(f"the mail server refuses every recipient: {refused}", is_final=is_final) from None
         except aiosmtplib.SMTPAuthenticationError as error:
             raise NotSent(f"the mail server refuses user or password: {error.message}") from None
@@ -154,9 +155,7 @@ class Senders:
                 ("Handover-Signature", f"sha256={hmac.new(key, body, hashlib.sha256).hexdigest()}")
             )
         try:
-            response = await self._http.request(
-                "POST", channel.url, headers, body, self._settings.send_timeout_s
-            )
+            response = await self._http.request("POST", channel.url, headers, body, SEND_TIMEOUT_S)
         except AddressRefused as refused:
             raise NotSent(str(refused), is_final=True) from None
         except (SendError, OSError) as error:
@@ -184,7 +183,7 @@ async def _send_by_apprise(channel: AppriseChannel, message: Outgoing) -> None:
 
 def one_line(text: str) -> str:
     """Return a text without line ends and other control characters, for headers."""
-    return " ".join("".join(one if one.isprintable() else " " for one in text).split())
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 
 
 def _domain_of(address: str) -> str:

@@ -20,9 +20,9 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_alerts import metrics
-from handover_alerts.model import Channel, Throttle
+from handover_alerts.model.configuration import Channel, Throttle
 from handover_alerts.senders import NotSent, Outgoing, Senders
-from handover_alerts.store import FAILED, SENT, WAITING, Message, Store
+from handover_alerts.storage.store import FAILED, SENT, WAITING, Message, Store
 
 log = get_logger(__name__)
 
@@ -99,8 +99,8 @@ class Sending:
         if name in self._sent_s or channel is None:
             return
         since_us = int((self._clock() - channel.throttle.per_s) * 1e6)
-        found = await asyncio.to_thread(self._store.sent_since, name, since_us, channel.throttle.maximum)
-        self._sent_s[name].extend(found)
+        sent = await asyncio.to_thread(self._store.sent_since, name, since_us, channel.throttle.maximum)
+        self._sent_s[name].extend(sent)
 
     async def _send(self, channel: Channel, together: Sequence[Message]) -> bool:
         """Send messages in one; return whether the channel works."""
@@ -118,7 +118,7 @@ class Sending:
         return True
 
     async def _mark(self, messages: Sequence[Message], state: str, error: str | None = None) -> None:
-        numbers = [one.id for one in messages if one.id is not None]
+        numbers = [message.id for message in messages if message.id is not None]
         await asyncio.to_thread(self._store.mark, numbers, state, int(self._clock() * 1e6), error)
 
     def _allowance(self, name: str, throttle: Throttle) -> int:
@@ -130,7 +130,7 @@ class Sending:
 
 def outgoing(messages: Sequence[Message]) -> Outgoing:
     """Return one message with the content of several."""
-    alerts = [orjson.loads(one.body) for one in messages]
+    alerts = [orjson.loads(message.body) for message in messages]
     first = messages[0]
     identifier = f"handover-{first.id}-{first.created_us}"
     if len(messages) == 1:

@@ -1,5 +1,7 @@
 """The settings of the alert router, in addition to the common ones."""
 
+from typing import ClassVar
+
 from pydantic import Field, SecretStr
 
 from handover.extensions import Service
@@ -9,6 +11,10 @@ from handover.settings import MaybePath, Settings
 
 class RouterSettings(AlertRouterAddress, Settings):
     """The address of the service, the mail server and the file of channels and routes."""
+
+    removed: ClassVar = {
+        "send_timeout_s": "a server that takes longer than 30 s to accept a message is tried again later"
+    }
 
     alert_routes: MaybePath = Field(
         None, description="YAML file of channels and routes for Alerts; both can be added by REST as well"
@@ -24,9 +30,6 @@ class RouterSettings(AlertRouterAddress, Settings):
     smtp_sender: str = Field("handover@localhost", description="the sender of mails")
     smtp_plain: bool = Field(
         False, description="send mails without TLS to a server beyond this machine, in a trusted network"
-    )
-    send_timeout_s: float = Field(
-        30.0, gt=0, description="a server that takes longer to accept a message is tried again later"
     )
 
 

@@ -14,13 +14,14 @@ from handover.database import connect
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
+from handover.service_addresses import ASSISTIVE_DEVICES
 from handover.serving.service import create_app
 from handover.tasks.device_lease import DeviceLease, DeviceLeases
 from handover.tasks.finished_tasks import FinishedTasks
 from handover_cases.body_link import BodyLink
 from handover_cases.machine import CASES, Case, MachineContext
 from handover_cases.metrics import REJECTED
-from handover_cases.routes import add_routes
+from handover_cases.routes.machines import add_routes
 from handover_cases.running.entities import MachineRecords
 from handover_cases.running.machine_runner import MachineRunner
 from handover_cases.running.ros_commands import RosCommands
@@ -30,10 +31,10 @@ from handover_cases.settings import AssistiveSettings
 def make_app(settings: AssistiveSettings) -> FastAPI:
     """Return the application; raise `UsageError` for a machine that does not exist."""
     engine = connect(settings.database("assistive-devices"))
-    guard = Guard(settings, "assistive-devices")
+    guard = Guard(settings, ASSISTIVE_DEVICES)
     broker = BrokerClient(settings, credentials=guard.access)
     tasks = BackgroundTasks("assistive devices")
-    writer = reporting_writer("assistive-devices", settings, broker, REJECTED)
+    writer = reporting_writer(ASSISTIVE_DEVICES, settings, broker, REJECTED)
     runners: dict[str, MachineRunner] = {}
     for name in settings.assistive_machines:
         case: Case = CASES.load(name)
@@ -48,8 +49,8 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
         runners[name] = MachineRunner(case, link, tasks)
         runners[name].machine.prepare(MachineContext(settings, engine))
     domain = settings.assistive_ros_domain
-    identity = FinishedTasks(settings, "assistive-devices")
-    leases = DeviceLeases(settings, "assistive-devices", guard.access.headers)
+    identity = FinishedTasks(settings, ASSISTIVE_DEVICES)
+    leases = DeviceLeases(settings, ASSISTIVE_DEVICES, guard.access.headers)
 
     def lease_of(runner: MachineRunner) -> DeviceLease:
         return leases.of(settings.entity_id("Device", runner.case.robot))
@@ -85,7 +86,7 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
         lifespan=lifespan,
         checks={"broker": broker.probe},
         guard=guard,
-        audit=AuditTrail(settings, "assistive-devices", engine),
+        audit=AuditTrail(settings, ASSISTIVE_DEVICES, engine),
     )
     add_routes(app, runners)
     return app

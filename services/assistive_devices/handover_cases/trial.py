@@ -97,7 +97,9 @@ class Trial:
     def passed(self) -> bool:
         """Return whether the machine did what it should."""
         return (
-            not self.is_running and not self.failure and all(one.passed is not False for one in self.figures)
+            not self.is_running
+            and not self.failure
+            and all(figure.passed is not False for figure in self.figures)
         )
 
     @property

@@ -12,6 +12,7 @@ from handover.database import connect
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
+from handover.service_addresses import DEVICE_GATEWAY
 from handover.serving.leadership import Leadership
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
@@ -68,7 +69,7 @@ def _central_app(settings: GatewaySettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=parts.guard,
-        audit=AuditTrail(settings, "device-gateway", engine),
+        audit=AuditTrail(settings, DEVICE_GATEWAY, engine),
     )
     app.add_middleware(ToLeader, settings=settings, gateway=gateway, following=parts.following)
     parts.device_tasks.mount(app)
@@ -89,10 +90,10 @@ class _Parts:
     def __init__(self, settings: GatewaySettings) -> None:
         engine = self.engine = connect(settings.database("devices"))
         self.settings = settings
-        self.guard = Guard(settings, "device-gateway")
+        self.guard = Guard(settings, DEVICE_GATEWAY)
         self.broker = BrokerClient(settings, credentials=self.guard.access)
         self.history = HistoryWriter(engine)
-        self.dispatcher = Dispatcher(engine, self.history, settings.device_ack_timeout_s)
+        self.dispatcher = Dispatcher(engine, self.history)
         self.reports = BrokerReports(
             settings, self.broker, settings.device_report_interval_s, settings.device_reports_per_s
         )
@@ -103,9 +104,9 @@ class _Parts:
         edge_times = TimeRule(settings.device_edge_max_age_h * 3600, settings.device_max_ahead_s)
         self.relays = EdgeRelays(gateway, edge_times)
         self.server = DeviceServer(settings, gateway, self.relays)
-        self.replicas = self.server.replicas = ReplicaSessions(gateway, edge_times)
+        self.replicas = self.server.connections.replicas = ReplicaSessions(gateway, edge_times)
         self.following = Following(settings, engine, gateway, edge_times, self.relays)
-        self.leadership = Leadership(engine, "device-gateway")
+        self.leadership = Leadership(engine, DEVICE_GATEWAY)
         self.adapters = configured(settings, gateway)
         self.anomalies = Anomalies(settings, engine, self.history, self.broker, self.guard.access)
         self.inputs, self.images = DeviceInputs(settings, gateway), CameraImages()
@@ -141,7 +142,7 @@ class _Parts:
             async with (
                 BackgroundTasks("device gateway") as tasks,
                 self.inputs,
-                reporting_writer("device-gateway", self.settings, self.broker) as writer,
+                reporting_writer(DEVICE_GATEWAY, self.settings, self.broker) as writer,
             ):
                 entities = RegistryEntities(self.settings, self.broker, writer)
                 certificates = CertificateAlerts(self.settings, self.broker, gateway.devices)

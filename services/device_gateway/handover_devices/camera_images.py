@@ -67,25 +67,25 @@ class CameraImages:
         image = self._images[device] = CameraImage(self._number, now_s, media_type, content)
         return image
 
-    def put_part(self, device: str, given: ImagePart) -> CameraImage | None:
+    def put_part(self, device: str, part: ImagePart) -> CameraImage | None:
         """Add a part of an image; return the image once it is complete.
 
         One that comes too soon after the last one is dropped, as on a slow network. Raises `BadMessage`.
         """
-        frame, count, content = self._partial.pop(device, (given.frame, 0, bytearray()))
-        if given.part == 0:
-            frame, count, content = given.frame, 0, bytearray()
-        if frame != given.frame or count != given.part:
+        frame, count, content = self._partial.pop(device, (part.frame, 0, bytearray()))
+        if part.part == 0:
+            frame, count, content = part.frame, 0, bytearray()
+        if frame != part.frame or count != part.part:
             raise BadMessage(
                 "imagePartMissing",
-                f"part {given.part} of image {given.frame} does not follow the part before; send the parts "
+                f"part {part.part} of image {part.frame} does not follow the part before; send the parts "
                 "of an image in their order",
             )
-        content += given.content
+        content += part.content
         if len(content) > MAX_IMAGE_BYTES:
             raise BadMessage("imageTooLarge", f"an image has at most {MAX_IMAGE_BYTES} bytes")
         try:
-            if given.part == given.parts - 1:
+            if part.part == part.parts - 1:
                 return self.put(device, bytes(content))
             self._require_place(device, len(self._partial))
         except Problem as problem:

@@ -100,9 +100,9 @@ class CertificateAlerts:
 
     async def _find_active(self) -> set[str]:
         sub_category = DEVICE_CERTIFICATE_EXPIRES.sub_category
-        found = await self._broker.query(type="Alert", q=f'subCategory=="{sub_category}"')
+        alerts = await self._broker.query(type="Alert", q=f'subCategory=="{sub_category}"')
         prefix = device_id(self._settings, "")
-        sources = {str(alert["alertSource"]["object"]) for alert in found if "validTo" not in alert}
+        sources = {str(alert["alertSource"]["object"]) for alert in alerts if "validTo" not in alert}
         return {source.removeprefix(prefix) for source in sources if source.startswith(prefix)}
 
 

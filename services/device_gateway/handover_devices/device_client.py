@@ -322,9 +322,9 @@ class DeviceClient:
                 run.cancelled.set()
             return
         with self._lock:
-            known = self._answers.get(identifier)
-            if known is not None:
-                self._write(known)
+            earlier = self._answers.get(identifier)
+            if earlier is not None:
+                self._write(earlier)
                 return
             function = self._commands.get(message["name"])
             if function is None:

@@ -101,8 +101,8 @@ class DeviceInputs:
 
     def of(self, device: str) -> DeviceControl | None:
         """Return the present or the last control with a device."""
-        found = self._controls.get(device)
-        return None if found is None else found[0]
+        control = self._controls.get(device)
+        return None if control is None else control[0]
 
     def begin(  # noqa: PLR0917 - called by the route only
         self,
@@ -140,9 +140,9 @@ class DeviceInputs:
     def receive(self, device: str, line: bytes) -> None:
         """Pass on an input; without a control it moves nothing, and only the names of its axes are kept."""
         self._look(device, line)
-        found = self._controls.get(device)
-        if found is not None and found[0].ended is None:
-            found[0].put(line)
+        control = self._controls.get(device)
+        if control is not None and control[0].ended is None:
+            control[0].put(line)
 
     def axes(self) -> dict[str, tuple[str, ...]]:
         """Return the axes of each connected device that sends inputs; none for one that sends velocities."""
@@ -167,7 +167,7 @@ class DeviceInputs:
 
     def end(self, device: str, reason: str) -> None:
         """End the control with a device; the robot stops."""
-        found = self._controls.get(device)
-        if found is not None and found[0].ended is None:
-            found[0].ended = Ended(1000, reason)
-            found[1].cancel()
+        control = self._controls.get(device)
+        if control is not None and control[0].ended is None:
+            control[0].ended = Ended(1000, reason)
+            control[1].cancel()

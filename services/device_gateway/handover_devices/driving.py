@@ -55,7 +55,9 @@ class DriveLimits:
     def of(cls, device: Device) -> "DriveLimits":
         """Return the limits of a device."""
         description = device.stored.description
-        return cls(MAX_BASE.get(description.kind), {one.name: _fastest(one) for one in description.joints})
+        return cls(
+            MAX_BASE.get(description.kind), {joint.name: _fastest(joint) for joint in description.joints}
+        )
 
 
 def _fastest(joint: Joint) -> float:
@@ -116,20 +118,22 @@ class DriveSession:
         self._posture: str | None = None
         """How the robot says that it rests."""
 
-    def receive(self, given: HumanInput) -> None:
+    def receive(self, human_input: HumanInput) -> None:
         """Take an input. Raises `NotDrivable` for a gripper, and for joints that the robot does not have."""
-        if given.gripper is not None:
+        if human_input.gripper is not None:
             raise NotDrivable("the gripper of this robot acts by its commands, on the page Devices")
         count = len(self._limits.joints)
-        if given.joints is not None and len(given.joints) != count:
-            raise NotDrivable(f"joints has {len(given.joints)} values, and {self._device.name} has {count}")
+        if human_input.joints is not None and len(human_input.joints) != count:
+            raise NotDrivable(
+                f"joints has {len(human_input.joints)} values, and {self._device.name} has {count}"
+            )
         now_s = self._now()
-        if self._input.held and not given.held:
+        if self._input.held and not human_input.held:
             self._released_s = now_s
-        self._input, self._received_s = given, now_s
-        self._dead_man.receive(now_s, is_held=given.held)
-        if given.gamma is not None:
-            self._gamma = given.gamma
+        self._input, self._received_s = human_input, now_s
+        self._dead_man.receive(now_s, is_held=human_input.held)
+        if human_input.gamma is not None:
+            self._gamma = human_input.gamma
         self.step()  # an input, and above all a release, does not wait for the next cycle
 
     def silence_s(self) -> float:
@@ -195,21 +199,21 @@ class DriveSession:
     def _velocities(self) -> dict[str, Any]:
         """Return what the robot should do; empty for nothing."""
         self._limit = None
-        given = self._input
-        if given.joints is not None:
+        human_input = self._input
+        if human_input.joints is not None:
             speeds = {
                 name: self._joint(name, value * self._gamma)
-                for name, value in zip(self._limits.joints, given.joints, strict=True)
+                for name, value in zip(self._limits.joints, human_input.joints, strict=True)
             }
             moved = {name: speed for name, speed in speeds.items() if speed}
             return {"joints": moved} if moved else {}
         if self._limits.base is None:
-            if any((*given.linear, *given.angular)):
+            if any((*human_input.linear, *human_input.angular)):
                 self._limit = "this robot takes velocities of its joints only"
             return {}
         fastest, turning = self._limits.base
-        x, y = (_limited(self._gamma * one, fastest) for one in given.linear[:2])
-        rz = _limited(self._gamma * given.angular[2], turning)
+        x, y = (_limited(self._gamma * speed, fastest) for speed in human_input.linear[:2])
+        rz = _limited(self._gamma * human_input.angular[2], turning)
         return {"base": [x, y, rz]} if x or y or rz else {}
 
     def _joint(self, name: str, speed: float) -> float:
@@ -236,14 +240,14 @@ class DriveSession:
         """Return the present state, in the form of the trajectory tool."""
         now_s = self._now()
         latest, names = self._device.latest, list(self._limits.joints)
-        known = [latest[name].value if name in latest else None for name in names]
+        values = [latest[name].value if name in latest else None for name in names]
         state = self._device.state
         return {
             "type": "state",
             "seq": self._input.seq,
             "joints": {
                 "name": names,
-                "position": [] if None in known else known,
+                "position": [] if None in values else values,
                 "velocity": [],
             },
             "moves": self._moves,

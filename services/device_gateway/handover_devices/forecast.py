@@ -73,16 +73,16 @@ def forecast(values: Values, horizon: int, season: int | None = None) -> Forecas
     values = values[first:]
     if values.size < needed or present < MIN_PRESENT * values.size:
         raise TooShort(needed, present)
-    known = _interpolated(values)
-    origins = min(MAX_ORIGINS, known.size - MIN_KNOWN - horizon + 1)
+    filled = _interpolated(values)
+    origins = min(MAX_ORIGINS, filled.size - MIN_KNOWN - horizon + 1)
     models: dict[str, Model] = {"dampedTrend": damped_trend}
-    if season is not None and known.size - horizon - MIN_ORIGINS + 1 >= 2 * season:
+    if season is not None and filled.size - horizon - MIN_ORIGINS + 1 >= 2 * season:
         models["seasonalNaive"] = lambda before, steps: seasonal_naive(before, steps, season)
-        origins = min(origins, known.size - horizon - 2 * season + 1)
-    errors = {name: _rolling_errors(known, horizon, origins, model) for name, model in models.items()}
-    naive = _rolling_errors(known, horizon, origins, lambda before, steps: np.full(steps, before[-1]))
+        origins = min(origins, filled.size - horizon - 2 * season + 1)
+    errors = {name: _rolling_errors(filled, horizon, origins, model) for name, model in models.items()}
+    naive = _rolling_errors(filled, horizon, origins, lambda before, steps: np.full(steps, before[-1]))
     method = min(errors, key=lambda name: float(errors[name].mean()))
-    mean = models[method](known, horizon)
+    mean = models[method](filled, horizon)
     band = np.maximum.accumulate(np.quantile(errors[method], COVERAGE, axis=0))
     error = float(errors[method].mean())
     return Forecast(method, mean, mean - band, mean + band, error, float(naive.mean()), origins)
@@ -122,14 +122,14 @@ def _smoothed(values: Values, alpha: float, beta: float) -> tuple[float, float, 
 
 def _rolling_errors(values: Values, horizon: int, origins: int, model: Model) -> Values:
     """Return the absolute errors, an array of origins x horizon."""
-    found = []
+    steps_ahead = []
     for back in range(origins):
         end = values.size - horizon - back
-        found.append(np.abs(model(values[:end], horizon) - values[end : end + horizon]))
-    return np.array(found)
+        steps_ahead.append(np.abs(model(values[:end], horizon) - values[end : end + horizon]))
+    return np.array(steps_ahead)
 
 
 def _interpolated(values: Values) -> Values:
-    known = np.flatnonzero(np.isfinite(values))
-    filled: Values = np.interp(np.arange(values.size), known, values[known])
+    places = np.flatnonzero(np.isfinite(values))
+    filled: Values = np.interp(np.arange(values.size), places, values[places])
     return filled

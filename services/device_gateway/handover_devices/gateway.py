@@ -33,7 +33,7 @@ from handover_devices.protocol.messages import (
     parse_message,
 )
 from handover_devices.protocol.times import TimeRule
-from handover_devices.refusals import Refused, WrongCertificate, WrongToken
+from handover_devices.refusals import HelloRefused, WrongCertificate, WrongToken
 from handover_devices.registry.device import Device, Link
 from handover_devices.registry.edge_marks import EdgeMarks
 from handover_devices.registry.registry import DeviceRegistry
@@ -121,7 +121,7 @@ class DeviceGateway(DeviceRegistry):
     # Connections
 
     def connect(self, hello: Hello, link: Link, certificate_sha256: str = "") -> Session:
-        """Accept a connection; raise `Refused`. An earlier connection of the device is replaced.
+        """Accept a connection; raise `HelloRefused`. An earlier connection of the device is replaced.
 
         `certificate_sha256` is the fingerprint of the client certificate, empty without one. It counts only
         if the hello has no token.
@@ -132,14 +132,14 @@ class DeviceGateway(DeviceRegistry):
         return session
 
     def authenticated(self, hello: Hello, certificate_sha256: str = "") -> Device:
-        """Return the device of a hello, as for `connect`; raise `Refused`."""
+        """Return the device of a hello, as for `connect`; raise `HelloRefused`."""
         try:
             if hello.token or not certificate_sha256:
                 return self.with_token(hello.device, hello.token)
             return self.with_certificate(hello.device, certificate_sha256)
         except (WrongToken, WrongCertificate) as wrong:
             # An edge may not know yet a device that was registered at the centre a moment ago.
-            raise Refused(wrong.code, str(wrong), retry=self.writer.outbox is not None) from None
+            raise HelloRefused(wrong.code, str(wrong), retry=self.writer.outbox is not None) from None
 
     def attach(self, name: str, link: Link, boot: str = "") -> Session:
         """Begin the session of a device that an adapter has identified by other means than a token.
@@ -336,10 +336,10 @@ def _with_time(line: bytes, message: Message, now_s: float) -> str:
     """Return a valid message as one line for the centre: with the time of arrival if it has none."""
     if (isinstance(message, CommandAnswer) or message.t is not None) and b"\n" not in line:
         return _text(line)
-    given = orjson.loads(line)
+    fields = orjson.loads(line)
     if not isinstance(message, CommandAnswer) and message.t is None:
-        given["t"] = now_s
-    return orjson.dumps(given).decode()
+        fields["t"] = now_s
+    return orjson.dumps(fields).decode()
 
 
 def encoded(answers: Sequence[Mapping[str, Any]]) -> bytes:

@@ -63,18 +63,19 @@ class MappedAxes:
         self._mapping = mapping
         self._before: tuple[float, Mapping[str, float]] | None = None
 
-    def input_of(self, given: AxisInput, now_s: float) -> HumanInput:
+    def input_of(self, axis_input: AxisInput, now_s: float) -> HumanInput:
         """Return the input for the robot."""
-        before, self._before = self._before, (now_s, given.axes) if given.held else None
+        before, self._before = self._before, (now_s, axis_input.axes) if axis_input.held else None
         velocity = [
-            self._velocity(getattr(self._mapping, one), given.axes, before, now_s) for one in COMPONENTS
+            self._velocity(getattr(self._mapping, component), axis_input.axes, before, now_s)
+            for component in COMPONENTS
         ]
         return HumanInput(
-            seq=given.seq,
-            held=given.held,
+            seq=axis_input.seq,
+            held=axis_input.held,
             linear=tuple(velocity[:3]),
             angular=tuple(velocity[3:]),
-            gripper=given.gripper,
+            gripper=axis_input.gripper,
         )
 
     @staticmethod
@@ -100,6 +101,6 @@ def _limited(speed: float) -> float:
     return max(-MAX_SPEED, min(MAX_SPEED, speed))
 
 
-def written(given: HumanInput, overrides: Mapping[str, Any]) -> str:
+def written(human_input: HumanInput, overrides: Mapping[str, Any]) -> str:
     """Return an input as JSON text, with the settings of the person who drives."""
-    return given.model_copy(update=dict(overrides)).model_dump_json(by_alias=True, exclude_none=True)
+    return human_input.model_copy(update=dict(overrides)).model_dump_json(by_alias=True, exclude_none=True)

@@ -35,7 +35,7 @@ class WrongCertificate(HandoverError):
         )
 
 
-class Refused(Exception):
+class HelloRefused(Exception):
     """A hello is refused; `retry` says whether the device should try again."""
 
     def __init__(self, code: str, reason: str, *, retry: bool = False) -> None:

@@ -27,16 +27,9 @@ from handover_devices.gateway import DeviceGateway, Respond, Session
 from handover_devices.metrics import RELAYED
 from handover_devices.model.description import DeviceKind
 from handover_devices.protocol.messages import BadMessage, Hello, RelayHello
-from handover_devices.protocol.relaying import (
-    MAX_RELAYED_BYTES,
-    Live,
-    Ping,
-    Presence,
-    Relayed,
-    parse_relayed,
-)
+from handover_devices.protocol.relaying import MAX_RELAYED_BYTES, Live, Ping, Presence, Relayed, parse_relayed
 from handover_devices.protocol.times import TimeRule
-from handover_devices.refusals import Refused
+from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Device, Link
 from handover_devices.storage.history_writer import EdgeMark
 
@@ -96,7 +89,7 @@ class RelaySession(ABC):
         """Return the number of the last message that was received."""
 
     @abstractmethod
-    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+    def store(self, device: Device, relayed: Relayed) -> list[Mapping[str, Any]]:
         """Process a new message of a device; return the errors that answer it."""
 
     @abstractmethod
@@ -141,9 +134,9 @@ class RelaySession(ABC):
         if name not in self._granted:
             return
         self._granted.remove(name)
-        found = self._devices.pop(name, None)
-        if found is not None:
-            found[0].end()
+        device = self._devices.pop(name, None)
+        if device is not None:
+            device[0].end()
         self._link.send({"type": "removed", "name": name})
 
     def receive(self, lines: Sequence[bytes], respond: Respond) -> None:
@@ -153,21 +146,21 @@ class RelaySession(ABC):
         is_relayed = False
         for line in lines:
             try:
-                given = parse_relayed(line)
+                relayed = parse_relayed(line)
             except BadMessage as bad:
                 answers.append({"type": "error", "seq": bad.seq, "code": bad.code, "reason": str(bad)})
                 continue
-            if isinstance(given, Ping):
-                self._answer_ping(given)
-            elif isinstance(given, Live):
-                self._pass_on(given)
-            elif isinstance(given, Presence):
-                answers += self._note_presence(given)
+            if isinstance(relayed, Ping):
+                self._answer_ping(relayed)
+            elif isinstance(relayed, Live):
+                self._pass_on(relayed)
+            elif isinstance(relayed, Presence):
+                answers += self._note_presence(relayed)
             else:
                 is_relayed = True
-                if given.seq > last:
-                    last = given.seq
-                    answers += self._store(given)
+                if relayed.seq > last:
+                    last = relayed.seq
+                    answers += self._store(relayed)
                 else:
                     RELAYED.labels("repeated").inc()
         if answers or is_relayed:
@@ -183,8 +176,8 @@ class RelaySession(ABC):
 
     def end_device(self, name: str, link: RelayedLink | None, code: str, reason: str, *, retry: bool) -> None:
         """Let the other side end the connection of a device; None for one that never had a session."""
-        found = self._devices.get(name)
-        if found is not None and found[1] is link:
+        device = self._devices.get(name)
+        if device is not None and device[1] is link:
             del self._devices[name]
         end = {"type": "end", "device": name, "code": code, "reason": reason, "retry": retry}
         self._link.send(end)
@@ -207,12 +200,12 @@ class RelaySession(ABC):
     def on_end(self) -> None:
         """The sessions of all devices have ended."""
 
-    def _answer_ping(self, given: Ping) -> None:
-        self._ping = given.n, time.monotonic()
-        self._pongs[given.n] = self._ping[1]
+    def _answer_ping(self, ping: Ping) -> None:
+        self._ping = ping.n, time.monotonic()
+        self._pongs[ping.n] = self._ping[1]
         if len(self._pongs) > MAX_PONGS:
             del self._pongs[next(iter(self._pongs))]
-        self._link.send({"type": "pong", "n": given.n})
+        self._link.send({"type": "pong", "n": ping.n})
 
     def _delivery(self, name: str, message: Mapping[str, Any]) -> dict[str, Any]:
         delivery: dict[str, Any] = {"type": "deliver", "device": name, "message": message}
@@ -221,55 +214,66 @@ class RelaySession(ABC):
             delivery["after"] = [number, round(time.monotonic() - at_s, 4)]
         return delivery
 
-    def _note_presence(self, given: Presence) -> list[Mapping[str, Any]]:
-        device = self.gateway.devices.get(given.device)
-        found = self._devices.get(given.device)
-        if given.boot is None:
-            if found is not None:
-                del self._devices[given.device]
-                found[0].end()
+    def _note_presence(self, presence: Presence) -> list[Mapping[str, Any]]:
+        device = self.gateway.devices.get(presence.device)
+        relayed_device = self._devices.get(presence.device)
+        if presence.boot is None:
+            if relayed_device is not None:
+                del self._devices[presence.device]
+                relayed_device[0].end()
             return []
         if device is None or device.name == self.name or not self.may_relay(device):
-            return [{**self._not_granted(given.device), "seq": None}]
-        if found is None or found[1].boot != given.boot or device.link is not found[1]:
-            began_s = time.monotonic() - given.age_s
-            is_elsewhere = device.link is not None and (found is None or device.link is not found[1])
+            return [{**self._not_granted(presence.device), "seq": None}]
+        if (
+            relayed_device is None
+            or relayed_device[1].boot != presence.boot
+            or device.link is not relayed_device[1]
+        ):
+            began_s = time.monotonic() - presence.age_s
+            is_elsewhere = device.link is not None and (
+                relayed_device is None or device.link is not relayed_device[1]
+            )
             if is_elsewhere and device.linked_s > began_s:
                 reason = "a younger connection of this device is open"
                 self.end_device(device.name, None, "replaced", reason, retry=False)
                 return []
             link = RelayedLink(self, device.name)
-            session = self.gateway.attach(device.name, link, given.boot)
+            session = self.gateway.attach(device.name, link, presence.boot)
             device.linked_s = began_s
             self._devices[device.name] = session, link
-        device.drives = given.drives
+        device.drives = presence.drives
         return []
 
-    def _pass_on(self, given: Live) -> None:
+    def _pass_on(self, live: Live) -> None:
         """Pass on an input or image of a device that is connected through this gateway, if it is fresh."""
-        found = self._devices.get(given.device)
-        device = None if found is None else found[0].device
-        if found is None or device is None or device.link is not found[1] or not self.may_relay(device):
+        relayed_device = self._devices.get(live.device)
+        device = None if relayed_device is None else relayed_device[0].device
+        if (
+            relayed_device is None
+            or device is None
+            or device.link is not relayed_device[1]
+            or not self.may_relay(device)
+        ):
             RELAYED.labels("refused").inc()
             return
-        sent_s = self._pongs.get(given.pong)
-        is_fresh = sent_s is not None and time.monotonic() - sent_s - given.held_s <= MAX_LIVE_AGE_S
-        if not is_fresh and given.message.get("held", True):
+        sent_s = self._pongs.get(live.pong)
+        is_fresh = sent_s is not None and time.monotonic() - sent_s - live.held_s <= MAX_LIVE_AGE_S
+        if not is_fresh and live.message.get("held", True):
             RELAYED.labels("late").inc()
             return
-        fault = self.gateway.pass_on(device, orjson.dumps(given.message), given.message)
+        fault = self.gateway.pass_on(device, orjson.dumps(live.message), live.message)
         RELAYED.labels("refused" if fault else "live").inc()
         if fault is not None:
-            self.deliver(given.device, fault)
+            self.deliver(live.device, fault)
 
-    def _store(self, given: Relayed) -> list[Mapping[str, Any]]:
-        device = self.gateway.devices.get(given.device)
+    def _store(self, relayed: Relayed) -> list[Mapping[str, Any]]:
+        device = self.gateway.devices.get(relayed.device)
         if device is None or not self.may_relay(device):
             RELAYED.labels("refused").inc()
-            return [{**self._not_granted(given.device), "seq": given.seq}]
-        errors = self.store(device, given)
+            return [{**self._not_granted(relayed.device), "seq": relayed.seq}]
+        errors = self.store(device, relayed)
         RELAYED.labels("refused" if errors else "stored").inc()
-        return [{**error, "seq": given.seq, "device": given.device} for error in errors]
+        return [{**error, "seq": relayed.seq, "device": relayed.device} for error in errors]
 
     def _not_granted(self, name: str) -> dict[str, Any]:
         reason = f'{name} was not granted to {self.name}; set "edge" in its description to this edge'
@@ -293,9 +297,9 @@ class EdgeSession(RelaySession):
         """Return the number of the last message of the stream that was received."""
         return self.gateway.edge_marks.received(self.name, self.stream)
 
-    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+    def store(self, device: Device, relayed: Relayed) -> list[Mapping[str, Any]]:
         """Store a message."""
-        _, answers = self.gateway.store(device, [given.line], self._relays.times, MAX_RELAYED_BYTES)
+        _, answers = self.gateway.store(device, [relayed.line], self._relays.times, MAX_RELAYED_BYTES)
         return [answer for answer in answers if answer["type"] == "error"]
 
     def acknowledge(
@@ -334,14 +338,16 @@ class EdgeRelays:
         self._clock = clock
 
     def begin(self, session: Session, link: Link, hello: Hello) -> EdgeSession:
-        """Begin the session of an edge; raise `Refused`."""
+        """Begin the session of an edge; raise `HelloRefused`."""
         edge, relay = session.device, hello.relay
         assert relay is not None  # noqa: S101 - the caller has looked
         if edge.stored.description.kind is not DeviceKind.EDGE:
-            raise Refused("noEdge", f"{edge.name} is registered as no edge; register a device of kind edge")
+            raise HelloRefused(
+                "noEdge", f"{edge.name} is registered as no edge; register a device of kind edge"
+            )
         ahead_s = relay.time - self._clock()
         if abs(ahead_s) > self.times.max_ahead_s:
-            raise Refused(
+            raise HelloRefused(
                 "clock",
                 f"the clock of {edge.name} differs from that of the centre by {ahead_s:.0f} s, and at most "
                 f"{self.times.max_ahead_s:g} s are allowed; set it (NTP). What is buffered waits",

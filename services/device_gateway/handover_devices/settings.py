@@ -2,17 +2,23 @@
 
 import socket
 from pathlib import Path
+from typing import ClassVar
 
 from pydantic import Field, SecretStr
 
 from handover.extensions import Service
-from handover.service_addresses import GATEWAY, GatewayAddress, TrajectoryAddress
+from handover.service_addresses import DEVICE_GATEWAY, GatewayAddress, TrajectoryAddress
 from handover.settings import MaybePath, Settings
 from handover.transport_security.local_authority import AUTHORITY
 
 
 class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
     """Addresses, limits and retention of the device gateway."""
+
+    removed: ClassVar = {
+        "device_hello_timeout_s": "a device has 5 s to send its hello",
+        "device_ack_timeout_s": "a command without an answer for 2 s is sent again, if its kind allows it",
+    }
 
     gateway_replica_host: str | None = Field(
         None,
@@ -52,9 +58,6 @@ class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
     device_rules: MaybePath = Field(
         None, description="YAML file of rules for anomalies; rules can be added by REST as well"
     )
-    device_hello_timeout_s: float = Field(
-        5.0, gt=0, description="how long a device may take to send its hello"
-    )
     device_idle_timeout_s: float = Field(
         60.0, gt=0, description="a device that sends nothing for this time is disconnected"
     )
@@ -70,11 +73,6 @@ class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
     )
     device_edge_max_age_h: float = Field(
         168.0, gt=0, description="how old a message may be that an edge has buffered"
-    )
-    device_ack_timeout_s: float = Field(
-        2.0,
-        gt=0,
-        description="a command without an answer for this time is sent again, if its kind allows it",
     )
     device_task_timeout_s: float = Field(
         600.0, gt=0, description="deadline of a Task's command if the Task has no timeoutS"
@@ -158,7 +156,7 @@ class GatewaySettings(GatewayAddress, TrajectoryAddress, Settings):
 
 
 SERVICE = Service(
-    GATEWAY,
+    DEVICE_GATEWAY,
     "handover_devices",
     GatewaySettings,
     "gateway_port",

@@ -77,14 +77,14 @@ class SimulatedDevice:
 
     def values_at(self, now_s: float) -> dict[str, float]:
         """Return the values at a time: positions of joints, and slow waves within the ranges of sensors."""
-        found = dict(self._positions)
+        positions = dict(self._positions)
         for number, (name, sensor) in enumerate(self._values.items()):
-            if name not in found:
+            if name not in positions:
                 low = DEFAULT_RANGE[0] if sensor.minimum is None else sensor.minimum
                 high = low + DEFAULT_RANGE[1] if sensor.maximum is None else sensor.maximum
                 wave = math.sin(now_s / 30 + self._phase + number)
-                found[name] = round(low + (high - low) * (0.5 + 0.3 * wave), 4)
-        return found
+                positions[name] = round(low + (high - low) * (0.5 + 0.3 * wave), 4)
+        return positions
 
     def _drive(self, motion: Mapping[str, Any] | None) -> None:
         """Follow velocities until the next ones; come to rest without: a walking robot goes to its stand."""
@@ -242,8 +242,8 @@ def examples() -> dict[str, DeviceDescription]:
         )
 
     stop = {"name": "stop", "kind": "action"}
-    found = {f"sim-{name}": one for name, one in templates().items()}
-    found["sim-sensor"] = described(
+    devices = {f"sim-{name}": template for name, template in templates().items()}
+    devices["sim-sensor"] = described(
         DeviceKind.SENSOR,
         sensors=[
             {"name": "temperature", "unit": "CEL", "minimum": -20, "maximum": 60, "deadBand": 0.2},
@@ -251,7 +251,7 @@ def examples() -> dict[str, DeviceDescription]:
         ],
         commands=[{"name": "setInterval", "kind": "setting"}],
     )
-    found["sim-mobile-robot"] = described(
+    devices["sim-mobile-robot"] = described(
         DeviceKind.MOBILE_ROBOT,
         sensors=[
             {"name": "x", "unit": "MTR", "deadBand": 0.05},
@@ -260,25 +260,25 @@ def examples() -> dict[str, DeviceDescription]:
         ],
         commands=[{"name": "driveTo", "kind": "motion"}, stop],
     )
-    found["sim-gripper"] = described(
+    devices["sim-gripper"] = described(
         DeviceKind.GRIPPER,
         joints=[{"name": "finger", "type": "prismatic", "lower": 0, "upper": 0.04}],
         gripper={"maxWidth": 0.08},
         commands=[{"name": "grip", "kind": "motion"}],
     )
-    found["sim-actuator"] = described(
+    devices["sim-actuator"] = described(
         DeviceKind.ACTUATOR,
         sensors=[{"name": "opening", "unit": "P1", "minimum": 0, "maximum": 100, "deadBand": 1}],
         commands=[{"name": "open", "kind": "action"}, {"name": "close", "kind": "action"}],
     )
-    found["sim-wearable"] = described(
+    devices["sim-wearable"] = described(
         DeviceKind.WEARABLE, sensors=[{"name": "steps", "minimum": 0, "maximum": 20000, "deadBand": 10}]
     )
-    found["sim-camera"] = described(
+    devices["sim-camera"] = described(
         DeviceKind.CAMERA,
         sensors=[{"name": "framesPerSecond", "unit": "HTZ", "minimum": 0, "maximum": 60, "deadBand": 1}],
         commands=[{"name": "takePicture", "kind": "action"}],
     )
-    found["sim-stylus"] = described(DeviceKind.INPUT_DEVICE)
-    found["sim-other"] = described(DeviceKind.OTHER, sensors=[{"name": "level", "unit": "LTR"}])
-    return found
+    devices["sim-stylus"] = described(DeviceKind.INPUT_DEVICE)
+    devices["sim-other"] = described(DeviceKind.OTHER, sensors=[{"name": "level", "unit": "LTR"}])
+    return devices

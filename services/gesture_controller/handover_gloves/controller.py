@@ -12,6 +12,7 @@ from handover.database import connect
 from handover.errors import Problem
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover.runtime.background_tasks import BackgroundTasks
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover.telemetry import get_logger
 from handover_datamodels.states import Outcome
 from handover_gloves.calibration.calibration_store import CalibrationStore
@@ -55,7 +56,7 @@ class GestureController(Performer):
         broker: BrokerClient,
         joins: StationJoins,
     ) -> None:
-        super().__init__("gesture-controller", settings, broker, notify_url=settings.notify_url)
+        super().__init__(GESTURE_CONTROLLER, settings, broker, notify_url=settings.notify_url)
         self.configuration = configuration
         self._joins = joins
         self._silence_s = settings.silence_s
@@ -183,8 +184,8 @@ class GestureController(Performer):
     def _busy_glove(self, glove: Glove, spec: PromptSpec) -> Glove | None:
         """Return a glove that the prompt needs and that still has another prompt."""
         partner = self.registry.known.partner_of(glove) if spec.hands == "both" else None
-        needed = (each for each in (glove, partner) if each is not None)
-        return next((each for each in needed if each.responder.prompt is not None), None)
+        needed = (side for side in (glove, partner) if side is not None)
+        return next((side for side in needed if side.responder.prompt is not None), None)
 
     def _join_hands(self, glove: Glove) -> None:
         """Let the other hand take part in a two-hand prompt, as soon as its glove is known and free."""

@@ -1,14 +1,14 @@
 """The settings of the gesture controller, in addition to the common ones."""
 
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
 from handover.extensions import Service
 from handover.network.outbound_policy import is_loopback
 from handover.security.glove_token import site_glove_token
-from handover.service_addresses import CONTROLLER, ControllerAddress, GloveServerAddress
+from handover.service_addresses import GESTURE_CONTROLLER, ControllerAddress, GloveServerAddress
 from handover.settings import Settings
 from handover_gloves.recognition.hold import HoldTiming
 
@@ -16,7 +16,11 @@ from handover_gloves.recognition.hold import HoldTiming
 class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
     """Addresses, limits and timing of the gesture controller."""
 
-    hello_timeout_s: float = Field(5.0, gt=0, description="how long a connection may take to send its hello")
+    removed: ClassVar = {
+        "hello_timeout_s": "a glove has 5 s to send its hello",
+        "hold_gap_ms": "a gap of more than 250 ms between frames breaks a hold",
+    }
+
     max_gloves: int = Field(
         256, ge=1, description="the largest number of gloves, including those of the gestures file"
     )
@@ -35,7 +39,6 @@ class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
     )
     announce_ms: int = Field(500, gt=0, description="a gesture held for this time is announced")
     confirm_ms: int = Field(1500, gt=0, description="a gesture held for this time counts")
-    hold_gap_ms: int = Field(250, gt=0, description="a longer gap between frames breaks a hold")
     hands_apart_ms: int = Field(
         2000, gt=0, description="in a two-hand gesture, one hand may begin this much later than the other"
     )
@@ -66,7 +69,6 @@ class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
         return HoldTiming(
             self.announce_ms,
             self.confirm_ms,
-            self.hold_gap_ms,
             apart_ms=self.hands_apart_ms,
             within_ms=self.sequence_within_ms,
         )
@@ -88,7 +90,7 @@ class ControllerSettings(ControllerAddress, GloveServerAddress, Settings):
 
 
 SERVICE = Service(
-    CONTROLLER,
+    GESTURE_CONTROLLER,
     "handover_gloves",
     ControllerSettings,
     "controller_port",

@@ -4,6 +4,7 @@ import os
 
 from fastapi import FastAPI
 
+from handover.service_addresses import HUMAN_STATE
 from handover.serving.server import run
 from handover.telemetry import get_logger
 from handover_body.app import make_app
@@ -29,4 +30,4 @@ def make_urgent_app(settings: HumanStateSettings) -> FastAPI:
 
 
 if __name__ == "__main__":
-    run("human-state", make_urgent_app, HumanStateSettings, port_field="human_state_port")
+    run(HUMAN_STATE, make_urgent_app, HumanStateSettings, port_field="human_state_port")

@@ -18,6 +18,7 @@ from handover.runtime.garbage_collection import freeze_loaded
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.security.keys_in_force import KeysInForce
+from handover.service_addresses import HUMAN_STATE
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover_body.exchange.deletions import Deletions
@@ -35,8 +36,10 @@ from handover_body.people.people import People
 from handover_body.recording.service import RecordingService
 from handover_body.routes.access_routes import add_access_routes
 from handover_body.routes.foxglove_socket import add_foxglove
-from handover_body.routes.people_routes import Parts, add_people_routes
+from handover_body.routes.parts import Parts
+from handover_body.routes.people_routes import add_people_routes
 from handover_body.routes.recording_routes import add_recording_routes
+from handover_body.routes.sensor_routes import add_sensor_routes
 from handover_body.routes.streams import add_streams
 from handover_body.settings import HumanStateSettings
 from handover_body.storage import tables
@@ -47,12 +50,12 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     _require_accounts_for_lsl(settings)
     engine = connect(settings.database("human-state"))
-    guard = Guard(settings, "human-state")
+    guard = Guard(settings, HUMAN_STATE)
     broker = BrokerClient(settings, credentials=guard.access)
     store = Store(engine)
     people = People(store)
     tasks = BackgroundTasks("human state")
-    writer = reporting_writer("human-state", settings, broker, REJECTED)
+    writer = reporting_writer(HUMAN_STATE, settings, broker, REJECTED)
     deletions = Deletions(settings, broker, writer)
     activities = ActivityModel(settings.health_activity_model, tasks)
     monitoring = Monitoring(
@@ -102,7 +105,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         breaks.close()
         engine.dispose()
 
-    audit = AuditTrail(settings, "human-state", engine, has_names=True)
+    audit = AuditTrail(settings, HUMAN_STATE, engine, has_names=True)
     app = create_app(
         "Human state",
         description=__doc__ or "",
@@ -111,7 +114,9 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         guard=guard,
         audit=audit,
     )
-    add_people_routes(app, Parts(people, monitoring, store, removal))
+    parts = Parts(people, monitoring, store, removal)
+    add_people_routes(app, parts)
+    add_sensor_routes(app, parts)
     add_access_routes(app, people, audit)
     add_recording_routes(app, people, recording)
     add_streams(app, monitoring)

@@ -54,7 +54,7 @@ class Served:
     @property
     def samples(self) -> list[Samples]:
         """Return the samples."""
-        return [one for one in self.items if isinstance(one, Samples)]
+        return [item for item in self.items if isinstance(item, Samples)]
 
     async def until_samples(self, count: int = 1) -> None:
         """Let the device send until there are `count` packets more."""
@@ -101,16 +101,16 @@ class SensorDriverContract:
         async with serving(device) as served:
             await served.until_samples(3)
             newest_s: dict[object, float] = {}
-            for one in served.samples:
-                assert one.source == device.driver.source
-                assert one.info in device.driver.signals
-                times_s = one.sample_times_s()
+            for samples in served.samples:
+                assert samples.source == device.driver.source
+                assert samples.info in device.driver.signals
+                times_s = samples.sample_times_s()
                 assert np.isfinite(times_s).all()
-                assert times_s[0] > newest_s.get(one.info, -np.inf)
-                newest_s[one.info] = float(times_s[-1])
-                if one.clock is not ClockKind.RECORDING:
+                assert times_s[0] > newest_s.get(samples.info, -np.inf)
+                newest_s[samples.info] = float(times_s[-1])
+                if samples.clock is not ClockKind.RECORDING:
                     assert times_s[-1] <= time.time() + MAX_AHEAD_S
-                    assert one.uncertainty_s > 0, "the uncertainty of a live time is stated"
+                    assert samples.uncertainty_s > 0, "the uncertainty of a live time is stated"
 
     async def test_the_link_is_reported(self, device: Device) -> None:
         async with serving(device) as served:
@@ -120,10 +120,10 @@ class SensorDriverContract:
     async def test_values_lie_in_the_range_that_is_stated_or_have_no_quality(self, device: Device) -> None:
         async with serving(device) as served:
             await served.until_samples(3)
-            for one in served.samples:
-                known = one.values[np.isfinite(one.values)]
-                inside = (known >= one.info.min_value) & (known <= one.info.max_value)
-                assert one.quality == 0 or inside.all()
+            for samples in served.samples:
+                finite = samples.values[np.isfinite(samples.values)]
+                inside = (finite >= samples.info.min_value) & (finite <= samples.info.max_value)
+                assert samples.quality == 0 or inside.all()
 
     async def test_rubbish_ends_nothing(self, device: Device) -> None:
         if device.send_rubbish is None:
@@ -133,7 +133,9 @@ class SensorDriverContract:
             for _ in range(20):
                 device.send_rubbish()
             await served.until_samples()
-            assert LinkState.FAULT not in [one.link for one in served.items if isinstance(one, SensorReport)]
+            assert LinkState.FAULT not in [
+                item.link for item in served.items if isinstance(item, SensorReport)
+            ]
 
     async def test_a_lost_device_is_opened_again(self, device: Device) -> None:
         if device.lose is None:
@@ -153,5 +155,5 @@ class SensorDriverContract:
                 await served.until_samples()
 
     async def test_a_search_gives_a_list(self, device: Device) -> None:
-        found = await type(device.driver).discover(0.01)
-        assert all(one.address for one in found)
+        devices = await type(device.driver).discover(0.01)
+        assert all(discovered.address for discovered in devices)

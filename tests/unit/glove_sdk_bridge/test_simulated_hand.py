@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import (
+from glove_sdk_bridge.simulation.hand import (
     AT_REST,
     FIST,
     OPEN_HAND,

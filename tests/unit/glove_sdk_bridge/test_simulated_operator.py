@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, SENSORS, SimulatedHand, level
-from glove_sdk_bridge.simulated_operator import (
+from glove_sdk_bridge.simulation.glove_operator import (
     MAX_REACTION_S,
     MIN_REACTION_S,
     Attempt,
@@ -17,6 +16,7 @@ from glove_sdk_bridge.simulated_operator import (
     Stage,
     View,
 )
+from glove_sdk_bridge.simulation.hand import AT_REST, FIST, OPEN_HAND, SENSORS, SimulatedHand, level
 from handover_gloves.recognition.frames import Frame
 from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
 from handover_gloves.recognition.hold import HoldEvent

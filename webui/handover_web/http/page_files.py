@@ -101,8 +101,8 @@ class PageFiles:
         Raises `Problem` 404 for a missing file.
         """
         accepted = _accepted_encodings(headers.get("accept-encoding", ""))
-        found = await self._look_up(address, accepted)
-        if found is None:
+        file = await self._look_up(address, accepted)
+        if file is None:
             if address.startswith("assets/") or _media_type(address) is not None:
                 raise Problem(
                     404,
@@ -113,21 +113,21 @@ class PageFiles:
                         address=address,
                     ),
                 )
-            found = await self._look_up("index.html", accepted)
-        if found is None:
+            file = await self._look_up("index.html", accepted)
+        if file is None:
             return HTMLResponse(NOT_BUILT, 503, {"Cache-Control": "no-store"})
-        return _file_response(found, headers.get("if-none-match", ""), has_range="range" in headers)
+        return _file_response(file, headers.get("if-none-match", ""), has_range="range" in headers)
 
     async def _look_up(self, address: str, accepted: frozenset[str]) -> FoundFile | None:
         now_s = time.monotonic()
-        known = self._found.get((address, accepted))
-        if known is not None and now_s < known[0]:
-            return known[1]
-        found = await asyncio.to_thread(self._find, address, accepted)
+        remembered = self._found.get((address, accepted))
+        if remembered is not None and now_s < remembered[0]:
+            return remembered[1]
+        file = await asyncio.to_thread(self._find, address, accepted)
         if len(self._found) >= MAX_KEPT_ADDRESSES:
             self._found.clear()
-        self._found[address, accepted] = now_s + FRESH_S, found
-        return found
+        self._found[address, accepted] = now_s + FRESH_S, file
+        return file
 
     def _find(self, address: str, accepted: frozenset[str]) -> FoundFile | None:
         name = address or "index.html"
@@ -151,29 +151,32 @@ class PageFiles:
             return kept
         if status.st_size > MAX_KEPT_FILE_BYTES:
             return FoundFile(path, name, encoding, status, None)
-        found = FoundFile(path, name, encoding, status, path.read_bytes())
-        if status.st_size + sum(one.status.st_size for one in list(self._kept.values())) > MAX_KEPT_BYTES:
+        file = FoundFile(path, name, encoding, status, path.read_bytes())
+        if (
+            status.st_size + sum(kept_file.status.st_size for kept_file in list(self._kept.values()))
+            > MAX_KEPT_BYTES
+        ):
             self._kept.clear()
-        self._kept[path] = found
-        return found
+        self._kept[path] = file
+        return file
 
 
-def _file_response(found: FoundFile, known: str, *, has_range: bool) -> Response:
+def _file_response(file: FoundFile, etag: str, *, has_range: bool) -> Response:
     headers = {
-        "Cache-Control": CACHE_FOREVER if found.name.startswith("assets/") else REVALIDATE,
-        "ETag": found.etag,
+        "Cache-Control": CACHE_FOREVER if file.name.startswith("assets/") else REVALIDATE,
+        "ETag": file.etag,
         "Vary": "Accept-Encoding",
     }
-    if found.etag in (tag.strip().removeprefix("W/") for tag in known.split(",")):
+    if file.etag in (tag.strip().removeprefix("W/") for tag in etag.split(",")):
         return Response(status_code=304, headers=headers)
-    if found.encoding:
-        headers["Content-Encoding"] = found.encoding
-    media_type = _media_type(found.name) or "application/octet-stream"
-    if found.content is None or has_range:
-        return FileResponse(found.path, headers=headers, media_type=media_type, stat_result=found.status)
+    if file.encoding:
+        headers["Content-Encoding"] = file.encoding
+    media_type = _media_type(file.name) or "application/octet-stream"
+    if file.content is None or has_range:
+        return FileResponse(file.path, headers=headers, media_type=media_type, stat_result=file.status)
     headers["Accept-Ranges"] = "bytes"
-    headers["Last-Modified"] = formatdate(found.status.st_mtime, usegmt=True)
-    return Response(found.content, headers=headers, media_type=media_type)
+    headers["Last-Modified"] = formatdate(file.status.st_mtime, usegmt=True)
+    return Response(file.content, headers=headers, media_type=media_type)
 
 
 def _media_type(name: str) -> str | None:

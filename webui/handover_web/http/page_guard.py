@@ -26,6 +26,7 @@ from handover.security.authentication import Guard
 from handover.security.caller import Caller, InvalidToken
 from handover.security.secret_tokens import is_secret_token, token_hash
 from handover.security.service_access import AccountsUnavailable
+from handover.service_addresses import WEBUI
 from handover_web.settings import WebuiSettings
 
 CSRF_HEADER: Final = b"x-csrf-token"
@@ -73,7 +74,7 @@ class PageGuard(Guard):
     """Authenticates browsers by their cookie, and programs by their token as every service does."""
 
     def __init__(self, settings: WebuiSettings) -> None:
-        super().__init__(settings, "webui")
+        super().__init__(settings, WEBUI)
         self.cookie_name = f"handover_{settings.webui_port}"
         self._accesses: OrderedDict[str, PageAccess] = OrderedDict()
         self._exchanging: dict[str, asyncio.Task[PageAccess]] = {}
@@ -217,8 +218,8 @@ class PageGuard(Guard):
         session = self.session_of(headers)
         if session is None or b"authorization" in headers:
             return
-        given = headers.get(CSRF_HEADER, b"")
-        if not hmac.compare_digest(given, (await self.access_of(session)).csrf.encode()):
+        token = headers.get(CSRF_HEADER, b"")
+        if not hmac.compare_digest(token, (await self.access_of(session)).csrf.encode()):
             raise Problem(403, "No CSRF token", "reload the page and try again")
 
 

@@ -49,9 +49,9 @@ class ActiveRequests:
     def admit(self, client: str, service: str, limits: Limits) -> ActiveRequest:
         """Register a request of the current task; raise `Problem` 429 or 503 when a limit is reached."""
         now_s = asyncio.get_running_loop().time()
-        same_kind = [one for one in self._active if one.limits is limits and not one.is_evicted]
-        of_client = [one for one in same_kind if one.client == client]
-        of_service = [one for one in same_kind if one.service == service]
+        same_kind = [active for active in self._active if active.limits is limits and not active.is_evicted]
+        of_client = [active for active in same_kind if active.client == client]
+        of_service = [active for active in same_kind if active.service == service]
         if len(of_client) >= limits.per_client and not _evict_oldest(of_client, now_s):
             REJECTED_REQUESTS.labels("client").inc()
             raise Problem(
@@ -79,7 +79,7 @@ class ActiveRequests:
 
 def _evict_oldest(requests: list[ActiveRequest], now_s: float) -> bool:
     """Cancel the oldest of `requests` if it is old enough; return whether it was."""
-    oldest = min(requests, key=lambda one: one.since_s)
+    oldest = min(requests, key=lambda request: request.since_s)
     if oldest.task is None or now_s - oldest.since_s < MIN_EVICTION_AGE_S:
         return False
     oldest.is_evicted = True

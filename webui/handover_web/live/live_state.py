@@ -243,7 +243,7 @@ class Viewer:
             if len(self._allowed) >= MAX_REMEMBERED:
                 self._allowed.clear()
             may_read = self._reader.may_read
-            self._allowed[resources] = not resources or any(may_read(one) for one in resources)
+            self._allowed[resources] = not resources or any(may_read(resource) for resource in resources)
         return self._allowed[resources]
 
     def _value_of(self, encoded: EncodedValue) -> EncodedValue:

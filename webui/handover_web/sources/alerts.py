@@ -170,15 +170,15 @@ class Alerts(EntityHandler, Source):
             return None
 
         async with self._writing:
-            found: dict[str, Alert] = {}
+            alerts_by_id: dict[str, Alert] = {}
             for start in range(0, len(requested), QUERY_BATCH_SIZE):
                 ids = requested[start : start + QUERY_BATCH_SIZE]
                 for entity in await self._broker.query(type=Alert.ngsi_type(), id=ids):
                     with suppress(DataModelError):  # pages do not show it either
-                        found[str(entity["id"])] = alert_in(entity)
-            failures = await asyncio.gather(*(failure(each, found.get(each)) for each in requested))
+                        alerts_by_id[str(entity["id"])] = alert_in(entity)
+            failures = await asyncio.gather(*(failure(alert, alerts_by_id.get(alert)) for alert in requested))
         return {
-            "done": [each for each, failed in zip(requested, failures, strict=True) if failed is None],
+            "done": [alert for alert, failed in zip(requested, failures, strict=True) if failed is None],
             "failed": [failed for failed in failures if failed is not None],
         }
 

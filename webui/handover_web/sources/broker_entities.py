@@ -17,7 +17,7 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
-from handover.service_addresses import BROKER
+from handover.service_addresses import BROKER, WEBUI
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
@@ -67,8 +67,8 @@ class BrokerEntities(Source):
         self._broker = broker
         self._handlers = {handler.ngsi_type: handler for handler in handlers}
         self._services = services
-        self._receiver = NotificationReceiver("webui", settings, broker)
-        self._subscriptions = OwnSubscriptions("webui", settings, broker)
+        self._receiver = NotificationReceiver(WEBUI, settings, broker)
+        self._subscriptions = OwnSubscriptions(WEBUI, settings, broker)
         self._cells = OtherCells(settings, broker)
         self._is_subscribed = self._is_unreachable = False
         self._renew_s = 0.0
@@ -138,12 +138,12 @@ class BrokerEntities(Source):
 
     async def _query(self, handler: EntityHandler) -> None:
         self._notified.clear()
-        for one in [each for each in handler.active_ids() if self._cells.has(each)]:
-            handler.remove(one)
+        for entity_id in [active_id for active_id in handler.active_ids() if self._cells.has(active_id)]:
+            handler.remove(entity_id)
         before = set(handler.active_ids())
-        found = await self._broker.query(type=handler.ngsi_type, q=handler.active_q)
-        await self._update_all(found)
-        missing = sorted(before.difference(str(entity["id"]) for entity in found))
+        entities = await self._broker.query(type=handler.ngsi_type, q=handler.active_q)
+        await self._update_all(entities)
+        missing = sorted(before.difference(str(entity["id"]) for entity in entities))
         for start in range(0, len(missing), QUERY_BATCH_SIZE):
             ids = missing[start : start + QUERY_BATCH_SIZE]
             changed = await self._broker.query(type=handler.ngsi_type, id=ids)
@@ -187,8 +187,8 @@ class BrokerEntities(Source):
 
 
 def _type_of(entity: Mapping[str, Any]) -> str:
-    given = entity.get("type")
-    return str(given[0] if isinstance(given, list) and given else given)
+    types = entity.get("type")
+    return str(types[0] if isinstance(types, list) and types else types)
 
 
 def _summary(entity: Mapping[str, Any]) -> str:

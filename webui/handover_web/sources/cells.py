@@ -43,8 +43,8 @@ class Cells:
         self._exits = AsyncExitStack()
 
     async def __aenter__(self) -> Self:
-        for each in self._others.values():
-            await self._exits.enter_async_context(each)
+        for cell in self._others.values():
+            await self._exits.enter_async_context(cell)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -54,10 +54,10 @@ class Cells:
         """Return the cells by tenant and name. Raises `Problem` 503 if a tenant cannot be read."""
         tenants = sorted(self._brokers)
         try:
-            found = await asyncio.gather(*(self._of(tenant) for tenant in tenants))
+            summaries = await asyncio.gather(*(self._of(tenant) for tenant in tenants))
         except BrokerError as error:
             raise Problem(503, "Cells not read", str(error)) from error
-        return list(chain.from_iterable(found))
+        return list(chain.from_iterable(summaries))
 
     async def _of(self, tenant: str) -> list[CellSummary]:
         broker = self._brokers[tenant]
@@ -74,7 +74,7 @@ class Cells:
                 summaries.append(_summary(tenant, Cell.from_ngsild(entity), active, now))
             except DataModelError as error:
                 log.warning("invalid entity", entity=entity.get("id"), error=str(error))
-        return sorted(summaries, key=lambda each: each["name"])
+        return sorted(summaries, key=lambda summary: summary["name"])
 
 
 def _summary(tenant: str, cell: Cell, active: Mapping[str | None, int], now: datetime) -> CellSummary:

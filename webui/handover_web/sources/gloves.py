@@ -3,7 +3,7 @@
 from typing import Any, Final
 from urllib.parse import quote
 
-from handover.service_addresses import CONTROLLER
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover_web.sources.on_demand import OnDemandSource, SourceContext, Streams
 
 POLL_INTERVAL_S: Final = 1.0
@@ -12,7 +12,7 @@ POLL_INTERVAL_S: Final = 1.0
 class Gloves(OnDemandSource):
     """Publishes every glove of the controller."""
 
-    service, family = CONTROLLER, "gloves"
+    service, family = GESTURE_CONTROLLER, "gloves"
 
     def __init__(self, context: SourceContext) -> None:
         super().__init__(context)

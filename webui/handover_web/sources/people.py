@@ -10,7 +10,7 @@ from typing import Final
 
 import orjson
 
-from handover.service_addresses import CONTROLLER
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover_web.sources.on_demand import OnDemandSource, SourceContext
 
 TOPIC: Final = "people"
@@ -20,7 +20,7 @@ POLL_INTERVAL_S: Final = 3.0
 class People(OnDemandSource):
     """Publishes a digest of the people, their gestures and their gloves, while a page subscribes."""
 
-    service, family = CONTROLLER, "people"
+    service, family = GESTURE_CONTROLLER, "people"
 
     def __init__(self, context: SourceContext) -> None:
         super().__init__(context)

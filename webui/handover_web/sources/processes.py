@@ -148,7 +148,7 @@ class Processes(Source):
 
     async def _read_definitions(self) -> None:
         response = (await self._get("/definitions")).raise_for_status()
-        definitions = {f"definition/{one['name']}": one for one in response.json()}
+        definitions = {f"definition/{deployed['name']}": deployed for deployed in response.json()}
         for topic, definition in definitions.items():
             view = {"parameters": [], "holds": [], "translations": {}, **definition}
             self._state.publish(topic, view, self._definition(definition["name"]))

@@ -3,7 +3,7 @@
 import asyncio
 from typing import Final
 
-from handover.service_addresses import GATEWAY
+from handover.service_addresses import DEVICE_GATEWAY
 from handover_web.live.live_state import REGISTERED_DEVICE, REGISTERED_DEVICES
 from handover_web.sources.on_demand import OnDemandSource, SourceContext, View
 
@@ -17,7 +17,7 @@ class RegisteredDevices(OnDemandSource):
     While the gateway does not answer, all values are stale.
     """
 
-    service, family = GATEWAY, "devices"
+    service, family = DEVICE_GATEWAY, "devices"
 
     def __init__(self, context: SourceContext) -> None:
         super().__init__(context)

@@ -9,7 +9,14 @@ import httpx
 import orjson
 
 from handover.broker import BrokerError
-from handover.service_addresses import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
+from handover.service_addresses import (
+    BROKER,
+    DEVICE_GATEWAY,
+    GESTURE_CONTROLLER,
+    ORCHESTRATOR,
+    ROS_BRIDGE,
+    TRAJECTORY,
+)
 from handover_web.live.event_log import Event, EventLog, timestamp
 from handover_web.live.live_state import LiveState
 from handover_web.live.views import LastMessage, ServiceHealth
@@ -33,7 +40,7 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
         "steps": "handover_orchestrator_step_duration_seconds_count",
         "news": "handover_orchestrator_task_changes_total",
     },
-    CONTROLLER: {
+    GESTURE_CONTROLLER: {
         "frames": "handover_gesture_controller_frames_received_total",
         "tasks": "handover_tasks_total",
     },
@@ -41,7 +48,7 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
         "tasks": "handover_tasks_total",
         "scans": "handover_trajectory_tool_scans_total",
     },
-    GATEWAY: {
+    DEVICE_GATEWAY: {
         "received": "handover_device_messages_total",
         "tasks": "handover_tasks_total",
     },
@@ -121,9 +128,9 @@ class ServiceMonitor(Source):
         self._state = state
         self._events = events
         self._rows = {name: ServiceRow(name, url) for name, url in urls.items()}
-        self._extra = {one.name: one for one in extra if one.name not in urls}
-        for name, one in self._extra.items():
-            self._rows[name] = ServiceRow(name, one.url, one.is_wanted)
+        self._extra = {service.name: service for service in extra if service.name not in urls}
+        for name, service in self._extra.items():
+            self._rows[name] = ServiceRow(name, service.url, service.is_wanted)
         self._check_requested = asyncio.Event()
 
     async def run(self) -> None:
@@ -185,7 +192,8 @@ class ServiceMonitor(Source):
             return {}
         if name in self._extra:
             return sum_counters(
-                response.text, {key: one for key, one in EXTRA_COUNTERS.items() if one in response.text}
+                response.text,
+                {key: counter for key, counter in EXTRA_COUNTERS.items() if counter in response.text},
             )
         return sum_counters(response.text, COUNTERS.get(name, {}))
 

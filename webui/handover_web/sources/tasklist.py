@@ -73,8 +73,8 @@ def view_of(task: Task) -> TasklistView:
     """Return the Task as the page shows it."""
     inputs = dict(task.work_parameters.value) if task.work_parameters else {}
     outputs = dict(task.output_parameters.value) if task.output_parameters else {}
-    given = inputs.get("candidates")
-    candidates: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    listed = inputs.get("candidates")
+    candidates: Mapping[str, Any] = listed if isinstance(listed, Mapping) else {}
     performer = next(iter(performers_of(link.object for link in task.involves or ())), None)
     assignee = candidates.get("assignee")
     persons = [performer] if performer else [assignee] if assignee else candidates.get("users")
@@ -105,8 +105,8 @@ def view_of(task: Task) -> TasklistView:
     }
 
 
-def _texts(given: Any) -> list[str]:
-    return [each for each in given if isinstance(each, str)] if isinstance(given, list) else []
+def _texts(values: Any) -> list[str]:
+    return [value for value in values if isinstance(value, str)] if isinstance(values, list) else []
 
 
 def _moment(attribute: Property[DateTime] | None) -> str | None:

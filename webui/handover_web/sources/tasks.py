@@ -53,18 +53,18 @@ class Tasks(EntityHandler):
     def update(self, entity: Mapping[str, Any]) -> None:
         """Handle the current state of a Task."""
         task = Task.from_ngsild(entity)
-        known = self._active.get(task.id)
-        if known is not None and not is_news(known, task):
+        before = self._active.get(task.id)
+        if before is not None and not is_news(before, task):
             return
         if task.status.value in FINISHED:
             self._active.pop(task.id, None)
         else:
             self._active[task.id] = task
         self._tasklist.update(task)
-        if known is None or _status_and_time(known) != _status_and_time(task):
+        if before is None or _status_and_time(before) != _status_and_time(task):
             self._refresh_process(task.id)
             self._log(task)
-        elif task.output_parameters != known.output_parameters:
+        elif task.output_parameters != before.output_parameters:
             self._refresh_process(task.id)
 
     def active_ids(self) -> Collection[str]:

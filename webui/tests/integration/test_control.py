@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus
 from handover.http.origin_guard import OriginGuard, OriginPolicy
 from handover_robots.app import make_app as make_tool
 from handover_robots.settings import TrajectorySettings
-from handover_web.server import make_app
+from handover_web.app import make_app
 from handover_web.settings import WebuiSettings
 from services.trajectory_tool.tests.unit.control.test_session import UP, Person, until
 from tests.kit.asgi_server import served

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from handover.http.origin_guard import OriginGuard, OriginPolicy
 from handover_body.app import make_app as make_human_state
 from handover_body.settings import HumanStateSettings
-from handover_web.server import make_app
+from handover_web.app import make_app
 from handover_web.settings import WebuiSettings
 from tests.kit.asgi_server import served
 from tests.kit.ports import next_free_port

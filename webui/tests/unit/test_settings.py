@@ -2,7 +2,7 @@
 
 import pytest
 
-from handover_web.server import cell_view
+from handover_web.app import cell_view
 from handover_web.settings import WebuiSettings
 
 

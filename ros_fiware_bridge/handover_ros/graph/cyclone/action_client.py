@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from handover_ros.errors import GoalRefused, OutcomeUnknown
-from handover_ros.graph.cyclone.services import CycloneClient
+from handover_ros.graph.cyclone.service_client import CycloneClient
 from handover_ros.graph.goals import goal_forgotten, result_within
 from handover_ros.graph.own_goals import OwnGoals
 from handover_ros.graph.port import GoalResult, GoalStatus, Message, Received, Subscription
@@ -16,7 +16,7 @@ from handover_ros.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
 OnFeedback = Callable[[Message], None]
 
 
-class ActionTransport(Protocol):
+class ActionClientTransport(Protocol):
     """Creates the services and topics of an action; see `CycloneGraph`."""
 
     goals: OwnGoals
@@ -71,7 +71,7 @@ class CycloneActionClient:
     """An action that goals are sent to; see `port.ActionClient`."""
 
     def __init__(
-        self, transport: ActionTransport, action: str, type_name: str, closed: Callable[[Any], None]
+        self, transport: ActionClientTransport, action: str, type_name: str, closed: Callable[[Any], None]
     ) -> None:
         self.name = action
         self.type_name = type_name
@@ -102,11 +102,11 @@ class CycloneActionClient:
             on_feedback(message["feedback"])
 
     def _on_status(self, received: Received) -> None:
-        for one in received.message["status_list"]:
-            goal, _ = self._goals.get(one["goal_info"]["goal_id"]["uuid"], (None, None))
+        for goal_status in received.message["status_list"]:
+            goal, _ = self._goals.get(goal_status["goal_info"]["goal_id"]["uuid"], (None, None))
             if goal is not None:
                 with contextlib.suppress(ValueError):
-                    goal.set_status(GoalStatus(one["status"]))
+                    goal.set_status(GoalStatus(goal_status["status"]))
 
     async def available(self, timeout_s: float) -> bool:
         """Wait until a server is available."""
@@ -155,15 +155,15 @@ class CycloneActionClient:
         """Request the cancellation of a goal."""
         request = {"goal_info": {"goal_id": {"uuid": goal.goal_id}}}
         answer = await self._cancel.call(request, timeout_s, goal.server)
-        agreed = any(one["goal_id"]["uuid"] == goal.goal_id for one in answer["goals_canceling"])
+        agreed = any(goal_info["goal_id"]["uuid"] == goal.goal_id for goal_info in answer["goals_canceling"])
         if agreed:
             goal.set_status(GoalStatus.CANCELING)
         return agreed
 
     async def close(self) -> None:
         """Release the action."""
-        for one in self._subscriptions:
-            await one.close()
+        for subscription in self._subscriptions:
+            await subscription.close()
         for goal, _ in self._goals.values():
             goal.forget()
             self._transport.goals.give_up(self.name, goal.goal_id)

@@ -8,14 +8,7 @@ from typing import Any, Protocol
 from handover_ros.errors import BadMessage, GraphError
 from handover_ros.graph.action_server import BaseActionServer
 from handover_ros.graph.goals import CancelSignal
-from handover_ros.graph.port import (
-    ActionHandler,
-    GoalStatus,
-    Message,
-    Publisher,
-    Served,
-    ServiceHandler,
-)
+from handover_ros.graph.port import ActionHandler, GoalStatus, Message, Publisher, Served, ServiceHandler
 from handover_ros.graph.qos import DEFAULT, LATCHED, Qos
 from handover_ros.types.type_store import TypeStore
 from handover_ros.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
@@ -26,7 +19,7 @@ _ANY = bytes(16)
 _AGREED, _REFUSED, _UNKNOWN, _OVER = 0, 1, 2, 3  # the constants of action_msgs/srv/CancelGoal
 
 
-class ActionTransport(Protocol):
+class ActionServerTransport(Protocol):
     """Creates the services and topics of an action; see `CycloneGraph`."""
 
     store: TypeStore
@@ -73,7 +66,7 @@ class CycloneActionServer(BaseActionServer):
 
     def __init__(
         self,
-        transport: ActionTransport,
+        transport: ActionServerTransport,
         action: str,
         type_name: str,
         handler: ActionHandler,
@@ -137,15 +130,15 @@ class CycloneActionServer(BaseActionServer):
         stamp = request["goal_info"]["stamp"]
         until_ns = stamp["sec"] * 10**9 + stamp["nanosec"]
         meant = [
-            one
-            for one in self._goals.values()
-            if one.goal_id == goal_id
-            or (until_ns and one.accepted_ns <= until_ns)
+            goal
+            for goal in self._goals.values()
+            if goal.goal_id == goal_id
+            or (until_ns and goal.accepted_ns <= until_ns)
             or (goal_id == _ANY and not until_ns)
         ]
-        going = [one for one in meant if not one.status.is_over]
-        for one in going:
-            one.cancel()
+        going = [goal for goal in meant if not goal.status.is_over]
+        for goal in going:
+            goal.cancel()
         if going:
             self._publish_status()
             code = _AGREED
@@ -153,7 +146,7 @@ class CycloneActionServer(BaseActionServer):
             code = _OVER
         else:
             code = _UNKNOWN if goal_id != _ANY else _REFUSED
-        return {"return_code": code, "goals_canceling": [one.info for one in going]}
+        return {"return_code": code, "goals_canceling": [goal.info for goal in going]}
 
     def send_feedback(self, goal: CycloneServedGoal, feedback: Message) -> None:
         """Publish the feedback of a goal.
@@ -164,7 +157,7 @@ class CycloneActionServer(BaseActionServer):
         self._feedback.publish({"goal_id": {"uuid": goal.goal_id}, "feedback": feedback})
 
     def _publish_status(self) -> None:
-        listed = [{"goal_info": one.info, "status": int(one.status)} for one in self._goals.values()]
+        listed = [{"goal_info": goal.info, "status": int(goal.status)} for goal in self._goals.values()]
         try:
             self._status.publish({"status_list": listed})
         except (GraphError, BadMessage) as error:
@@ -172,14 +165,14 @@ class CycloneActionServer(BaseActionServer):
 
     def _forget_old(self) -> None:
         now_s = time.monotonic()
-        for goal_id, one in list(self._goals.items()):
+        for goal_id, goal in list(self._goals.items()):
             full = len(self._goals) >= _MAX_KEPT_GOALS
-            if one.ended_s is not None and (full or now_s - one.ended_s > _RESULT_TTL_S):
+            if goal.ended_s is not None and (full or now_s - goal.ended_s > _RESULT_TTL_S):
                 del self._goals[goal_id]
 
     async def close(self) -> None:
         """Stop serving; active goals are aborted."""
-        going = [one.task for one in self._goals.values() if one.task is not None and not one.task.done()]
+        going = [goal.task for goal in self._goals.values() if goal.task is not None and not goal.task.done()]
         for task in going:
             task.cancel()
         await asyncio.gather(*going, return_exceptions=True)

@@ -73,4 +73,4 @@ def user_data(pairs: dict[str, str]) -> bytes:
 def parse_user_data(data: bytes) -> dict[str, str]:
     """Return the pairs in the user data of a participant or endpoint; malformed parts are left out."""
     pairs = (part.partition("=") for part in data.decode("utf-8", "replace").split(";"))
-    return {key: value for key, found, value in pairs if found}
+    return {key: value for key, is_present, value in pairs if is_present}

@@ -80,5 +80,5 @@ def user_data_of(policies: Any) -> bytes:
     """Return the user data of a peer's participant or endpoint."""
     from cyclonedds.qos import Policy  # noqa: PLC0415 - heavy
 
-    found = policies[Policy.Userdata]
-    return bytes(found.data) if found is not None else b""
+    user_data = policies[Policy.Userdata]
+    return bytes(user_data.data) if user_data is not None else b""

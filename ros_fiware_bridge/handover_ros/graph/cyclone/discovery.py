@@ -50,7 +50,7 @@ class DiscoveredEndpoint:
 
 def handles(matched: list[int]) -> set[int]:
     """Return instance handles as unsigned numbers; the binding returns those of matches as signed ones."""
-    return {one % 2**64 for one in matched}
+    return {handle % 2**64 for handle in matched}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,9 @@ class GraphSnapshot:
 
     def at(self, topic: str, *, writes: bool) -> list[DiscoveredEndpoint]:
         """Return the writers or readers of a DDS topic."""
-        return [one for one in self.endpoints if one.topic == topic and one.writes is writes]
+        return [
+            endpoint for endpoint in self.endpoints if endpoint.topic == topic and endpoint.writes is writes
+        ]
 
 
 class Discovery:
@@ -150,7 +152,7 @@ class Discovery:
             if gone is not None:
                 self._writers.pop(gone.handle, None)
             return
-        known = DiscoveredEndpoint(
+        endpoint = DiscoveredEndpoint(
             info.instance_handle,
             key,
             sample.participant_key.bytes,
@@ -160,9 +162,9 @@ class Discovery:
             dds_qos.offered(sample.qos),
             dds_names.parse_user_data(dds_qos.user_data_of(sample.qos)),
         )
-        self._endpoints[key] = known
+        self._endpoints[key] = endpoint
         if writes:
-            self._writers[known.handle] = known
+            self._writers[endpoint.handle] = endpoint
 
     def on_node_info(self, samples: list[Sample]) -> None:
         """Process what participants publish about their nodes."""
@@ -179,13 +181,15 @@ class Discovery:
                 self._snapshot = None
                 self._nodes[participant] = tuple(
                     DiscoveredNode(
-                        one["node_name"],
-                        one["node_namespace"],
+                        entry["node_name"],
+                        entry["node_namespace"],
                         participant,
                         enclave,
-                        frozenset(gid["data"] for gid in (*one["reader_gid_seq"], *one["writer_gid_seq"])),
+                        frozenset(
+                            gid["data"] for gid in (*entry["reader_gid_seq"], *entry["writer_gid_seq"])
+                        ),
                     )
-                    for one in info["node_entities_info_seq"]
+                    for entry in info["node_entities_info_seq"]
                 )
 
     def writer(self, handle: int) -> DiscoveredEndpoint | None:
@@ -195,11 +199,11 @@ class Discovery:
 
     def known_writer(self, handle: int) -> DiscoveredEndpoint | None:
         """Return `writer(handle)` after pending discovery data, if need be; in the listener thread only."""
-        found = self.writer(handle)
-        if found is None:
+        endpoint = self.writer(handle)
+        if endpoint is None:
             self.look()
-            found = self.writer(handle)
-        return found
+            endpoint = self.writer(handle)
+        return endpoint
 
     def snapshot(self) -> GraphSnapshot:
         """Return the present state of the graph."""
@@ -207,8 +211,8 @@ class Discovery:
             if self._snapshot is None:
                 # The data of a node may outlive its participant.
                 nodes = tuple(
-                    one for key, nodes in self._nodes.items() if key in self._enclaves for one in nodes
+                    node for key, nodes in self._nodes.items() if key in self._enclaves for node in nodes
                 )
-                owners = {guid: one.full_name for one in nodes for guid in one.guids}
+                owners = {guid: node.full_name for node in nodes for guid in node.guids}
                 self._snapshot = GraphSnapshot(self.own, tuple(self._endpoints.values()), nodes, owners)
             return self._snapshot

@@ -42,12 +42,12 @@ class DomainSettings:
     def configurations(self) -> list[str]:
         """Return the XML configurations to try, in order."""
         if self.interfaces:
-            return [self._xml([_interface(one, self.multicast) for one in self.interfaces])]
+            return [self._xml([_interface(interface, self.multicast) for interface in self.interfaces])]
         preferred = f'<NetworkInterface autodetermine="true"{_multicast(self.multicast)}/>'
         return [self._xml([preferred, _interface(LOOPBACK, False)]), self._xml([_interface(LOOPBACK, False)])]
 
     def _xml(self, interfaces: list[str]) -> str:
-        peers = "".join(f"<Peer Address={quoteattr(one)}/>" for one in (LOOPBACK, *self.peers))
+        peers = "".join(f"<Peer Address={quoteattr(peer)}/>" for peer in (LOOPBACK, *self.peers))
         return (
             '<CycloneDDS><Domain Id="any">'
             f"<General><Interfaces>{''.join(interfaces)}</Interfaces></General>"
@@ -97,14 +97,14 @@ def enter(settings: DomainSettings) -> None:
     if not 0 <= number <= _MAX_DOMAIN_ID:
         raise AdapterUnavailable(f"there is no ROS domain {number}; use a number from 0 to {_MAX_DOMAIN_ID}")
     with _lock:
-        known = _open.get(number)
-        if known is not None:
-            if known.settings != settings:
+        domain = _open.get(number)
+        if domain is not None:
+            if domain.settings != settings:
                 raise AdapterUnavailable(
-                    f"ROS domain {number} is open in this process with other settings ({known.settings}); "
+                    f"ROS domain {number} is open in this process with other settings ({domain.settings}); "
                     "use the same settings, or another domain"
                 )
-            known.users += 1
+            domain.users += 1
             return
         faults = []
         override = os.environ.get("CYCLONEDDS_URI")
@@ -130,8 +130,8 @@ def enter(settings: DomainSettings) -> None:
 def leave(settings: DomainSettings) -> None:
     """Leave the domain; the last user closes it."""
     with _lock:
-        known = _open[settings.domain_id]
-        known.users -= 1
-        if not known.users:
+        domain = _open[settings.domain_id]
+        domain.users -= 1
+        if not domain.users:
             del _open[settings.domain_id]
-            known.domain.__del__()
+            domain.domain.__del__()

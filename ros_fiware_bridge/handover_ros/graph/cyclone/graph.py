@@ -11,7 +11,9 @@ from handover_ros.graph.cyclone.action_client import CycloneActionClient
 from handover_ros.graph.cyclone.action_server import CycloneActionServer
 from handover_ros.graph.cyclone.domain import DomainSettings
 from handover_ros.graph.cyclone.node import OwnNode
-from handover_ros.graph.cyclone.services import CycloneClient, CycloneServer, obstacle
+from handover_ros.graph.cyclone.service_client import CycloneClient
+from handover_ros.graph.cyclone.service_server import CycloneServer
+from handover_ros.graph.cyclone.services import obstacle
 from handover_ros.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
 from handover_ros.graph.join_settings import JoinSettings
 from handover_ros.graph.port import (
@@ -166,7 +168,7 @@ class CycloneGraph(BaseGraph):
     def _vendors(self, service: str, *, writes: bool) -> set[str]:
         snapshot = self._node.discovery.snapshot()
         requests = snapshot.at(dds_names.of_request(service), writes=writes)
-        return {one.vendor for one in requests}
+        return {request.vendor for request in requests}
 
     def topics(self) -> Sequence[TopicInfo]:
         """Return the topics of the graph."""
@@ -187,11 +189,11 @@ class CycloneGraph(BaseGraph):
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
         """Return why calls of a service would fail with its present servers."""
         name, snapshot = self._full(service), self._node.discovery.snapshot()
-        found = (
-            obstacle(self.store, name, type_name, one, snapshot.node_of(one))
-            for one in snapshot.at(dds_names.of_request(name), writes=False)
+        faults = (
+            obstacle(self.store, name, type_name, endpoint, snapshot.node_of(endpoint))
+            for endpoint in snapshot.at(dds_names.of_request(name), writes=False)
         )
-        return [one for one in found if one is not None]
+        return [problem for problem in faults if problem is not None]
 
     def problems(self) -> Sequence[GraphError]:
         """Return the present incompatibilities with peers."""

@@ -34,7 +34,7 @@ class IdlTypes:
     def _struct(self, type_name: str, fields: tuple[Field, ...]) -> Any:
         from cyclonedds.idl import make_idl_struct  # noqa: PLC0415 - heavy
 
-        kinds = {one.name: self._kind(one.type) for one in fields}
+        kinds = {field.name: self._kind(field.type) for field in fields}
         if not kinds:
             kinds = {"structure_needs_at_least_one_member": self._kind(FieldType("uint8"))}
         made = make_idl_struct(
@@ -52,17 +52,17 @@ class IdlTypes:
             key = (kind.base, False)
             if key not in self._made:
                 self._made[key] = self._struct(kind.base, self._definition_of(kind.base).fields)
-            one = self._made[key]
+            made = self._made[key]
         elif kind.base == "string":
-            one = types.bounded_str[kind.text_bound] if kind.text_bound else str
+            made = types.bounded_str[kind.text_bound] if kind.text_bound else str
         elif kind.base == "wstring":
-            one = types.sequence[types.uint32]  # the same on the wire
+            made = types.sequence[types.uint32]  # the same on the wire
         elif kind.base == "bool":
-            one = bool
+            made = bool
         else:
-            one = getattr(types, {"byte": "uint8", "char": "uint8"}.get(kind.base, kind.base))
+            made = getattr(types, {"byte": "uint8", "char": "uint8"}.get(kind.base, kind.base))
         if kind.many is Many.FIXED:
-            return types.array[one, kind.size]
+            return types.array[made, kind.size]
         if kind.many is Many.SEQUENCE:
-            return types.sequence[one, kind.size] if kind.size else types.sequence[one]
-        return one
+            return types.sequence[made, kind.size] if kind.size else types.sequence[made]
+        return made

@@ -124,13 +124,13 @@ class OwnNode:
 
     def drop(self, *opened: Any) -> None:
         """Close readers and writers that are no longer used."""
-        for one in opened:
-            self._readers.pop(id(one), None)
-            self._writers.pop(id(one), None)
+        for entity in opened:
+            self._readers.pop(id(entity), None)
+            self._writers.pop(id(entity), None)
         self._announce()
-        for one in opened:
-            one.__del__()
-            one.topic.__del__()
+        for entity in opened:
+            entity.__del__()
+            entity.topic.__del__()
 
     def _announce(self) -> None:
         info = {
@@ -139,8 +139,12 @@ class OwnNode:
                 {
                     "node_namespace": self.namespace,
                     "node_name": self.name,
-                    "reader_gid_seq": [{"data": one.get_guid().bytes} for one in self._readers.values()],
-                    "writer_gid_seq": [{"data": one.get_guid().bytes} for one in self._writers.values()],
+                    "reader_gid_seq": [
+                        {"data": entity.get_guid().bytes} for entity in self._readers.values()
+                    ],
+                    "writer_gid_seq": [
+                        {"data": entity.get_guid().bytes} for entity in self._writers.values()
+                    ],
                 }
             ],
         }

@@ -46,9 +46,9 @@ def _function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
     from cyclonedds.internal import DDS  # noqa: PLC0415 - heavy
 
     # Looked up by key, so that the binding's own reference to the function keeps its argument types.
-    found = DDS._dll_handle[name]
-    found.restype, found.argtypes = result, arguments
-    return found
+    function = DDS._dll_handle[name]
+    function.restype, function.argtypes = result, arguments
+    return function
 
 
 class SampleTaker:

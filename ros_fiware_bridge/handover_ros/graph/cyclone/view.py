@@ -19,30 +19,32 @@ _SEND_GOAL = "/_action/send_goal"
 
 def topics(snapshot: GraphSnapshot) -> list[TopicInfo]:
     """Return the topics by name, without those of actions."""
-    return [one for one in _all_topics(snapshot) if _HIDDEN not in one.name]
+    return [topic for topic in _all_topics(snapshot) if _HIDDEN not in topic.name]
 
 
 def _all_topics(snapshot: GraphSnapshot) -> list[TopicInfo]:
-    found: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
-    for one in snapshot.endpoints:
-        name = dds_names.to_topic(one.topic)
+    by_topic: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
+    for endpoint in snapshot.endpoints:
+        name = dds_names.to_topic(endpoint.topic)
         if name is not None:
-            found[name].append(one)
+            by_topic[name].append(endpoint)
     return [
         TopicInfo(
             name,
-            tuple(sorted({dds_names.to_type(one.dds_type) for one in ends})),
-            tuple(_endpoint(snapshot, one) for one in ends if one.writes),
-            tuple(_endpoint(snapshot, one) for one in ends if not one.writes),
+            tuple(sorted({dds_names.to_type(endpoint.dds_type) for endpoint in ends})),
+            tuple(_endpoint(snapshot, endpoint) for endpoint in ends if endpoint.writes),
+            tuple(_endpoint(snapshot, endpoint) for endpoint in ends if not endpoint.writes),
         )
-        for name, ends in sorted(found.items())
+        for name, ends in sorted(by_topic.items())
     ]
 
 
-def _endpoint(snapshot: GraphSnapshot, one: DiscoveredEndpoint) -> Endpoint:
-    ours = one.participant == snapshot.own
-    type_name = dds_names.to_type(one.dds_type)
-    return Endpoint(snapshot.node_of(one), type_name, one.qos, one.type_hash, one.vendor, ours)
+def _endpoint(snapshot: GraphSnapshot, endpoint: DiscoveredEndpoint) -> Endpoint:
+    ours = endpoint.participant == snapshot.own
+    type_name = dds_names.to_type(endpoint.dds_type)
+    return Endpoint(
+        snapshot.node_of(endpoint), type_name, endpoint.qos, endpoint.type_hash, endpoint.vendor, ours
+    )
 
 
 def services(snapshot: GraphSnapshot) -> list[ServiceInfo]:
@@ -51,9 +53,9 @@ def services(snapshot: GraphSnapshot) -> list[ServiceInfo]:
         ServiceInfo(
             name,
             _bases(requests),
-            tuple(snapshot.node_of(one) for one in requests if not one.writes),
-            tuple(snapshot.node_of(one) for one in requests if one.writes),
-            tuple(sorted({one.vendor for one in requests if not one.writes})),
+            tuple(snapshot.node_of(endpoint) for endpoint in requests if not endpoint.writes),
+            tuple(snapshot.node_of(endpoint) for endpoint in requests if endpoint.writes),
+            tuple(sorted({endpoint.vendor for endpoint in requests if not endpoint.writes})),
         )
         for name, requests in _requests(snapshot)
         if _HIDDEN not in name
@@ -65,9 +67,9 @@ def actions(snapshot: GraphSnapshot) -> list[ActionInfo]:
     return [
         ActionInfo(
             name.removesuffix(_SEND_GOAL),
-            tuple(one.removesuffix("_SendGoal") for one in _bases(requests)),
-            tuple(snapshot.node_of(one) for one in requests if not one.writes),
-            tuple(snapshot.node_of(one) for one in requests if one.writes),
+            tuple(base.removesuffix("_SendGoal") for base in _bases(requests)),
+            tuple(snapshot.node_of(endpoint) for endpoint in requests if not endpoint.writes),
+            tuple(snapshot.node_of(endpoint) for endpoint in requests if endpoint.writes),
         )
         for name, requests in _requests(snapshot)
         if name.endswith(_SEND_GOAL)
@@ -75,31 +77,33 @@ def actions(snapshot: GraphSnapshot) -> list[ActionInfo]:
 
 
 def _requests(snapshot: GraphSnapshot) -> list[tuple[str, list[DiscoveredEndpoint]]]:
-    found: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
-    for one in snapshot.endpoints:
-        service = dds_names.to_service(one.topic)
+    by_service: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
+    for endpoint in snapshot.endpoints:
+        service = dds_names.to_service(endpoint.topic)
         if service is not None and service[1]:
-            found[service[0]].append(one)
-    return sorted(found.items())
+            by_service[service[0]].append(endpoint)
+    return sorted(by_service.items())
 
 
 def _bases(requests: list[DiscoveredEndpoint]) -> tuple[str, ...]:
-    return tuple(sorted({dds_names.to_type(one.dds_type).removesuffix("_Request") for one in requests}))
+    return tuple(
+        sorted({dds_names.to_type(endpoint.dds_type).removesuffix("_Request") for endpoint in requests})
+    )
 
 
 def nodes(snapshot: GraphSnapshot) -> list[NodeInfo]:
     """Return the nodes by full name."""
-    found = [
+    shown = [
         NodeInfo(
-            one.name,
-            one.namespace,
-            one.enclave,
-            dds_names.vendor(one.participant),
-            one.participant == snapshot.own,
+            node.name,
+            node.namespace,
+            node.enclave,
+            dds_names.vendor(node.participant),
+            node.participant == snapshot.own,
         )
-        for one in snapshot.nodes
+        for node in snapshot.nodes
     ]
-    return sorted(found, key=lambda one: one.full_name)
+    return sorted(shown, key=lambda node: node.full_name)
 
 
 def problems(snapshot: GraphSnapshot) -> list[GraphError]:

@@ -55,7 +55,7 @@ class RosGoal:
         answer = await self._client.within(self._handle.cancel_goal_async(), timeout_s)
         if answer.return_code == UNKNOWN_GOAL:
             self.is_forgotten.set()
-        return any(bytes(one.goal_id.uuid) == self.goal_id for one in answer.goals_canceling)
+        return any(bytes(goal_info.goal_id.uuid) == self.goal_id for goal_info in answer.goals_canceling)
 
     def forget(self) -> None:
         """Cancel waiting for the result."""
@@ -95,8 +95,8 @@ class RosActionClient:
 
     def servers(self) -> frozenset[bytes]:
         """Return the present servers, by the ids of their publishers of states."""
-        found = self._node.node.get_publishers_info_by_topic(f"{self.name}/_action/status")
-        return frozenset(bytes(one.endpoint_gid) for one in found)
+        publishers = self._node.node.get_publishers_info_by_topic(f"{self.name}/_action/status")
+        return frozenset(bytes(publisher.endpoint_gid) for publisher in publishers)
 
     async def within(self, pending: Any, timeout_s: float) -> Any:
         """Wait for a future of rclpy.

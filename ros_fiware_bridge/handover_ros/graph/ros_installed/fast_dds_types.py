@@ -339,7 +339,7 @@ class _Made:
             self.individual(described["type_description"]),
             self.sequence(
                 _IndividualDescription,
-                [self.individual(one) for one in described["referenced_type_descriptions"]],
+                [self.individual(referenced) for referenced in described["referenced_type_descriptions"]],
             ),
         )
         return {
@@ -351,16 +351,16 @@ class _Made:
     def individual(self, described: Mapping[str, Any]) -> _IndividualDescription:
         fields = [
             _Field(
-                self.text(one["name"]),
+                self.text(field["name"]),
                 _FieldType(
-                    one["type"]["type_id"],
-                    one["type"]["capacity"],
-                    one["type"]["string_capacity"],
-                    self.text(one["type"]["nested_type_name"]),
+                    field["type"]["type_id"],
+                    field["type"]["capacity"],
+                    field["type"]["string_capacity"],
+                    self.text(field["type"]["nested_type_name"]),
                 ),
                 self.text(""),
             )
-            for one in described["fields"]
+            for field in described["fields"]
         ]
         return _IndividualDescription(self.text(described["type_name"]), self.sequence(_Field, fields))
 
@@ -407,15 +407,15 @@ class _Made:
             fields = self.store.definition(type_name).fields or (_PLACEHOLDER,)
             members = [
                 _Member(
-                    self.keep(one.name.encode()),
-                    _INTROSPECTION_IDS.get(one.type.base, _INTROSPECTION_MESSAGE),
-                    one.type.text_bound,
-                    self.introspection(one.type.base) if one.type.is_message else None,
-                    is_array=one.type.many is not Many.ONE,
-                    array_size=one.type.size,
-                    is_bounded=one.type.many is Many.SEQUENCE and one.type.size > 0,
+                    self.keep(field.name.encode()),
+                    _INTROSPECTION_IDS.get(field.type.base, _INTROSPECTION_MESSAGE),
+                    field.type.text_bound,
+                    self.introspection(field.type.base) if field.type.is_message else None,
+                    is_array=field.type.many is not Many.ONE,
+                    array_size=field.type.size,
+                    is_bounded=field.type.many is Many.SEQUENCE and field.type.size > 0,
                 )
-                for one in fields
+                for field in fields
             ]
             described = _Members(
                 f"{package}__{kind}".encode(),
@@ -457,12 +457,14 @@ class _Made:
         """Return the class of an action."""
         if type_name not in self.classes:
             cancel, status = (
-                installed_class(one) for one in (wrappers.CANCEL_GOAL, wrappers.GOAL_STATUS_ARRAY)
+                installed_class(type_of) for type_of in (wrappers.CANCEL_GOAL, wrappers.GOAL_STATUS_ARRAY)
             )
-            send_goal, get_result = (self.service(f"{type_name}_{one}") for one in ("SendGoal", "GetResult"))
+            send_goal, get_result = (
+                self.service(f"{type_name}_{part}") for part in ("SendGoal", "GetResult")
+            )
             feedback = self.message(f"{type_name}_FeedbackMessage")
             support = _ActionSupport(
-                *(_support(one) for one in (send_goal, get_result, cancel, feedback, status)),
+                *(_support(kind) for kind in (send_goal, get_result, cancel, feedback, status)),
                 **self.about(type_name),
             )
             name = type_name.split("/")[2]
@@ -474,7 +476,7 @@ class _Made:
                 "GoalStatusMessage": status,
             }
             metaclass = type(f"Metaclass_{name}", (type,), {"_TYPE_SUPPORT": self.capsule(support)})
-            members = {one: self.message(f"{type_name}_{one}") for one in ("Goal", "Result", "Feedback")}
+            members = {part: self.message(f"{type_name}_{part}") for part in ("Goal", "Result", "Feedback")}
             self.classes[type_name] = metaclass(name, (), {**members, "Impl": type("Impl", (), parts)})
         return self.classes[type_name]
 
@@ -508,9 +510,9 @@ def installed_class(type_name: str) -> Any:
     from rclpy.type_support import check_for_type_support  # noqa: PLC0415 - is only there where ROS is
 
     package, kind, name = type_name.split("/")
-    found = getattr(importlib.import_module(f"{package}.{kind}"), name)
-    check_for_type_support(found)
-    return found
+    cls = getattr(importlib.import_module(f"{package}.{kind}"), name)
+    check_for_type_support(cls)
+    return cls
 
 
 def _class_of(store: TypeStore, type_name: str) -> Any:

@@ -140,12 +140,14 @@ def interface(type_name: str, store: TypeStore) -> Any:
 
 def _network(settings: JoinSettings) -> dict[str, str]:
     """Return the environment variables that configure ROS 2 for the network of `settings`."""
-    found = {}
+    variables = {}
     if settings.peers:
-        found["ROS_STATIC_PEERS"] = ";".join(settings.peers)
-    if settings.interfaces and all(one == "lo" or one.startswith("127.") for one in settings.interfaces):
-        found["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    return found
+        variables["ROS_STATIC_PEERS"] = ";".join(settings.peers)
+    if settings.interfaces and all(
+        network == "lo" or network.startswith("127.") for network in settings.interfaces
+    ):
+        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    return variables
 
 
 def profile(qos: Qos, depth: int | None = None) -> Any:
@@ -161,10 +163,10 @@ def profile(qos: Qos, depth: int | None = None) -> Any:
     )
 
 
-def offered(found: Any) -> Qos:
+def offered(policies: Any) -> Qos:
     """Return the QoS that an endpoint of the installed ROS offers or requests."""
-    best_effort = found.reliability.name == "BEST_EFFORT"
-    late = found.durability.name == "TRANSIENT_LOCAL"
+    best_effort = policies.reliability.name == "BEST_EFFORT"
+    late = policies.durability.name == "TRANSIENT_LOCAL"
     return Qos(
         Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
         Durability.TRANSIENT_LOCAL if late else Durability.VOLATILE,

@@ -7,13 +7,7 @@ from typing import Any
 
 import structlog
 
-from handover_ros.errors import (
-    BadMessage,
-    ClosedUnanswered,
-    OutcomeUnknown,
-    ServerLost,
-    ServiceUnavailable,
-)
+from handover_ros.errors import BadMessage, ClosedUnanswered, OutcomeUnknown, ServerLost, ServiceUnavailable
 from handover_ros.graph.goals import too_busy, unanswered
 from handover_ros.graph.port import Message, ServiceHandler
 from handover_ros.graph.qos import MAX_REQUESTS_IN_FLIGHT
@@ -73,8 +67,8 @@ class RosClient:
 
     def _servers(self) -> frozenset[bytes]:
         """Return the present servers, by the ids of their publishers of responses."""
-        found = self._node.node.get_publishers_info_by_topic(f"rr{self.service}Reply", no_mangle=True)
-        return frozenset(bytes(one.endpoint_gid) for one in found)
+        publishers = self._node.node.get_publishers_info_by_topic(f"rr{self.service}Reply", no_mangle=True)
+        return frozenset(bytes(publisher.endpoint_gid) for publisher in publishers)
 
     async def _answer(self, asked: Any) -> Any:
         servers = self._servers()

@@ -57,9 +57,9 @@ class RosSubscription(Inbox):
             self.put(bytes(data), sent_ns=sent_ns, ours=None, why_not=self._why_not)
 
     def _differs(self) -> str | None:
-        for one in self._node.node.get_publishers_info_by_topic(self.topic):
-            who = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-            why_not = hash_differs(self.topic, self.type_name, self._hash, hash_of(one), who)
+        for publisher in self._node.node.get_publishers_info_by_topic(self.topic):
+            who = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+            why_not = hash_differs(self.topic, self.type_name, self._hash, hash_of(publisher), who)
             if why_not is not None:
                 return why_not
         return None

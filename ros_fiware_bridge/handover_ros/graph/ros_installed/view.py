@@ -19,17 +19,17 @@ def full_name(endpoint: Any) -> str:
 def topics(node: Any, ours: str) -> list[TopicInfo]:
     """Return the topics by name."""
 
-    def ends(found: list[Any]) -> tuple[Endpoint, ...]:
+    def ends(infos: list[Any]) -> tuple[Endpoint, ...]:
         return tuple(
             Endpoint(
-                None if one.node_name == _UNKNOWN else full_name(one),
-                one.topic_type,
-                offered(one.qos_profile),
-                hash_of(one),
-                _vendor(bytes(one.endpoint_gid)),
-                full_name(one) == ours,
+                None if info.node_name == _UNKNOWN else full_name(info),
+                info.topic_type,
+                offered(info.qos_profile),
+                hash_of(info),
+                _vendor(bytes(info.endpoint_gid)),
+                full_name(info) == ours,
             )
-            for one in found
+            for info in infos
         )
 
     return [
@@ -52,11 +52,11 @@ def _by_node(node: Any, ask: Callable[[str, str], Any]) -> Iterator[tuple[str, s
     """Yield (node, name, types) from `ask` for each node; a node that has left is skipped."""
     for name, namespace in node.get_node_names_and_namespaces():
         try:
-            found = ask(name, namespace)
+            names = ask(name, namespace)
         except RuntimeError:
             continue
-        for one, types in found:
-            yield f"{namespace.rstrip('/')}/{name}", one, types
+        for topic, types in names:
+            yield f"{namespace.rstrip('/')}/{name}", topic, types
 
 
 def services(node: Any, vendor: str) -> list[ServiceInfo]:
@@ -64,12 +64,12 @@ def services(node: Any, vendor: str) -> list[ServiceInfo]:
     servers: dict[str, list[str]] = defaultdict(list)
     clients: dict[str, list[str]] = defaultdict(list)
     types: dict[str, set[str]] = defaultdict(set)
-    for owner, name, found in _by_node(node, node.get_service_names_and_types_by_node):
+    for owner, name, kinds in _by_node(node, node.get_service_names_and_types_by_node):
         servers[name].append(owner)
-        types[name].update(found)
-    for owner, name, found in _by_node(node, node.get_client_names_and_types_by_node):
+        types[name].update(kinds)
+    for owner, name, kinds in _by_node(node, node.get_client_names_and_types_by_node):
         clients[name].append(owner)
-        types[name].update(found)
+        types[name].update(kinds)
     return [
         ServiceInfo(name, tuple(sorted(types[name])), tuple(servers[name]), tuple(clients[name]), (vendor,))
         for name in sorted(types)
@@ -83,7 +83,7 @@ def actions(node: Any) -> list[ActionInfo]:
 
     def owners_by_name(ask: Callable[[Any, str, str], Any]) -> dict[str, list[str]]:
         owners: dict[str, list[str]] = defaultdict(list)
-        for owner, name, kinds in _by_node(node, lambda one, inside: ask(node, one, inside)):
+        for owner, name, kinds in _by_node(node, lambda node_name, inside: ask(node, node_name, inside)):
             owners[name].append(owner)
             types[name].update(kinds)
         return owners
@@ -101,8 +101,8 @@ def actions(node: Any) -> list[ActionInfo]:
 
 def nodes(node: Any, ours: str, vendor: str) -> list[NodeInfo]:
     """Return the nodes by full name; their vendor is the middleware of the installed ROS."""
-    found = [
+    infos = [
         NodeInfo(name, namespace, enclave, vendor, f"{namespace.rstrip('/')}/{name}" == ours)
         for name, namespace, enclave in node.get_node_names_and_namespaces_with_enclaves()
     ]
-    return sorted(found, key=lambda one: one.full_name)
+    return sorted(infos, key=lambda info: info.full_name)

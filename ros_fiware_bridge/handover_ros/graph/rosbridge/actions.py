@@ -149,7 +149,7 @@ class RosbridgeActionClient:
 
     def servers(self) -> tuple[str | None, ...]:
         """Return the nodes that serve the action; none without rosapi."""
-        return next((one.servers for one in self._view.actions() if one.name == self.name), ())
+        return next((action.servers for action in self._view.actions() if action.name == self.name), ())
 
     async def send_goal(
         self, goal: Message, *, on_feedback: Callable[[Message], None] | None = None, timeout_s: float = 5.0

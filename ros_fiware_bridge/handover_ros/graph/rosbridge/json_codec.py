@@ -49,12 +49,14 @@ class JsonCodec:
         if kind.is_octets:
             return base64.b64encode(value).decode()
         if kind.many is not Many.ONE:
-            return [self._out(kind.item, one, where) for one in value]
+            return [self._out(kind.item, element, where) for element in value]
         if kind.is_message:
             names = {"sec": "secs", "nanosec": "nsecs"} if self.ros1 and kind.base in _TIMES else {}
             return {
-                names.get(one.name, one.name): self._out(one.type, value[one.name], f"{where}.{one.name}")
-                for one in self.store.definition(kind.base).fields
+                names.get(field.name, field.name): self._out(
+                    field.type, value[field.name], f"{where}.{field.name}"
+                )
+                for field in self.store.definition(kind.base).fields
             }
         if kind.base in FLOATS:
             if not math.isfinite(value):
@@ -71,17 +73,20 @@ class JsonCodec:
             except (binascii.Error, ValueError) as error:
                 raise BadMessage(f"octets are not valid base64: {error}") from None
         if kind.many is not Many.ONE:
-            return [self._in(kind.item, one) for one in value] if isinstance(value, list) else value
+            return [self._in(kind.item, element) for element in value] if isinstance(value, list) else value
         if kind.base in FLOATS and value is None:
             return math.nan
         if not kind.is_message or not isinstance(value, Mapping):
             return value
-        given = dict(value)
+        members = dict(value)
         if kind.base in _TIMES:
             for theirs, ours in (("secs", "sec"), ("nsecs", "nanosec")):
-                if theirs in given:
-                    given[ours] = given.pop(theirs)
+                if theirs in members:
+                    members[ours] = members.pop(theirs)
         elif kind.base == _HEADER:
-            given.pop("seq", None)
-        known = {one.name: one.type for one in self.store.definition(kind.base).fields}
-        return {name: self._in(known[name], one) if name in known else one for name, one in given.items()}
+            members.pop("seq", None)
+        kinds = {field.name: field.type for field in self.store.definition(kind.base).fields}
+        return {
+            name: self._in(kinds[name], member) if name in kinds else member
+            for name, member in members.items()
+        }

@@ -54,8 +54,14 @@ class RosapiView:
         try:
             topics = await self.call("topics")
             nodes = (await self.call("nodes")).get("nodes", ())
-            found = {name: await self.call("node_details", node=name) for name in list(nodes)[:MAX_NODES]}
-            offered = {one for details in found.values() for one in details.get("services", ())}
+            details_of = {
+                name: await self.call("node_details", node=name) for name in list(nodes)[:MAX_NODES]
+            }
+            offered = {
+                offered_service
+                for details in details_of.values()
+                for offered_service in details.get("services", ())
+            }
             for service in sorted(offered - self._service_types.keys()):
                 if _OF_ACTIONS not in service and not service.startswith("/rosapi/"):
                     self._service_types[service] = str(
@@ -65,7 +71,7 @@ class RosapiView:
             self.fault = str(error)
             raise
         self._types = dict(zip(topics.get("topics", ()), topics.get("types", ()), strict=False))
-        self._nodes = found
+        self._nodes = details_of
         self.fault = None
 
     async def call(self, what: str, /, **asked: Any) -> Mapping[str, Any]:
@@ -90,7 +96,7 @@ class RosapiView:
     @property
     def is_ros1(self) -> bool:
         """Return whether the types are those of ROS 1, which have no kind in their names."""
-        return bool(self._types) and all(one.count("/") == 1 for one in self._types.values())
+        return bool(self._types) and all(service.count("/") == 1 for service in self._types.values())
 
     def publishers(self, topic: str) -> int:
         """Return how many nodes publish `topic`."""
@@ -128,8 +134,8 @@ class RosapiView:
             ActionInfo(
                 name.removesuffix(ending),
                 (type_name.removesuffix(part),),
-                tuple(one.node for one in self._ends(name, type_name, "publishing")),
-                tuple(one.node for one in self._ends(name, type_name, "subscribing")),
+                tuple(end.node for end in self._ends(name, type_name, "publishing")),
+                tuple(end.node for end in self._ends(name, type_name, "subscribing")),
             )
             for name, type_name in sorted(self._types.items())
             if name.endswith(ending) and type_name.endswith(part)
@@ -147,7 +153,7 @@ class RosapiView:
             if self._connection.is_open
             else [f"the rosbridge server at {self._connection.url} is unavailable"]
         )
-        return [GraphError(one) for one in (*away, self.fault) if one]
+        return [GraphError(fault) for fault in (*away, self.fault) if fault]
 
     def _ends(self, topic: str, type_name: str, role: str) -> list[Endpoint]:
         return [

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_ros.mapping import paths
-from handover_ros.mapping.paths import Each, Field, Index, InvalidPath, MissingValue, Path, Where
+from handover_ros.mapping.paths import Each, FieldStep, Index, InvalidPath, MissingValue, Path, Where
 
 JOINTS = {
     "header": {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "base"},
@@ -23,11 +23,11 @@ steps = st.one_of(
     st.builds(Index, st.integers(0, 999)),
     st.builds(Where, names, st.from_regex(r"[a-z .=/0-9]{1,8}", fullmatch=True)),
 )
-groups = st.tuples(st.builds(Field, names), st.lists(steps, max_size=2))
+groups = st.tuples(st.builds(FieldStep, names), st.lists(steps, max_size=2))
 
 
 @given(st.lists(groups, min_size=1, max_size=5), st.booleans())
-def test_a_path_round_trips(parts: list[tuple[Field, list[Any]]], over: bool) -> None:
+def test_a_path_round_trips(parts: list[tuple[FieldStep, list[Any]]], over: bool) -> None:
     made: list[Any] = [step for field, more in parts for step in (field, *more)]
     path = Path((*made, Each()) if over else tuple(made))
     assert paths.parse(str(path)) == path

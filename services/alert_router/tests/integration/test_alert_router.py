@@ -24,14 +24,14 @@ from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import DEVICE_ANOMALY
 from handover.broker import BrokerClient
 from handover.database import connect
-from handover_alerts import tables
 from handover_alerts.app import make_app
-from handover_alerts.model import AppriseChannel, MailChannel, Throttle, WebhookChannel
+from handover_alerts.model.configuration import AppriseChannel, MailChannel, Throttle, WebhookChannel
 from handover_alerts.senders import NotSent, Outgoing, Senders
 from handover_alerts.sending import Sending
 from handover_alerts.settings import RouterSettings
-from handover_alerts.store import Message as LogMessage
-from handover_alerts.store import Store
+from handover_alerts.storage import tables
+from handover_alerts.storage.store import Message as LogMessage
+from handover_alerts.storage.store import Store
 from tests.kit.cell import Cell
 from tests.kit.certificates import Certificates
 from tests.kit.device_gateways import background
@@ -99,14 +99,15 @@ async def log_of(rest: httpx.AsyncClient, **filters: Any) -> list[dict[str, Any]
 
 @pytest.mark.nightly
 async def test_alerts_are_sent_once_by_mail_and_webhook_and_a_hanging_server_delays_nothing(
-    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
+    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("handover_alerts.senders.SEND_TIMEOUT_S", 2.0)
     shared_cell.run("context_broker")
     box, port = mailbox
     received: list[tuple[dict[str, str], bytes]] = []
     hook_port = next_free_port()
     hanging = socket.create_server(("127.0.0.1", 0))  # accepts connections and never answers
-    members = {"smtp_url": f"smtp://127.0.0.1:{port}", "send_timeout_s": 2.0}
+    members = {"smtp_url": f"smtp://127.0.0.1:{port}"}
 
     async with receiver(hook_port, received), running(shared_cell, tmp_path, **members) as rest:
         for name, channel in (
@@ -165,8 +166,9 @@ async def test_alerts_are_sent_once_by_mail_and_webhook_and_a_hanging_server_del
 
 @pytest.mark.nightly
 async def test_many_alerts_are_sent_together(
-    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
+    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("handover_alerts.senders.SEND_TIMEOUT_S", 2.0)
     shared_cell.run("context_broker")
     box, port = mailbox
     file = tmp_path / "routes.yaml"
@@ -271,7 +273,9 @@ async def test_the_allowance_of_a_channel_survives_a_restart(tmp_path: Path) -> 
         assert [len(one.alerts) for one in border.sent] in ([2], [1, 1])
 
 
-async def test_mail_by_starttls_is_verified_and_a_hanging_server_is_a_reason(tmp_path: Path) -> None:
+async def test_mail_by_starttls_is_verified_and_a_hanging_server_is_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     files = Certificates(tmp_path / "c").make("127.0.0.1", "localhost")
     box, context = Mailbox(), ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.load_cert_chain(files.certificate, files.key)
@@ -289,8 +293,9 @@ async def test_mail_by_starttls_is_verified_and_a_hanging_server_is_a_reason(tmp
         with pytest.raises(NotSent, match=r"(?i)certificate"):
             await Senders(RouterSettings.load(smtp_url=url)).send(channel, message)
         silent = f"smtp://127.0.0.1:{hanging.getsockname()[1]}"
+        monkeypatch.setattr("handover_alerts.senders.SEND_TIMEOUT_S", 0.3)
         with pytest.raises(NotSent, match=r"(?i)no answer|timed? ?out"):
-            await Senders(RouterSettings.load(smtp_url=silent, send_timeout_s=0.3)).send(channel, message)
+            await Senders(RouterSettings.load(smtp_url=silent)).send(channel, message)
     hanging.close()
     assert len(box.mails) == 1
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from handover_alerts.model import Hours, Route, read_configuration
-from handover_alerts.occurrence import AlertView, Occurrence, concerns, due_steps
+from handover_alerts.model.configuration import Hours, Route, read_configuration
+from handover_alerts.model.occurrence import AlertView, Occurrence, concerns, due_steps
 from handover_datamodels.states import AlertState, Severity
 
 MONDAY = datetime(2026, 3, 2, 12, 0, tzinfo=UTC)

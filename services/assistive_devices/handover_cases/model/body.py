@@ -8,6 +8,9 @@ from typing import Any, Final
 VALID: Final = "valid"
 OF_SENSOR: Final = "@"
 MIN_QUALITY: Final = 0.5
+FREE_BPM: Final = 90.0
+STRAINED_BPM: Final = 125.0
+"""The heart rates of ROS4HC between which a machine slows down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +52,15 @@ class Body:
         return [
             {
                 "name": name,
-                "value": one.value if isinstance(one.value, str) or not math.isnan(one.value) else None,
-                "quality": one.quality,
-                "status": one.status,
-                "age_s": max(now_s - one.at_s, 0.0),
-                "is_calibrated": one.is_calibrated,
+                "value": reading.value
+                if isinstance(reading.value, str) or not math.isnan(reading.value)
+                else None,
+                "quality": reading.quality,
+                "status": reading.status,
+                "age_s": max(now_s - reading.at_s, 0.0),
+                "is_calibrated": reading.is_calibrated,
             }
-            for name, one in self.readings.items()
+            for name, reading in self.readings.items()
             if OF_SENSOR not in name
         ]
 
@@ -66,21 +71,21 @@ def read_body(values: list[Mapping[str, Any]], received_s: float) -> Body:
     A value without a number is implausible. The values of single sensors have names like `movement@radar`.
     """
     readings = {}
-    for one in values:
-        name = str(one["name"])
-        readings[name] = _reading(one, received_s)
-        for each in one.get("sensors", ()):
-            readings[f"{name}{OF_SENSOR}{each['sensor']}"] = _reading(each, received_s)
+    for item in values:
+        name = str(item["name"])
+        readings[name] = _reading(item, received_s)
+        for sensor in item.get("sensors", ()):
+            readings[f"{name}{OF_SENSOR}{sensor['sensor']}"] = _reading(sensor, received_s)
     return Body(readings)
 
 
-def _reading(one: Mapping[str, Any], received_s: float) -> Reading:
-    value, age_s = one["value"], float(one["ageS"])
+def _reading(item: Mapping[str, Any], received_s: float) -> Reading:
+    value, age_s = item["value"], float(item["ageS"])
     return Reading(
         float("nan") if value is None else value if isinstance(value, str) else float(value),
         received_s - max(age_s, 0.0),
-        float(one["quality"] or 0.0),
-        "implausible" if value is None else str(one["status"]),
-        bool(one.get("disagree", False)),
-        bool(one.get("isCalibrated", True)),
+        float(item["quality"] or 0.0),
+        "implausible" if value is None else str(item["status"]),
+        bool(item.get("disagree", False)),
+        bool(item.get("isCalibrated", True)),
     )

@@ -46,10 +46,10 @@ ADAPTERS: Final = ExtensionPoint(
 
 def configured(settings: GatewaySettings, gateway: DeviceGateway) -> dict[str, Adapter]:
     """Return the adapters that are configured, by name; raise `UsageError` for one that cannot be loaded."""
-    found: dict[str, Adapter] = {}
+    adapters: dict[str, Adapter] = {}
     for name in ADAPTERS.names():
         make: MakeAdapter = ADAPTERS.load(name)
         adapter = make(settings, gateway)
         if adapter is not None:
-            found[name] = adapter
-    return found
+            adapters[name] = adapter
+    return adapters

@@ -38,7 +38,7 @@ from handover_devices import metrics
 from handover_devices.gateway import DeviceGateway, Session
 from handover_devices.protocol.messages import MAX_LINE_BYTES, BadMessage, parse_hello
 from handover_devices.protocol.rates import DeviceRates, TokenBucket
-from handover_devices.refusals import Refused, WrongToken
+from handover_devices.refusals import HelloRefused, WrongToken
 from handover_devices.registry.device import Device
 from handover_devices.settings import GatewaySettings
 
@@ -255,7 +255,7 @@ class MqttAdapter:
         while True:
             await asyncio.sleep(CHECK_S)
             now_s = self._clock()
-            for link in [one for one in self.links.values() if now_s - one.active_s > timeout_s]:
+            for link in [idle for idle in self.links.values() if now_s - idle.active_s > timeout_s]:
                 reason = f"nothing was received for {timeout_s:g} s; send a message or the hello more often"
                 if link.session is not None:
                     link.session.end()
@@ -281,8 +281,8 @@ class MqttAdapter:
         """Process a payload of the device `name`; return when it is durable, None if nothing is stored."""
         now_s = self._clock()
         try:
-            given = _object(payload)
-            token = given.pop("token", "")
+            message = _object(payload)
+            token = message.pop("token", "")
             device = self._gateway.with_token(name, token if isinstance(token, str) else "")
         except (BadMessage, WrongToken) as refused:
             metrics.MESSAGES_REFUSED.labels(refused.code).inc()
@@ -292,20 +292,20 @@ class MqttAdapter:
         link = self.links.get(name)
         if link is not None:
             link.active_s = now_s
-        kind = given.get("type")
+        kind = message.get("type")
         if kind == "hello":
-            self._process_hello(device, {**given, "token": token}, now_s)
+            self._process_hello(device, {**message, "token": token}, now_s)
             return None
         if kind == "goodbye":
-            if link is not None and given.get("boot", link.boot) == link.boot:
+            if link is not None and message.get("boot", link.boot) == link.boot:
                 self.forget(name, link)
                 if link.session is not None:
                     link.session.end()
             return None
-        return self._receive_message(device, given, now_s)
+        return self._receive_message(device, message, now_s)
 
     def _receive_message(
-        self, device: Device, given: Mapping[str, Any], now_s: float
+        self, device: Device, message: Mapping[str, Any], now_s: float
     ) -> "asyncio.Future[None] | None":
         rates = self._rates.get(device.name)
         if rates is None:
@@ -315,7 +315,7 @@ class MqttAdapter:
             if rates.faults.take(1, now_s):
                 rate = self._settings.device_max_messages_per_s
                 reason = f"a device sends at most {rate:g} messages a second; send this one again later"
-                self.put(device.name, _error("tooFast", reason, given.get("seq")))
+                self.put(device.name, _error("tooFast", reason, message.get("seq")))
             return None
 
         def respond(answers: Sequence[Mapping[str, Any]]) -> None:
@@ -326,20 +326,20 @@ class MqttAdapter:
                 elif "seq" in answer:  # without a number the device cannot use the answer
                     self.put(device.name, answer)
 
-        return self._gateway.receive(device, [orjson.dumps(given)], respond)
+        return self._gateway.receive(device, [orjson.dumps(message)], respond)
 
-    def _process_hello(self, device: Device, given: Mapping[str, Any], now_s: float) -> None:
+    def _process_hello(self, device: Device, message: Mapping[str, Any], now_s: float) -> None:
         """Begin a session; the hello of the run that is connected already continues its session."""
         try:
-            hello = parse_hello(orjson.dumps({**given, "device": device.name}))
-            known = self.links.get(device.name)
-            if known is None or not hello.boot or known.boot != hello.boot:
+            hello = parse_hello(orjson.dumps({**message, "device": device.name}))
+            present = self.links.get(device.name)
+            if present is None or not hello.boot or present.boot != hello.boot:
                 link = MqttLink(self, device.name, now_s)
                 link.session = self._gateway.connect(hello, link)
                 self.links[device.name] = link
         except BadMessage as bad:
             self.put(device.name, _error(bad.code, str(bad), None))
-        except Refused as refused:
+        except HelloRefused as refused:
             self.put(device.name, {**_error(refused.code, str(refused), None), "retry": refused.retry})
         else:
             self.put(device.name, self._gateway.greeting(hello, device))
@@ -367,12 +367,12 @@ def _object(payload: bytes) -> dict[str, Any]:
     if len(payload) > MAX_LINE_BYTES:
         raise BadMessage("tooLong", f"a message has at most {MAX_LINE_BYTES} bytes; send less at once")
     try:
-        given = orjson.loads(payload)
+        message = orjson.loads(payload)
     except orjson.JSONDecodeError as error:
         raise BadMessage("notJson", f"the payload is no JSON: {str(error)[:200]}") from None
-    if not isinstance(given, dict):
+    if not isinstance(message, dict):
         raise BadMessage("notJson", "a payload must be a JSON object")
-    return given
+    return message
 
 
 def _error(code: str, reason: str, seq: Any) -> dict[str, Any]:

@@ -4,14 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from handover_devices.anomalies.detectors import (
-    Alarm,
-    Baseline,
-    Seasonal,
-    Silence,
-    Verdict,
-    detector_of,
-)
+from handover_devices.anomalies.detectors import Alarm, Baseline, Seasonal, Silence, Verdict, detector_of
 from handover_devices.anomalies.rules import Rule
 
 
@@ -32,14 +25,14 @@ def findings(
     detector, alarm = detector_of(rule), Alarm(rule.for_s, rule.clear_after_s)
     if isinstance(detector, Seasonal):
         detector.baseline = baseline
-    found: list[Finding] = []
+    results: list[Finding] = []
 
     def apply(t: float, verdict: Verdict) -> None:
         if alarm.update(t, verdict.judgement):
             if alarm.is_on:
-                found.append(Finding(t, None, verdict.measured, verdict.limit))
+                results.append(Finding(t, None, verdict.measured, verdict.limit))
             else:
-                found[-1].end = t
+                results[-1].end = t
 
     last = math.inf
     for t, value in samples:
@@ -49,7 +42,7 @@ def findings(
         last = t
     if isinstance(detector, Silence):
         _judge_gap(detector, last, end, apply)
-    return found
+    return results
 
 
 def _judge_gap(detector: Silence, last: float, now: float, apply: Callable[[float, Verdict], None]) -> None:

@@ -35,15 +35,15 @@ def baseline_of(engine: Engine, series: int, check: SeasonalCheck, now_s: float)
     end_s = int(now_s // interval_s * interval_s)  # the present interval is not complete
     begin_s = (end_s - check.history_days * DAY_S) // period_s * period_s
     points = history.intervals(engine, series, begin_s * 1_000_000, end_s * 1_000_000, interval_s * 1_000_000)
-    found: defaultdict[int, list[float]] = defaultdict(list)
+    by_time: defaultdict[int, list[float]] = defaultdict(list)
     for point in points:
-        found[int(point.t_us / 1e6 % period_s // interval_s)].append(point.mean)
-    return Baseline(period_s, interval_s, {place: _usual(means) for place, means in found.items()})
+        by_time[int(point.t_us / 1e6 % period_s // interval_s)].append(point.mean)
+    return Baseline(period_s, interval_s, {place: _usual(means) for place, means in by_time.items()})
 
 
 def _usual(means: list[float]) -> tuple[float, float, int]:
     mean = math.fsum(means) / len(means)
-    variance = math.fsum((one - mean) ** 2 for one in means) / max(len(means) - 1, 1)
+    variance = math.fsum((value - mean) ** 2 for value in means) / max(len(means) - 1, 1)
     return mean, math.sqrt(variance), len(means)
 
 

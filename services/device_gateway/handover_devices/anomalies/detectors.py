@@ -209,9 +209,12 @@ def detector_of(rule: Rule, state: dict[str, Any] | None = None) -> Detector:
         return Silence(check)
     if isinstance(check, SeasonalCheck):
         return Seasonal(check)
-    known = state or {}
+    state_before = state or {}
     return ZScore(
-        check, int(known.get("n", 0)), float(known.get("mean", 0.0)), float(known.get("variance", 0.0))
+        check,
+        int(state_before.get("n", 0)),
+        float(state_before.get("mean", 0.0)),
+        float(state_before.get("variance", 0.0)),
     )
 
 

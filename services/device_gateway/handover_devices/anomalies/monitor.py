@@ -93,8 +93,8 @@ class Monitor:
 
     def load(self, rows: Iterable[WatchRow]) -> None:
         """Forget all; use the state of an earlier run for the watches that are made from now on."""
-        for each in (self.rules, self.watches, self.changed, self.removed, self._values, self._by_series):
-            each.clear()
+        for table in (self.rules, self.watches, self.changed, self.removed, self._values, self._by_series):
+            table.clear()
         self._known = {WatchKey(row.rule, row.device, row.name): row for row in rows}
 
     def discard_unknown(self) -> None:

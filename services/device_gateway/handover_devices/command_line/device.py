@@ -46,10 +46,10 @@ def list_devices(as_json: AsJson = False) -> None:
     if as_json:
         print_json(devices)
         return
-    for one in devices:
-        state = state_of(one)
-        values = ", ".join(f"{name} {value['value']:g}" for name, value in list(one["values"].items())[:4])
-        print(f"{one['name']:<24} {one['kind']:<12} {state:<14} {values}")
+    for device in devices:
+        state = state_of(device)
+        values = ", ".join(f"{name} {value['value']:g}" for name, value in list(device["values"].items())[:4])
+        print(f"{device['name']:<24} {device['kind']:<12} {state:<14} {values}")
 
 
 def state_of(device: Mapping[str, Any]) -> str:
@@ -131,10 +131,10 @@ def simulate(
     from handover_devices.simulation import SimulatedDevice, examples  # noqa: PLC0415
 
     settings = GatewaySettings.load()
-    known = {one["name"] for one in _ask("GET", "/devices", params={"limit": 1000}).json()}
+    present_names = {device["name"] for device in _ask("GET", "/devices", params={"limit": 1000}).json()}
     if not names:
         for name, description in examples().items():
-            if name not in known:
+            if name not in present_names:
                 body = {"name": name, "description": description.model_dump(mode="json", by_alias=True)}
                 _ask("POST", "/devices", json=body)
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.device_host, settings.device_host)  # noqa: S104
@@ -144,20 +144,20 @@ def simulate(
         details = _ask("GET", f"/devices/{name}").json()["description"]
         secret = _ask("POST", f"/devices/{name}/token").json()["token"]
         client = DeviceClient(host, settings.device_port, name, secret, tls=tls)
-        one = SimulatedDevice(client, DeviceDescription.model_validate(details), period_s)
-        one.start()
-        played.append(one)
+        device = SimulatedDevice(client, DeviceDescription.model_validate(details), period_s)
+        device.start()
+        played.append(device)
     print(f"{len(played)} devices are simulated; Ctrl-C stops them", flush=True)
     ends_s = time.monotonic() + seconds if seconds is not None else float("inf")
     try:
-        while time.monotonic() < ends_s and not all(one.client.refused for one in played):
+        while time.monotonic() < ends_s and not all(device.client.refused for device in played):
             time.sleep(0.2)
     except KeyboardInterrupt:
         pass
-    for one in played:
-        if one.client.refused:
-            print(f"{one.client.device}: {one.client.refused}")
-        one.stop()
+    for device in played:
+        if device.client.refused:
+            print(f"{device.client.device}: {device.client.refused}")
+        device.stop()
 
 
 def _read(file: Path) -> Any:

@@ -74,5 +74,5 @@ def grant(
 def _ask(method: str, path: str, **request: Any) -> dict[str, Any]:
     settings = GatewaySettings.load()
     answer = ask_service("device gateway", settings, method, settings.device_gateway, path, **request)
-    found: dict[str, Any] = answer.json()
-    return found
+    state: dict[str, Any] = answer.json()
+    return state

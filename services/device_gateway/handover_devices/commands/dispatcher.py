@@ -15,38 +15,39 @@ from typing import Any, Final, Protocol
 from uuid import uuid4
 
 import orjson
-from jsonschema import Draft202012Validator
-from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
-from handover.errors import Problem
-from handover.messages import Message, message, message_in, with_code
+from handover.messages import message
 from handover.runtime.clocks import SteadyTime
 from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
 from handover_devices import metrics
-from handover_devices.commands.command import (
-    OPEN,
-    Command,
-    CommandState,
-    Sent,
-    Step,
-    answered,
-    next_step,
+from handover_devices.commands.command import OPEN, Command, CommandState, Sent, Step, answered, next_step
+from handover_devices.commands.forms import cancel_message, command_message, command_of, row_of
+from handover_devices.commands.problems import (
+    device_away,
+    edge_away,
+    id_taken,
+    no_command,
+    no_longer_leading,
+    require_valid,
+    too_many_commands,
+    unknown_command,
 )
 from handover_devices.model.description import CANCEL, CommandKind, DeviceDescription
 from handover_devices.protocol.messages import AnswerState, CommandAnswer
 from handover_devices.storage import device_store
-from handover_devices.storage.history_writer import CommandRow, HistoryWriter, MessageRow
+from handover_devices.storage.history_writer import HistoryWriter, MessageRow
 
 log = get_logger(__name__)
 
 TICK_S: Final = 0.2
+ACK_TIMEOUT_S: Final = 2.0
+"""A command without an answer for this time is sent again, if its kind allows it."""
 MAX_OPEN: Final = 64
 """Open commands of one device."""
 MAX_ENDED: Final = 2_000
 """Ended commands that are kept in memory; the database has all."""
-MAX_PARAMETERS_BYTES: Final = 32 * 1024
 CANCEL_TIMEOUT_S: Final = 10.0
 CANCEL_WRITE_TIMEOUT_S: Final = 2.0
 
@@ -91,7 +92,7 @@ class Dispatcher:
         self,
         engine: Engine,
         writer: HistoryWriter,
-        ack_timeout_s: float,
+        ack_timeout_s: float = ACK_TIMEOUT_S,
         clock: Callable[[], float] | None = None,
     ) -> None:
         self._engine = engine
@@ -117,8 +118,8 @@ class Dispatcher:
     def clear(self) -> None:
         """Forget everything: another process leads."""
         for opened in self._open.values():
-            for one in opened.values():
-                one.is_lost = True
+            for pending in opened.values():
+                pending.is_lost = True
         self._open.clear()
         self._ended.clear()
         self._links.clear()
@@ -128,11 +129,11 @@ class Dispatcher:
         async with asyncio.TaskGroup() as steps:
             while True:
                 for opened in self._open.values():
-                    for one in opened.values():
-                        step = Step.WAIT if one.is_busy else self._next_step(one)
+                    for pending in opened.values():
+                        step = Step.WAIT if pending.is_busy else self._next_step(pending)
                         if step is not Step.WAIT:
-                            one.is_busy = True
-                            steps.create_task(self._proceed(one, step))
+                            pending.is_busy = True
+                            steps.create_task(self._proceed(pending, step))
                 try:
                     async with asyncio.timeout(TICK_S if any(self._open.values()) else None):
                         await self._wake.wait()
@@ -143,8 +144,8 @@ class Dispatcher:
     def connect(self, device: str, link: CommandLink) -> None:
         """Send commands of `device` over `link` from now on."""
         self._links[device] = link
-        for one in self._open[device].values():
-            one.sent = Sent()
+        for pending in self._open[device].values():
+            pending.sent = Sent()
         self._wake.set()
 
     def disconnect(self, device: str, link: CommandLink) -> None:
@@ -169,172 +170,135 @@ class Dispatcher:
         """
         specification = description.command(name)
         if specification is None:
-            known = ", ".join(command.name for command in description.commands) or "–"
-            raise Problem(
-                404,
-                "No such command",
-                message(
-                    "device.command_unknown",
-                    '{device} takes no command "{command}"; it takes {known}',
-                    device=device,
-                    command=name[:64],
-                    known=known,
-                ),
-            )
-        _require_valid(name, parameters, specification.parameters)
+            raise unknown_command(device, name, description)
+        require_valid(name, parameters, specification.parameters)
         known_one = await self._known(device, identifier, name, parameters) if identifier else None
         if known_one is not None:
             return known_one
         identifier = identifier or uuid4().hex
         if len(self._open[device]) >= MAX_OPEN:
-            raise Problem(
-                429,
-                "Too many commands",
-                message(
-                    "device.commands_too_many",
-                    "{device} has {maximum} open commands; wait until some have ended",
-                    device=device,
-                    maximum=MAX_OPEN,
-                ),
-            )
+            raise too_many_commands(device, MAX_OPEN)
         now_s = self._clock()
         link = self._links.get(device)
         if link is None and specification.kind is CommandKind.MOTION:
-            raise self._motion_away(device, name, description.edge)
+            if description.edge is not None and description.edge not in self._links:
+                raise edge_away(device, name, description.edge)
+            raise device_away(device, name)
         command = Command(
             device, identifier, name, specification.kind, dict(parameters), now_s, now_s + timeout_s
         )
-        one = _Open(command.sent_to(link.boot) if link is not None else command)
-        one.is_busy = True
-        self._open[device][identifier] = one
-        logged = [] if link is None else [self._logged(one.command)]
-        one.written = self._writer.add(
-            messages=logged, commands=[_row(one.command)], requested=current_request()
+        pending = _Open(command.sent_to(link.boot) if link is not None else command)
+        pending.is_busy = True
+        self._open[device][identifier] = pending
+        logged = [] if link is None else [self._logged(pending.command)]
+        pending.written = self._writer.add(
+            messages=logged, commands=[row_of(pending.command)], requested=current_request()
         )
         try:
-            await asyncio.shield(one.written)
-            if one.is_lost:
-                raise _no_longer_leading()
+            await asyncio.shield(pending.written)
+            if pending.is_lost:
+                raise no_longer_leading()
             if specification.kind is CommandKind.MOTION and link is not None:
-                self._send_motion(one, link)
+                self._send_motion(pending, link)
         finally:
-            one.is_busy = False
+            pending.is_busy = False
         self._wake.set()
-        return one.command
+        return pending.command
 
     async def _known(
         self, device: str, identifier: str, name: str, parameters: Mapping[str, Any]
     ) -> Command | None:
         """Return the durable command with this id; raise `Problem` 409 if it is another one."""
         stored = await self._find(device, identifier)
-        one = self._open[device].get(identifier)  # the same id may have come while the database was asked
-        found = one.command if one is not None else stored
-        if found is None:
+        pending = self._open[device].get(identifier)  # the same id may have come while the database was asked
+        present = pending.command if pending is not None else stored
+        if present is None:
             return None
-        if (found.name, dict(found.parameters)) != (name, dict(parameters)):
-            raise Problem(
-                409,
-                "Another command",
-                message(
-                    "device.command_id_taken",
-                    'the id "{id}" is that of another command; use a new one',
-                    id=identifier,
-                ),
-            )
-        if one is None:
-            return found
-        if one.written is not None:
-            await asyncio.shield(one.written)
-        return one.command
-
-    def _motion_away(self, device: str, command: str, edge: str | None) -> Problem:
-        if edge is not None and edge not in self._links:
-            return _edge_away(device, command, edge)
-        return Problem(
-            409,
-            "Device away",
-            message(
-                "device.motion_away",
-                '{device} is not connected, and "{command}" is a motion, which is never queued; '
-                "connect the device and send the command again",
-                device=device,
-                command=command,
-            ),
-        )
+        if (present.name, dict(present.parameters)) != (name, dict(parameters)):
+            raise id_taken(identifier)
+        if pending is None:
+            return present
+        if pending.written is not None:
+            await asyncio.shield(pending.written)
+        return pending.command
 
     async def cancel(self, device: str, identifier: str) -> Command:
         """Cancel a command: one that was not sent ends at once, another one when the device answers."""
-        one = self._open[device].get(identifier)
-        if one is None:
-            found = await self._find(device, identifier)
-            if found is None:
-                raise _no_command(device, identifier)
-            return found
-        if one.command.state is CommandState.QUEUED and one.command.boot is None and not one.is_busy:
-            one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
-            written = self._writer.add(commands=[_row(one.command)])
-            self._close_if_ended(one)
+        pending = self._open[device].get(identifier)
+        if pending is None:
+            stored = await self._find(device, identifier)
+            if stored is None:
+                raise no_command(device, identifier)
+            return stored
+        if (
+            pending.command.state is CommandState.QUEUED
+            and pending.command.boot is None
+            and not pending.is_busy
+        ):
+            pending.change(pending.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
+            written = self._writer.add(commands=[row_of(pending.command)])
+            self._close_if_ended(pending)
             # It is cancelled, and is not sent: a database that does not answer must not keep that back.
             await asyncio.wait({written}, timeout=CANCEL_WRITE_TIMEOUT_S)
-        elif not one.is_cancelling:
-            self._cancel_sent(one)
-        return one.command
+        elif not pending.is_cancelling:
+            self._cancel_sent(pending)
+        return pending.command
 
     def answer(self, device: str, answer: CommandAnswer) -> bool:
         """Process an answer of a device; return whether it concerns a command of this device."""
-        one = self._open[device].get(answer.id) or self._ended.get((device, answer.id))
-        if one is None:
+        pending = self._open[device].get(answer.id) or self._ended.get((device, answer.id))
+        if pending is None:
             return answer.id.endswith(f":{CANCEL}")
-        if not one.command.is_open and answer.state in {AnswerState.ACCEPTED, AnswerState.RUNNING}:
-            self._cancel_late(one.command)
-        elif one.change(answered(one.command, answer, is_cancelling=one.is_cancelling)):
-            self._writer.add(commands=[_row(one.command)])
-            self._close_if_ended(one)
+        if not pending.command.is_open and answer.state in {AnswerState.ACCEPTED, AnswerState.RUNNING}:
+            self._cancel_late(pending.command)
+        elif pending.change(answered(pending.command, answer, is_cancelling=pending.is_cancelling)):
+            self._writer.add(commands=[row_of(pending.command)])
+            self._close_if_ended(pending)
         return True
 
     async def find(self, device: str, identifier: str) -> Command:
         """Return a command; raise `Problem` 404."""
-        found = await self._find(device, identifier)
-        if found is None:
-            raise _no_command(device, identifier)
-        return found
+        command = await self._find(device, identifier)
+        if command is None:
+            raise no_command(device, identifier)
+        return command
 
     async def wait(self, device: str, identifier: str, since: Command, timeout_s: float) -> Command:
         """Return the command when it differs from `since` or has ended, at the latest after `timeout_s`."""
-        one = self._open[device].get(identifier) or self._ended.get((device, identifier))
-        if one is None:
+        pending = self._open[device].get(identifier) or self._ended.get((device, identifier))
+        if pending is None:
             return await self.find(device, identifier)
         try:
             async with asyncio.timeout(timeout_s):
-                while one.command.is_open and one.command == since:
-                    await one.changed.wait()
+                while pending.command.is_open and pending.command == since:
+                    await pending.changed.wait()
         except TimeoutError:
             pass
-        return one.command
+        return pending.command
 
     def forget(self, device: str) -> None:
         """Forget the commands of a device that was deleted."""
-        for one in self._open.pop(device, {}).values():
-            one.change(one.command.ended(CommandState.CANCELLED, "the device was deleted"))
+        for pending in self._open.pop(device, {}).values():
+            pending.change(pending.command.ended(CommandState.CANCELLED, "the device was deleted"))
 
-    def _next_step(self, one: _Open) -> Step:
-        link = self._links.get(one.command.device)
+    def _next_step(self, pending: _Open) -> Step:
+        link = self._links.get(pending.command.device)
         boot = link.boot if link else None
-        return next_step(one.command, self._clock(), boot, one.sent, self._ack_timeout_s)
+        return next_step(pending.command, self._clock(), boot, pending.sent, self._ack_timeout_s)
 
-    async def _proceed(self, one: _Open, step: Step) -> None:
+    async def _proceed(self, pending: _Open, step: Step) -> None:
         """Carry out a step; the command is busy until then."""
         try:
-            await self._carry_out(one, step)
+            await self._carry_out(pending, step)
         finally:
-            one.is_busy = False
+            pending.is_busy = False
 
-    async def _carry_out(self, one: _Open, step: Step) -> None:
-        command = one.command
+    async def _carry_out(self, pending: _Open, step: Step) -> None:
+        command = pending.command
         link = self._links.get(command.device)
         if step is Step.EXPIRE:
-            if command.boot is not None and link is not None and not one.is_cancelling:
-                link.send(_cancel_message(command))
+            if command.boot is not None and link is not None and not pending.is_cancelling:
+                link.send(cancel_message(command))
             reason = (
                 message("device.command_never_connected", "the device did not connect before the deadline")
                 if command.boot is None
@@ -343,7 +307,7 @@ class Dispatcher:
                     "the device reported no end before the deadline; what it did is unknown",
                 )
             )
-            await self._end(one, CommandState.EXPIRED, reason)
+            await self._end(pending, CommandState.EXPIRED, reason)
         elif step is Step.GIVE_UP:
             reason = message(
                 "device.command_restarted",
@@ -351,221 +315,85 @@ class Dispatcher:
             )
             if command.boot is None:
                 reason = message("device.command_not_sent", "the gateway stopped before it sent the motion")
-            await self._end(one, CommandState.UNKNOWN if command.boot else CommandState.FAILED, reason)
+            await self._end(pending, CommandState.UNKNOWN if command.boot else CommandState.FAILED, reason)
         elif step is Step.SEND and link is not None:
             if command.boot != link.boot:
-                one.change(command.sent_to(link.boot))
-                await self._write(one.command, messages=[self._logged(one.command)])
-            if self._links.get(command.device) is link and one.command.is_open:
+                pending.change(command.sent_to(link.boot))
+                await self._write(pending.command, messages=[self._logged(pending.command)])
+            if self._links.get(command.device) is link and pending.command.is_open:
                 now_s = self._clock()
-                one.sent = Sent(one.sent.times + 1, now_s)
-                link.send(_message(one.command, now_s))
+                pending.sent = Sent(pending.sent.times + 1, now_s)
+                link.send(command_message(pending.command, now_s))
 
-    def _send_motion(self, one: _Open, link: CommandLink) -> None:
+    def _send_motion(self, pending: _Open, link: CommandLink) -> None:
         """Send a motion once, if the connection that it was accepted for still exists.
 
         One that was cancelled, or is too late, when it is stored at last, is not sent.
         """
-        if one.is_cancelling:
-            one.change(one.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
-            self._writer.add(commands=[_row(one.command)])
-            self._close_if_ended(one)
+        if pending.is_cancelling:
+            pending.change(pending.command.ended(CommandState.CANCELLED, "cancelled before it was sent"))
+            self._writer.add(commands=[row_of(pending.command)])
+            self._close_if_ended(pending)
             return
-        if self._clock() >= one.command.deadline_s:
+        if self._clock() >= pending.command.deadline_s:
             late = message(
                 "device.command_too_late", "it was stored after its deadline; the motion was not sent"
             )
-            one.change(one.command.ended(CommandState.FAILED, late))
-            self._writer.add(commands=[_row(one.command)])
-            self._close_if_ended(one)
+            pending.change(pending.command.ended(CommandState.FAILED, late))
+            self._writer.add(commands=[row_of(pending.command)])
+            self._close_if_ended(pending)
             return
-        if self._links.get(one.command.device) is link:
-            one.sent = Sent(1, self._clock())
-            link.send(_message(one.command, self._clock()))
+        if self._links.get(pending.command.device) is link:
+            pending.sent = Sent(1, self._clock())
+            link.send(command_message(pending.command, self._clock()))
             return
         reason = message("device.command_disconnected", "the device disconnected; the motion was not sent")
-        one.change(one.command.ended(CommandState.FAILED, reason))
-        self._writer.add(commands=[_row(one.command)])
-        self._close_if_ended(one)
+        pending.change(pending.command.ended(CommandState.FAILED, reason))
+        self._writer.add(commands=[row_of(pending.command)])
+        self._close_if_ended(pending)
 
     def _cancel_late(self, command: Command) -> None:
         """Cancel a command that has been given up, and that the device works on."""
         link = self._links.get(command.device)
         if link is not None and command.state is not CommandState.DONE:
             log.warning("a command that was given up is active", device=command.device, command=command.id)
-            link.send(_cancel_message(command))
+            link.send(cancel_message(command))
 
-    def _cancel_sent(self, one: _Open) -> None:
-        one.is_cancelling = True
-        link = self._links.get(one.command.device)
+    def _cancel_sent(self, pending: _Open) -> None:
+        pending.is_cancelling = True
+        link = self._links.get(pending.command.device)
         if link is not None:
-            link.send(_cancel_message(one.command))
-        deadline_s = min(one.command.deadline_s, self._clock() + CANCEL_TIMEOUT_S)
-        one.command = replace(one.command, deadline_s=deadline_s)
-        self._writer.add(commands=[_row(one.command)])
+            link.send(cancel_message(pending.command))
+        deadline_s = min(pending.command.deadline_s, self._clock() + CANCEL_TIMEOUT_S)
+        pending.command = replace(pending.command, deadline_s=deadline_s)
+        self._writer.add(commands=[row_of(pending.command)])
 
-    async def _end(self, one: _Open, state: CommandState, reason: str) -> None:
-        one.change(one.command.ended(state, reason))
-        await self._write(one.command)
-        self._close_if_ended(one)
+    async def _end(self, pending: _Open, state: CommandState, reason: str) -> None:
+        pending.change(pending.command.ended(state, reason))
+        await self._write(pending.command)
+        self._close_if_ended(pending)
 
-    def _close_if_ended(self, one: _Open) -> None:
-        command = one.command
+    def _close_if_ended(self, pending: _Open) -> None:
+        command = pending.command
         if command.is_open or self._open[command.device].pop(command.id, None) is None:
             return
         metrics.COMMANDS.labels(command.state.value).inc()
         log.info("command ended", device=command.device, command=command.id, state=command.state.value)
-        self._ended[command.device, command.id] = one
+        self._ended[command.device, command.id] = pending
         while len(self._ended) > MAX_ENDED:
             self._ended.popitem(last=False)
 
     async def _write(self, command: Command, messages: list[MessageRow] | None = None) -> None:
-        await asyncio.shield(self._writer.add(messages=messages or [], commands=[_row(command)]))
+        await asyncio.shield(self._writer.add(messages=messages or [], commands=[row_of(command)]))
 
     def _logged(self, command: Command) -> MessageRow:
         now_s = self._clock()
-        body = orjson.dumps(_message(command, now_s)).decode()
+        body = orjson.dumps(command_message(command, now_s)).decode()
         return MessageRow(command.device, int(now_s * 1e6), "out", "command", body, None)
 
     async def _find(self, device: str, identifier: str) -> Command | None:
-        one = self._open[device].get(identifier) or self._ended.get((device, identifier))
-        if one is not None:
-            return one.command
+        pending = self._open[device].get(identifier) or self._ended.get((device, identifier))
+        if pending is not None:
+            return pending.command
         row = await asyncio.to_thread(device_store.command, self._engine, device, identifier)
         return None if row is None else command_of(row)
-
-
-def _message(command: Command, now_s: float) -> dict[str, Any]:
-    return {
-        "type": "command",
-        "id": command.id,
-        "name": command.name,
-        "parameters": dict(command.parameters),
-        "deadline": round(command.deadline_s, 3),
-        "remaining": round(max(command.deadline_s - now_s, 0.0), 3),  # for devices without a clock
-    }
-
-
-def _cancel_message(command: Command) -> dict[str, Any]:
-    return {
-        "type": "command",
-        "id": f"{command.id}:{CANCEL}",
-        "name": CANCEL,
-        "parameters": {"id": command.id},
-    }
-
-
-def _require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str, Any] | None) -> None:
-    try:
-        size = len(orjson.dumps(dict(parameters)))
-    except TypeError as error:
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_no_json", "the parameters are no plain JSON: {error}", error=str(error)
-            ),
-        ) from None
-    if size > MAX_PARAMETERS_BYTES:
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_too_large",
-                "the parameters have {size} bytes, and at most {maximum} fit",
-                size=size,
-                maximum=MAX_PARAMETERS_BYTES,
-            ),
-        )
-    if schema is None:
-        return
-    fault: ValidationError | None = best_match(Draft202012Validator(schema).iter_errors(dict(parameters)))
-    if fault is not None:
-        where = "".join(f", {part}" for part in [name, *fault.absolute_path])[2:]
-        raise Problem(
-            422,
-            "Wrong parameters",
-            message(
-                "device.parameters_invalid",
-                "parameters of {place}: {reason}",
-                place=where,
-                reason=fault.message[:300],
-            ),
-        )
-
-
-def _edge_away(device: str, command: str, edge: str) -> Problem:
-    return Problem(
-        409,
-        "Edge away",
-        message(
-            "device.motion_edge_away",
-            '{device} is reached through the edge {edge}, which is not connected, and "{command}" is a '
-            "motion, which is never queued; restore the connection of the edge and send the command again",
-            device=device,
-            command=command,
-            edge=edge,
-        ),
-    )
-
-
-def _no_longer_leading() -> Problem:
-    return Problem(
-        503,
-        "No leader",
-        message(
-            "device.leader_changed",
-            "another gateway took over; ask for the command by its id, and send it again if there is none",
-        ),
-    )
-
-
-def _no_command(device: str, identifier: str) -> Problem:
-    return Problem(
-        404,
-        "No such command",
-        message(
-            "device.no_command_with_id",
-            '{device} has no command with the id "{id}"',
-            device=device,
-            id=identifier[:128],
-        ),
-    )
-
-
-def _row(command: Command) -> CommandRow:
-    return CommandRow(
-        command.device,
-        command.id,
-        command.name,
-        command.kind.value,
-        orjson.dumps(dict(command.parameters)).decode(),
-        int(command.created_s * 1e6),
-        int(command.deadline_s * 1e6),
-        command.state.value,
-        command.progress,
-        None if command.result is None else orjson.dumps(dict(command.result)).decode(),
-        command.reason,
-        command.boot,
-        None
-        if not isinstance(command.reason, Message)
-        else orjson.dumps(with_code("reason", command.reason)).decode(),
-    )
-
-
-def command_of(row: CommandRow) -> Command:
-    """Return the command of a row of the database."""
-    return Command(
-        row.device,
-        row.id,
-        row.name,
-        CommandKind(row.kind),
-        orjson.loads(row.parameters),
-        row.created_us / 1e6,
-        row.deadline_us / 1e6,
-        CommandState(row.state),
-        row.progress,
-        None if row.result is None else orjson.loads(row.result),
-        row.reason if row.reason_message is None else message_in(orjson.loads(row.reason_message), "reason"),
-        row.boot,
-    )

@@ -126,8 +126,8 @@ class EdgeCommands:
             if link is not None:
                 link.send(message)
             return
-        known = device.stored.description.command(name)
-        is_motion = known is None or known.kind is CommandKind.MOTION
+        specification = device.stored.description.command(name)
+        is_motion = specification is None or specification.kind is CommandKind.MOTION
         reason = self._reason_against(device, message, age_s, is_motion)
         if reason is not None or link is None:
             EDGE_COMMANDS.labels("refused").inc()
@@ -141,14 +141,14 @@ class EdgeCommands:
         EDGE_COMMANDS.labels("passedOn").inc()
 
     def _reason_against(
-        self, device: Device, given: Mapping[str, Any], age_s: float | None, is_motion: bool
+        self, device: Device, request: Mapping[str, Any], age_s: float | None, is_motion: bool
     ) -> Message | None:
         refused = _replica_refusals if self._is_replica else _edge_refusals
         age = "?" if age_s is None else f"{age_s:.1f}"
         away, too_late, old = refused(device.name, age, f"{self._max_motion_delay_s:g}")
         if device.link is None:
             return away
-        remaining_s = given.get("remaining", 0.0)
+        remaining_s = request.get("remaining", 0.0)
         if age_s is not None and isinstance(remaining_s, int | float) and age_s >= remaining_s:
             return too_late
         if is_motion and (age_s is None or age_s > self._max_motion_delay_s):
@@ -181,9 +181,9 @@ class EdgeCommands:
         link.send({"type": "drive", "seq": seq, "held": False, "validS": 0.0})
 
     def _forget_driven(self, name: str) -> None:
-        found = self._driven.pop(name, None)
-        if found is not None:
-            found[2].cancel()
+        driven = self._driven.pop(name, None)
+        if driven is not None:
+            driven[2].cancel()
 
 
 def _edge_refusals(device: str, age: str, allowed: str) -> tuple[Message, Message, Message]:

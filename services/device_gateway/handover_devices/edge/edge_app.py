@@ -15,6 +15,7 @@ from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
+from handover.service_addresses import DEVICE_GATEWAY
 from handover.serving.service import create_app
 from handover.serving.storage import storage_check
 from handover.telemetry import get_logger
@@ -88,7 +89,7 @@ class EdgeState:
         """Return the present state."""
         uplink, outbox = self._uplink, self._outbox
         oldest_us = await asyncio.to_thread(outbox.oldest_us)
-        devices = [one for name, one in self._gateway.devices.items() if name != uplink.name]
+        devices = [device for name, device in self._gateway.devices.items() if name != uplink.name]
         trip_s = uplink.round_trip_s
         return {
             "name": uplink.name,
@@ -124,14 +125,14 @@ class EdgeState:
                 "connectedDevices": view["connectedDevices"],
                 "roundTripMs": view["roundTripMs"],
             }
-            known = {
+            names = {
                 name: value
                 for name, value in values.items()
                 if own is not None and name in own.values and value is not None
             }
-            if known and not self._gateway.writer.is_full:
+            if names and not self._gateway.writer.is_full:
                 now_s = time.time()
-                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": known}).decode()
+                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": names}).decode()
                 row = RelayRow(self._uplink.name, int(now_s * 1e6), body)
                 await asyncio.shield(self._gateway.writer.add(relays=[row]))
 
@@ -139,7 +140,7 @@ class EdgeState:
 def make_edge_app(settings: GatewaySettings) -> FastAPI:
     """Return the application of an edge; raise `UsageError` if it cannot work with these settings."""
     engine = connect(settings.database("devices"))
-    guard = Guard(settings, "device-gateway")
+    guard = Guard(settings, DEVICE_GATEWAY)
     outbox = Outbox(engine, settings.edge_buffer_mib * MIB)
     writer = HistoryWriter(engine, outbox=outbox)
     dispatcher = EdgeDispatcher(engine, writer)
@@ -181,7 +182,7 @@ def make_edge_app(settings: GatewaySettings) -> FastAPI:
         lifespan=lifespan,
         checks={"storage": storage_check(settings.data_dir)},
         guard=guard,
-        audit=AuditTrail(settings, "device-gateway", engine),
+        audit=AuditTrail(settings, DEVICE_GATEWAY, engine),
     )
 
     @app.get("/edge", tags=["edge"], dependencies=[require(Permission.READ)])

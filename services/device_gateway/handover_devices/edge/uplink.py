@@ -162,37 +162,39 @@ class Uplink:
             await self._process(orjson.loads(line))
         raise LinkLost("the centre has closed the connection")
 
-    async def _process(self, given: Mapping[str, Any]) -> None:
-        kind = given.get("type")
-        if kind == "ack" and "seq" in given:
-            self._acknowledge(int(given["seq"]))
+    async def _process(self, message: Mapping[str, Any]) -> None:
+        kind = message.get("type")
+        if kind == "ack" and "seq" in message:
+            self._acknowledge(int(message["seq"]))
         elif kind == "pong":
-            self._pong = given["n"], time.monotonic()
-            sent_s = self._pings.get(given["n"])
+            self._pong = message["n"], time.monotonic()
+            sent_s = self._pings.get(message["n"])
             self.round_trip_s = None if sent_s is None else time.monotonic() - sent_s
         elif kind == "deliver":
-            self._commands.deliver(given["device"], given["message"], self._age_s(given.get("after")))
+            self._commands.deliver(message["device"], message["message"], self._age_s(message.get("after")))
         elif kind in ("device", "devices", "removed", "end"):
-            self._changes.put_nowait(given)
+            self._changes.put_nowait(message)
         elif kind == "error":
-            await self._refused(given)
+            await self._refused(message)
 
     async def _follow_registry(self) -> None:
         """Take over what the centre has registered; commands do not wait for it."""
         gateway = self._gateway
         while True:
-            given = await self._changes.get()
-            kind = given["type"]
+            message = await self._changes.get()
+            kind = message["type"]
             if kind == "device":
-                await self._mirror(given)
+                await self._mirror(message)
             elif kind == "devices":
-                names = set(given["names"])
-                for name in [one for one in gateway.devices if one not in names]:
+                names = set(message["names"])
+                for name in [device for device in gateway.devices if device not in names]:
                     await self.remove(name)
-            elif kind == "removed" and given["name"] in gateway.devices:
-                await self.remove(given["name"])
+            elif kind == "removed" and message["name"] in gateway.devices:
+                await self.remove(message["name"])
             elif kind == "end":
-                gateway.end(given["device"], given["code"], given["reason"], retry=bool(given["retry"]))
+                gateway.end(
+                    message["device"], message["code"], message["reason"], retry=bool(message["retry"])
+                )
 
     async def mirror(self, stored: StoredDevice) -> None:
         """Take over a device."""
@@ -206,31 +208,31 @@ class Uplink:
         self._gateway.end(name, "notGranted", reason, retry=True)
         await self._gateway.remove(name)
 
-    async def _mirror(self, given: Mapping[str, Any]) -> None:
+    async def _mirror(self, message: Mapping[str, Any]) -> None:
         try:
-            description = DeviceDescription.model_validate(given["description"])
+            description = DeviceDescription.model_validate(message["description"])
         except ValidationError as error:
-            log.warning("device of the centre not understood", device=given["name"], error=str(error)[:300])
+            log.warning("device of the centre not understood", device=message["name"], error=str(error)[:300])
             return
         now_us = int(time.time() * 1e6)
         stored = StoredDevice(
-            given["name"],
+            message["name"],
             description,
-            given["tokenSha256"],
+            message["tokenSha256"],
             now_us,
             now_us,
-            given["certificateSha256"],
-            given["certificateEndUs"],
+            message["certificateSha256"],
+            message["certificateEndUs"],
         )
         await self.mirror(stored)
 
-    async def _refused(self, given: Mapping[str, Any]) -> None:
-        if "retry" in given:
-            raise LinkLost(str(given.get("reason")))
+    async def _refused(self, message: Mapping[str, Any]) -> None:
+        if "retry" in message:
+            raise LinkLost(str(message.get("reason")))
         log.warning(
-            "refused by the centre", **{name: given.get(name) for name in ("device", "code", "reason")}
+            "refused by the centre", **{name: message.get(name) for name in ("device", "code", "reason")}
         )
-        if given.get("seq") is not None:
+        if message.get("seq") is not None:
             await self._gateway.writer.call(lambda connection: self._outbox.note_refused(connection, 1))
 
     def _age_s(self, after: Any) -> float | None:

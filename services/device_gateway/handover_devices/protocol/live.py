@@ -39,20 +39,20 @@ def live_message(line: bytes) -> dict[str, Any] | None:
     if not any(kind.encode() in line for kind in LIVE):
         return None
     try:
-        given = orjson.loads(line)
+        message = orjson.loads(line)
     except orjson.JSONDecodeError:
         return None
-    return given if isinstance(given, dict) and given.get("type") in LIVE else None
+    return message if isinstance(message, dict) and message.get("type") in LIVE else None
 
 
-def parse_image(given: Mapping[str, Any]) -> ImagePart:
+def parse_image(message: Mapping[str, Any]) -> ImagePart:
     """Return the part of an image; raise `BadMessage`."""
-    frame, part, parts = given.get("frame", 0), given.get("part", 0), given.get("parts", 1)
+    frame, part, parts = message.get("frame", 0), message.get("part", 0), message.get("parts", 1)
     if not all(type(number) is int and 0 <= number <= MAX_SEQ for number in (frame, part, parts)):
         raise BadMessage("badImage", "frame, part and parts must be whole numbers, 0 or more")
     if not part < parts <= MAX_PARTS:
         raise BadMessage("badImage", f"an image has 1 to {MAX_PARTS} parts, and part counts from 0")
-    data = given.get("data")
+    data = message.get("data")
     try:
         content = b64decode(data, validate=True) if isinstance(data, str) else b""
     except (binascii.Error, ValueError):

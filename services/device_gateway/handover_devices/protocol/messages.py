@@ -152,13 +152,13 @@ def encode(message: Mapping[str, Any]) -> bytes:
 
 def parse_hello(line: bytes, *, needs_token: bool = True) -> Hello:
     """Return the hello of a connection; without `needs_token` the token may be missing, and is empty then."""
-    given = _object(line)
-    if given.get("type") != "hello":
+    message = _object(line)
+    if message.get("type") != "hello":
         raise BadMessage("noHello", 'the first message must have the type "hello"')
-    version = given.get("version")
+    version = message.get("version")
     if version != VERSION or isinstance(version, bool):
         raise BadMessage("version", f"version must be {VERSION}, the version of the protocol")
-    device, token, boot = given.get("device"), given.get("token", ""), given.get("boot", "")
+    device, token, boot = message.get("device"), message.get("token", ""), message.get("boot", "")
     if not isinstance(device, str) or not is_device_name(device):
         raise BadMessage("badHello", "device must be 1 to 64 letters, digits, '_', '.' or '-'")
     if not isinstance(token, str) or (needs_token and not token) or len(token) > 256:
@@ -169,34 +169,34 @@ def parse_hello(line: bytes, *, needs_token: bool = True) -> Hello:
         )
     if not isinstance(boot, str) or not is_boot(boot):
         raise BadMessage("badHello", "boot must be up to 64 letters, digits, '_', '.' or '-'")
-    drives = given.get("drives", False)
+    drives = message.get("drives", False)
     if not isinstance(drives, bool):
         raise BadMessage("badHello", "drives must be true or false")
-    measures, takes = _names(given, "measures"), _names(given, "takes")
-    return Hello(device, token, boot, measures, takes, drives, _relay(given))
+    measures, takes = _names(message, "measures"), _names(message, "takes")
+    return Hello(device, token, boot, measures, takes, drives, _relay(message))
 
 
 def parse_message(line: bytes, max_bytes: int = MAX_LINE_BYTES) -> Message:
     """Return a message after the hello."""
-    given = _object(line, max_bytes)
-    kind = given.get("type")
+    message = _object(line, max_bytes)
+    kind = message.get("type")
     if kind == "telemetry":
-        return _telemetry(given)
+        return _telemetry(message)
     if kind == "state":
-        return _state(given)
+        return _state(message)
     if kind == "event":
-        return _event(given)
+        return _event(message)
     if kind in ("ack", "error"):
-        return _answer(given, is_error=kind == "error")
-    seq = _seq(given)
+        return _answer(message, is_error=kind == "error")
+    seq = _seq(message)
     if kind == "hello":
         raise BadMessage("unknownType", "the hello was accepted already; send it once a connection", seq)
     shown = kind[:64] if isinstance(kind, str) else "no text"
     raise BadMessage("unknownType", f"type is {shown}; it must be telemetry, state, event, ack or error", seq)
 
 
-def _relay(given: Mapping[str, Any]) -> RelayHello | None:
-    relay = given.get("relay")
+def _relay(message: Mapping[str, Any]) -> RelayHello | None:
+    relay = message.get("relay")
     if relay is None:
         return None
     stream, at = (
@@ -211,20 +211,20 @@ def _object(line: bytes, max_bytes: int = MAX_LINE_BYTES) -> dict[str, Any]:
     if len(line) > max_bytes:
         raise BadMessage("tooLong", f"a line has at most {MAX_LINE_BYTES} bytes; send less at once")
     try:
-        given = orjson.loads(line)
+        message = orjson.loads(line)
     except orjson.JSONDecodeError as error:
         hint = ""
         if b"NaN" in line or b"Infinity" in line:
             hint = "; NaN and Infinity are no JSON, leave out a value that is missing"
         raise BadMessage("notJson", f"the line is no JSON: {str(error)[:200]}{hint}") from None
-    if not isinstance(given, dict):
+    if not isinstance(message, dict):
         raise BadMessage("notJson", "a line must be a JSON object")
-    return given
+    return message
 
 
-def _telemetry(given: Mapping[str, Any]) -> Telemetry:
-    seq = _seq(given)
-    values = given.get("values")
+def _telemetry(message: Mapping[str, Any]) -> Telemetry:
+    seq = _seq(message)
+    values = message.get("values")
     if not isinstance(values, dict) or not values:
         raise BadMessage("badValues", "values must be an object with at least one value by name", seq)
     if len(values) > MAX_VALUES:
@@ -235,64 +235,64 @@ def _telemetry(given: Mapping[str, Any]) -> Telemetry:
             raise BadMessage(
                 "badValue", f'the value "{name[:64]}" must be a finite number, true or false', seq
             )
-    return Telemetry(seq, _time(given, seq), read)  # type: ignore[arg-type]
+    return Telemetry(seq, _time(message, seq), read)  # type: ignore[arg-type]
 
 
-def _state(given: Mapping[str, Any]) -> StateReport:
-    seq = _seq(given)
+def _state(message: Mapping[str, Any]) -> StateReport:
+    seq = _seq(message)
     try:
-        state = DeviceState(str(given.get("state")))
+        state = DeviceState(str(message.get("state")))
     except ValueError:
         raise BadMessage("badState", f"state must be one of {_STATES}", seq) from None
-    level = given.get("batteryLevel")
+    level = message.get("batteryLevel")
     if level is not None:
         level = _number(level)
         if level is None or not 0 <= level <= 1:
             raise BadMessage("badState", "batteryLevel must be a number from 0 to 1", seq)
-    return StateReport(seq, _time(given, seq), state, level)
+    return StateReport(seq, _time(message, seq), state, level)
 
 
-def _event(given: Mapping[str, Any]) -> DeviceEvent:
-    seq = _seq(given)
-    name = given.get("name")
+def _event(message: Mapping[str, Any]) -> DeviceEvent:
+    seq = _seq(message)
+    name = message.get("name")
     if not isinstance(name, str) or not is_value_name(name):
         raise BadMessage("badEvent", "name must be 1 to 64 letters, digits, '_', '.' or '-'", seq)
-    return DeviceEvent(seq, _time(given, seq), name, given.get("data"))
+    return DeviceEvent(seq, _time(message, seq), name, message.get("data"))
 
 
-def _reason(given: Mapping[str, Any]) -> str:
+def _reason(message: Mapping[str, Any]) -> str:
     """Return the reason of an error: with its code if an edge or a replica gave it with one."""
-    coded = messages.message_in(given, "reason")
+    coded = messages.message_in(message, "reason")
     if isinstance(coded, messages.Message) and len(coded) <= MAX_TEXT:
         return coded
-    return str(given.get("reason", ""))[:MAX_TEXT] or messages.message(
+    return str(message.get("reason", ""))[:MAX_TEXT] or messages.message(
         "device.command_no_reason", "the device gave no reason"
     )
 
 
-def _answer(given: Mapping[str, Any], *, is_error: bool) -> CommandAnswer:
-    identifier = given.get("id")
+def _answer(message: Mapping[str, Any], *, is_error: bool) -> CommandAnswer:
+    identifier = message.get("id")
     if not isinstance(identifier, str) or not 0 < len(identifier) <= 128:
         raise BadMessage("badAnswer", "id must be that of the command that the message answers")
     if is_error:
-        return CommandAnswer(identifier, None, reason=_reason(given))
+        return CommandAnswer(identifier, None, reason=_reason(message))
     try:
-        state = AnswerState(given.get("state", AnswerState.DONE))
+        state = AnswerState(message.get("state", AnswerState.DONE))
     except ValueError:
         raise BadMessage("badAnswer", f"state must be one of {', '.join(AnswerState)}") from None
-    progress = given.get("progress")
+    progress = message.get("progress")
     if progress is not None:
         progress = _number(progress)
         if progress is None or not 0 <= progress <= 1:
             raise BadMessage("badAnswer", "progress must be a number from 0 to 1")
-    result = given.get("result")
+    result = message.get("result")
     if result is not None and not isinstance(result, dict):
         raise BadMessage("badAnswer", "result must be an object")
     return CommandAnswer(identifier, state, progress, result)
 
 
-def _seq(given: Mapping[str, Any]) -> int | None:
-    seq = given.get("seq")
+def _seq(message: Mapping[str, Any]) -> int | None:
+    seq = message.get("seq")
     if seq is None:
         return None
     if type(seq) is not int or not 0 <= seq <= MAX_SEQ:
@@ -300,8 +300,8 @@ def _seq(given: Mapping[str, Any]) -> int | None:
     return seq
 
 
-def _time(given: Mapping[str, Any], seq: int | None) -> float | None:
-    t = given.get("t")
+def _time(message: Mapping[str, Any], seq: int | None) -> float | None:
+    t = message.get("t")
     if t is None:
         return None
     read = None if isinstance(t, bool) else _number(t)
@@ -319,8 +319,8 @@ def _number(value: Any) -> float | None:
     return None
 
 
-def _names(given: Mapping[str, Any], member: str) -> tuple[str, ...]:
-    names = given.get(member, [])
+def _names(message: Mapping[str, Any], member: str) -> tuple[str, ...]:
+    names = message.get(member, [])
     if not isinstance(names, list) or len(names) > MAX_NAMES:
         raise BadMessage("badHello", f"{member} must be a list of at most {MAX_NAMES} names")
     if not all(isinstance(name, str) and is_value_name(name) for name in names):

@@ -39,13 +39,7 @@ from typing import Any, Final
 import orjson
 
 from handover_devices.protocol.live import LIVE
-from handover_devices.protocol.messages import (
-    MAX_LINE_BYTES,
-    MAX_SEQ,
-    BadMessage,
-    is_boot,
-    is_device_name,
-)
+from handover_devices.protocol.messages import MAX_LINE_BYTES, MAX_SEQ, BadMessage, is_boot, is_device_name
 
 MAX_RELAYED_BYTES: Final = MAX_LINE_BYTES + 1024
 """A line of an edge: a message of a device, with its number and the name of the device."""
@@ -102,46 +96,46 @@ def parse_replica_hello(line: bytes) -> ReplicaHello | None:
     if b'"replica"' not in line:
         return None
     try:
-        given: Any = orjson.loads(line)
+        message: Any = orjson.loads(line)
     except orjson.JSONDecodeError:
         return None
-    if not isinstance(given, dict) or given.get("type") != "hello" or "device" in given:
+    if not isinstance(message, dict) or message.get("type") != "hello" or "device" in message:
         return None
-    replica, token = given.get("replica"), given.get("token")
+    replica, token = message.get("replica"), message.get("token")
     return ReplicaHello(replica, token) if isinstance(replica, str) and isinstance(token, str) else None
 
 
 def parse_relayed(line: bytes) -> Relayed | Presence | Live | Ping:
     """Return a message of an edge; raise `BadMessage`."""
     try:
-        given: Any = orjson.loads(line)
+        fields: Any = orjson.loads(line)
     except orjson.JSONDecodeError as error:
         raise BadMessage("notJson", f"the line is no JSON: {str(error)[:200]}") from None
-    kind = given.get("type") if isinstance(given, dict) else None
+    kind = fields.get("type") if isinstance(fields, dict) else None
     if kind == "ping":
-        return Ping(_number(given.get("n"), "n"))
+        return Ping(_number(fields.get("n"), "n"))
     if kind not in ("relay", "online", "offline", "live"):
         raise BadMessage("unknownType", "type must be relay, online, offline, live or ping")
-    device = given.get("device")
+    device = fields.get("device")
     if not isinstance(device, str) or not is_device_name(device):
         raise BadMessage("badRelay", "device must be the name of a device")
     if kind == "relay":
-        seq, message = _number(given.get("seq"), "seq"), given.get("message")
+        seq, message = _number(fields.get("seq"), "seq"), fields.get("message")
         if not isinstance(message, dict):
             raise BadMessage("badRelay", "message must be a message of the device", seq)
         return Relayed(seq, device, orjson.dumps(message))
     if kind == "live":
-        return _live(device, given)
+        return _live(device, fields)
     if kind == "offline":
         return Presence(device, None)
-    boot, drives = given.get("boot"), given.get("drives", False)
+    boot, drives = fields.get("boot"), fields.get("drives", False)
     if not isinstance(boot, str) or not is_boot(boot) or not isinstance(drives, bool):
         raise BadMessage("badRelay", "boot must be that of the hello of the device, drives true or false")
-    return Presence(device, boot, drives, _seconds(given.get("ageS", 0.0), "ageS must be seconds"))
+    return Presence(device, boot, drives, _seconds(fields.get("ageS", 0.0), "ageS must be seconds"))
 
 
-def _live(device: str, given: dict[str, Any]) -> Live:
-    message, after = given.get("message"), given.get("after")
+def _live(device: str, fields: dict[str, Any]) -> Live:
+    message, after = fields.get("message"), fields.get("after")
     if not isinstance(message, dict) or message.get("type") not in LIVE:
         raise BadMessage("badRelay", f"message must have one of the types {', '.join(LIVE)}")
     reason = "after must be the number of a pong and the seconds since then"

@@ -107,10 +107,10 @@ class Device:
         for name, value in message.values.items():
             sensor = self.values.get(name)
             if sensor is None:
-                known = ", ".join(self.values) or "none"
+                names = ", ".join(self.values) or "none"
                 raise BadMessage(
                     "unknownValue",
-                    f'{self.name} has no value "{name[:64]}"; it has {known[:500]}. Add a sensor to its '
+                    f'{self.name} has no value "{name[:64]}"; it has {names[:500]}. Add a sensor to its '
                     "registration, or correct the name",
                     message.seq,
                 )
@@ -123,13 +123,13 @@ class Device:
     def observe(self, message: Telemetry, t: float) -> None:
         """Keep the values of a message unless later ones are known."""
         for name, value in message.values.items():
-            known = self.latest.get(name)
-            if known is None:
+            before = self.latest.get(name)
+            if before is None:
                 self.latest[name] = LatestValue(t, value)
                 self.has_news = True
-            elif t >= known.t:
-                known.replace(t, value)
-                if known.reported is None or abs(value - known.reported) > self.values[name].dead_band:
+            elif t >= before.t:
+                before.replace(t, value)
+                if before.reported is None or abs(value - before.reported) > self.values[name].dead_band:
                     self.has_news = True
 
     def observe_state(self, message: StateReport, t: float) -> None:

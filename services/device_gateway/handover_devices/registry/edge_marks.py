@@ -15,9 +15,9 @@ class EdgeMarks:
     def merge(self, stored: Mapping[str, tuple[str, int]]) -> None:
         """Note what the database has, which another process may have stored."""
         for edge, (stream, seq) in stored.items():
-            for known in (self._stored, self._received):
-                if self._of(known, edge, stream) <= seq:
-                    known[edge] = stream, seq
+            for marks in (self._stored, self._received):
+                if self._of(marks, edge, stream) <= seq:
+                    marks[edge] = stream, seq
 
     def stored(self, edge: str, stream: str) -> int:
         """Return the last number that is durable, 0 for a new stream."""
@@ -42,5 +42,5 @@ class EdgeMarks:
 
     @staticmethod
     def _of(marks: Mapping[str, tuple[str, int]], edge: str, stream: str) -> int:
-        known, seq = marks.get(edge, ("", 0))
-        return seq if known == stream else 0
+        marked_stream, seq = marks.get(edge, ("", 0))
+        return seq if marked_stream == stream else 0

@@ -4,13 +4,14 @@ from datetime import UTC, datetime
 from typing import Any
 
 from handover.files.content_digest import with_digest
+from handover.service_addresses import DEVICE_GATEWAY
 from handover.settings import Settings
 from handover_datamodels.numbers import portable
 from handover_datamodels.times import iso
 from handover_devices.model.description import ROBOTS, DeviceDescription
 from handover_devices.registry.device import Device
 
-SOURCE = "device-gateway"
+SOURCE = DEVICE_GATEWAY
 
 
 def device_id(settings: Settings, name: str) -> str:

@@ -42,12 +42,12 @@ class FreeNames:
 
     def _performer_of(self, entity: str) -> "asyncio.Future[str | None]":
         loop = asyncio.get_running_loop()
-        found = self._waiting.get(entity)
-        if found is None:
-            found = self._waiting[entity] = loop.create_future()
+        waiting = self._waiting.get(entity)
+        if waiting is None:
+            waiting = self._waiting[entity] = loop.create_future()
         if self._asking is None or self._asking.done():
             self._asking = loop.create_task(self._ask())
-        return found
+        return waiting
 
     async def _ask(self) -> None:
         while self._waiting:
@@ -59,6 +59,6 @@ class FreeNames:
                 for future in batch.values():
                     future.set_exception(error)
                 continue
-            performers = {one["id"]: one.get("performer", {}).get("value") for one in entities}
+            performers = {entity["id"]: entity.get("performer", {}).get("value") for entity in entities}
             for name, future in batch.items():
                 future.set_result(performers.get(name))

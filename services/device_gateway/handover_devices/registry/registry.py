@@ -54,10 +54,12 @@ class DeviceRegistry:
 
     async def load_devices(self) -> None:
         """Read the devices and their latest values; those that are known keep their connections."""
-        found = {one.name: one for one in await asyncio.to_thread(device_store.load, self._engine)}
-        for name in [name for name in self.devices if name not in found]:
+        stored_devices = {
+            entry.name: entry for entry in await asyncio.to_thread(device_store.load, self._engine)
+        }
+        for name in [name for name in self.devices if name not in stored_devices]:
             self.drop(name)
-        for name, stored in found.items():
+        for name, stored in stored_devices.items():
             device = self.devices.get(name)
             if device is None:
                 device = self.devices[name] = Device(stored)
@@ -69,14 +71,14 @@ class DeviceRegistry:
         for name, (t_us, value) in (
             await asyncio.to_thread(history.latest, self._engine, device.name)
         ).items():
-            known = device.latest.get(name)
-            if name in device.values and (known is None or known.t < t_us / 1e6):
+            latest = device.latest.get(name)
+            if name in device.values and (latest is None or latest.t < t_us / 1e6):
                 device.latest[name] = LatestValue(t_us / 1e6, value)
 
     def device(self, name: str) -> Device:
         """Return a device; raise `Problem` 404."""
-        found = self.devices.get(name)
-        if found is None:
+        stored = self.devices.get(name)
+        if stored is None:
             raise Problem(
                 404,
                 "No such device",
@@ -86,7 +88,7 @@ class DeviceRegistry:
                     device=name,
                 ),
             )
-        return found
+        return stored
 
     async def add(self, name: str, description: DeviceDescription) -> NewToken:
         """Register a device and return its token."""
@@ -246,8 +248,8 @@ class DeviceRegistry:
         """End the connection of a device."""
 
 
-def _differs(one: StoredDevice, other: StoredDevice) -> bool:
-    return (one.description, one.token_sha256, one.certificate_sha256) != (
+def _differs(stored: StoredDevice, other: StoredDevice) -> bool:
+    return (stored.description, stored.token_sha256, stored.certificate_sha256) != (
         other.description,
         other.token_sha256,
         other.certificate_sha256,

@@ -41,7 +41,7 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
     fault = next(chain(mesh_faults(root), loop_faults(root)), None)
     if fault is not None:
         raise _refused(message("device.urdf_fault", "{fault}", fault=fault[:500]))
-    found: list[Joint] = []
+    joints: list[Joint] = []
     for element in root.findall("joint"):
         kind = element.get("type")
         if kind not in _MOVING or element.find("mimic") is not None:
@@ -49,7 +49,7 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
         limit = element.find("limit")
         bounded = kind != "continuous"
         try:
-            found.append(
+            joints.append(
                 Joint.model_validate(
                     {
                         "name": element.get("name", ""),
@@ -72,7 +72,7 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
                     reason=text[:200],
                 )
             ) from None
-    return tuple(found)
+    return tuple(joints)
 
 
 def _limit(element: "etree._Element | None", name: str, default: float | None) -> float | None:

@@ -126,13 +126,13 @@ class Following:
         backoff = Backoff(initial_s=0.1, max_s=MAX_RETRY_S)
         while True:
             try:
-                found = await asyncio.to_thread(leader_store.find, self._engine)
+                leader = await asyncio.to_thread(leader_store.find, self._engine)
             except SQLAlchemyError as error:
                 log.warning("leader not looked up", error=str(error).splitlines()[0])
             else:
-                self.leader = found
-                if found is not None:
-                    uplink.upstream = self._upstream(found)
+                self.leader = leader
+                if leader is not None:
+                    uplink.upstream = self._upstream(leader)
                     await uplink.try_once(backoff)
             await backoff.wait()
 

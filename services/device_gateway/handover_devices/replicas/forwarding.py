@@ -178,7 +178,7 @@ class ToLeader:
 
 async def _first_of(*work: Awaitable[None]) -> None:
     """Run until one ends."""
-    tasks = [asyncio.ensure_future(one) for one in work]
+    tasks = [asyncio.ensure_future(job) for job in work]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -188,13 +188,13 @@ async def _first_of(*work: Awaitable[None]) -> None:
 
 
 async def _to_leader(socket: WebSocket, link: ClientConnection) -> None:
-    while (given := await socket.receive())["type"] != "websocket.disconnect":
-        await link.send(given["text"] if given.get("text") is not None else given["bytes"])
+    while (event := await socket.receive())["type"] != "websocket.disconnect":
+        await link.send(event["text"] if event.get("text") is not None else event["bytes"])
 
 
 async def _from_leader(socket: WebSocket, link: ClientConnection) -> None:
-    async for given in link:
-        await (socket.send_text(given) if isinstance(given, str) else socket.send_bytes(given))
+    async for text in link:
+        await (socket.send_text(text) if isinstance(text, str) else socket.send_bytes(text))
 
 
 def _target(scope: Scope) -> str:

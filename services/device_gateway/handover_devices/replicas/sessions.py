@@ -14,7 +14,7 @@ from handover_devices import metrics
 from handover_devices.gateway import DeviceGateway, Respond
 from handover_devices.protocol.relaying import MAX_RELAYED_BYTES, Relayed, ReplicaHello
 from handover_devices.protocol.times import TimeRule
-from handover_devices.refusals import Refused
+from handover_devices.refusals import HelloRefused
 from handover_devices.registry.device import Device, Link
 from handover_devices.relaying import RelaySession
 
@@ -38,9 +38,9 @@ class ReplicaSession(RelaySession):
         """Return the number of the last message of this connection."""
         return self._last
 
-    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+    def store(self, device: Device, relayed: Relayed) -> list[Mapping[str, Any]]:
         """Apply a message, which the replica has stored."""
-        fault = self.gateway.observe(device, given.line, self._replicas.times, MAX_RELAYED_BYTES)
+        fault = self.gateway.observe(device, relayed.line, self._replicas.times, MAX_RELAYED_BYTES)
         return [] if fault is None else [{"type": "error", "code": "notApplied", "reason": fault}]
 
     def acknowledge(
@@ -73,11 +73,11 @@ class ReplicaSessions:
         self.sessions: set[ReplicaSession] = set()
 
     def begin(self, hello: ReplicaHello, link: Link) -> ReplicaSession:
-        """Begin the session of a replica; raise `Refused`."""
+        """Begin the session of a replica; raise `HelloRefused`."""
         if self.token is None:
-            raise Refused("noLeader", "this gateway does not lead", retry=True)
+            raise HelloRefused("noLeader", "this gateway does not lead", retry=True)
         if not compare_digest(hello.token.encode(), self.token.encode()):
-            raise Refused("wrongToken", "the token is that of another leader", retry=True)
+            raise HelloRefused("wrongToken", "the token is that of another leader", retry=True)
         session = ReplicaSession(self, hello.replica[:64], link)
         self.sessions.add(session)
         metrics.REPLICAS.inc()

@@ -201,14 +201,14 @@ def add_anomaly_routes(
             samples = history.samples(engine, series, int(begin * 1e6), int(end * 1e6), MAX_SAMPLES)
             check = test.rule.check
             baseline = baseline_of(engine, series, check, begin) if isinstance(check, SeasonalCheck) else None
-            found = findings(test.rule, samples, end, baseline)
-            return {"values": len(samples), "findings": [_finding(one) for one in found]}
+            matches = findings(test.rule, samples, end, baseline)
+            return {"values": len(samples), "findings": [_finding(finding) for finding in matches]}
 
         return await asyncio.to_thread(read)
 
 
-def _finding(one: Finding) -> FindingView:
-    return {"begin": one.begin, "end": one.end, "measured": one.measured, "limit": one.limit}
+def _finding(finding: Finding) -> FindingView:
+    return {"begin": finding.begin, "end": finding.end, "measured": finding.measured, "limit": finding.limit}
 
 
 def _anomaly(settings: Settings, watch: Watch) -> AnomalyView:

@@ -54,19 +54,19 @@ def add_camera_routes(
         It replaces the one before, and is never stored.
         """
         scheme, _, token = authorization.partition(" ")
-        known = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
-        images.put(known.name, await request.body())
+        sender = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
+        images.put(sender.name, await request.body())
 
     @app.get("/cameras", tags=["devices"])
     async def cameras(caller: Reader) -> list[CameraView]:
         """List the devices that have sent images and that the caller may read, with the age of the newest."""
-        now_s, found = time.time(), []
+        now_s, views = time.time(), []
         for name, device in sorted(gateway.devices.items()):
             if (image := images.of(name)) is not None and may_read(caller, settings, name):
                 age_s = round(max(now_s - image.at_s, 0.0), 3)
                 title = device.stored.description.title
-                found.append(CameraView(device=name, title=title, number=image.number, age_s=age_s))
-        return found
+                views.append(CameraView(device=name, title=title, number=image.number, age_s=age_s))
+        return views
 
     @app.get(
         "/devices/{device}/image",
@@ -78,11 +78,11 @@ def add_camera_routes(
     async def image(device: str) -> Response:
         """Return the newest image of a camera; 404 if it has sent none since the gateway started."""
         gateway.device(device)
-        found = images.of(device)
-        if found is None:
+        newest = images.of(device)
+        if newest is None:
             raise Problem(
                 404,
                 "No image",
                 message("device.no_image", "{device} has sent no image yet", device=device),
             )
-        return Response(found.content, media_type=found.media_type, headers={"Cache-Control": "no-store"})
+        return Response(newest.content, media_type=newest.media_type, headers={"Cache-Control": "no-store"})

@@ -12,7 +12,8 @@ from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.serving.service import json_response
-from handover_devices.commands.dispatcher import Dispatcher, command_of
+from handover_devices.commands.dispatcher import Dispatcher
+from handover_devices.commands.forms import command_of
 from handover_devices.gateway import DeviceGateway
 from handover_devices.routes.views import CommandView, command_view
 from handover_devices.storage import device_store
@@ -64,11 +65,11 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
     async def one(device: str, command: str, wait: Wait = 0.0) -> CommandView:
         """Return a command; with `wait`, when it has ended or after that time."""
         gateway.device(device)
-        found = await dispatcher.find(device, command)
+        present = await dispatcher.find(device, command)
         ends_s = asyncio.get_running_loop().time() + wait
-        while found.is_open and (left_s := ends_s - asyncio.get_running_loop().time()) > 0:
-            found = await dispatcher.wait(device, command, found, left_s)
-        return command_view(found)
+        while present.is_open and (left_s := ends_s - asyncio.get_running_loop().time()) > 0:
+            present = await dispatcher.wait(device, command, present, left_s)
+        return command_view(present)
 
     @app.delete(
         "/devices/{device}/commands/{command}",
@@ -80,7 +81,7 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
     async def cancel(device: str, command: str, response: Response) -> CommandView:
         """Cancel a command; 202 while the device has not answered."""
         gateway.device(device)
-        found = await dispatcher.cancel(device, command)
-        if found.is_open:
+        cancelled = await dispatcher.cancel(device, command)
+        if cancelled.is_open:
             response.status_code = 202
-        return command_view(found)
+        return command_view(cancelled)

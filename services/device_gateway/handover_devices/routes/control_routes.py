@@ -75,17 +75,17 @@ def add_control_routes(
         It has those that the caller may read.
         """
         seen = inputs.axes()
-        found = []
+        views = []
         for name, device in sorted(gateway.devices.items()):
             description = device.stored.description
             is_one = name in seen or description.kind is DeviceKind.INPUT_DEVICE
             if is_one and device.link is not None and may_read(caller, settings, name):
                 control = inputs.of(name)
                 view = None if control is None else _view(control)
-                found.append(
+                views.append(
                     InputDeviceView(device=name, title=description.title, axes=seen.get(name), control=view)
                 )
-        return found
+        return views
 
     @app.get(
         "/devices/{device}/control", tags=["control"], dependencies=[require(Permission.READ, OF_DEVICE)]

@@ -112,14 +112,14 @@ def add_device_routes(
         joints: Annotated[bool, Query(description="also replace the joints by those of the URDF")] = False,
     ) -> DeviceDetails:
         """Store the URDF of a robot."""
-        known = gateway.device(device)
+        registered = gateway.device(device)
         urdf = await request.body()
-        found = await asyncio.to_thread(joints_in, urdf)
+        joints_of_file = await asyncio.to_thread(joints_in, urdf)
         await gateway.save_file(device, URDF, DeviceFile("application/xml", urdf))
         if joints:
-            changed = known.stored.description.model_dump() | {"joints": found}
+            changed = registered.stored.description.model_dump() | {"joints": joints_of_file}
             await gateway.describe(device, DeviceDescription.model_validate(changed))
-        return await details(known)
+        return await details(registered)
 
     @app.get(
         "/devices/{device}/urdf",
@@ -153,8 +153,8 @@ def add_device_routes(
 
     async def _file(device: str, kind: str) -> Response:
         gateway.device(device)
-        found = await asyncio.to_thread(device_store.file_of, engine, device, kind)
-        if found is None:
+        file = await asyncio.to_thread(device_store.file_of, engine, device, kind)
+        if file is None:
             raise Problem(
                 404,
                 f"No {kind}",
@@ -166,7 +166,7 @@ def add_device_routes(
                 ),
             )
         return Response(
-            found.content, media_type=found.media_type, headers={"X-Content-Type-Options": "nosniff"}
+            file.content, media_type=file.media_type, headers={"X-Content-Type-Options": "nosniff"}
         )
 
 
@@ -186,7 +186,7 @@ def add_reading_routes(
 
         `after` is the last name of the page before.
         """
-        found = sorted(
+        matches = sorted(
             name
             for name, device in gateway.devices.items()
             if name > after
@@ -195,7 +195,7 @@ def add_reading_routes(
         )
         now_s = time.time()
         return json_response(
-            [device_view(gateway.devices[name], device_id(settings, name), now_s) for name in found[:limit]]
+            [device_view(gateway.devices[name], device_id(settings, name), now_s) for name in matches[:limit]]
         )
 
     @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])

@@ -82,9 +82,9 @@ def add_drive_routes(app: FastAPI, gateway: DeviceGateway, sessions: OpenSession
 async def _receive(socket: WebSocket, session: DriveSession) -> None:
     while True:
         try:
-            given = await receive_input(socket)
-            if given is None:
+            human_input = await receive_input(socket)
+            if human_input is None:
                 return
-            session.receive(given)
+            session.receive(human_input)
         except (InputRefused, NotDrivable) as refused:
             await send_error(socket, str(refused))

@@ -56,12 +56,12 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
     ) -> list[MessageView]:
         """List messages that the device sent and received, newest first."""
         gateway.device(device)
-        found = await asyncio.to_thread(
+        rows = await asyncio.to_thread(
             lambda: history.messages(
                 engine, device, before=before, limit=limit, types=type or (), direction=direction
             )
         )
-        return [MessageView(**row) for row in found]  # type: ignore[typeddict-item]
+        return [MessageView(**row) for row in rows]  # type: ignore[typeddict-item]
 
     @app.get("/devices/{device}/values", tags=["history"], dependencies=[may_read])
     async def values(
@@ -75,21 +75,21 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
 
         Without times, those of the last 24 hours.
         """
-        known = gateway.device(device).values
+        all_series = gateway.device(device).values
         series = await _series(device, name)
         begin_us, end_us = _interval(begin, end)
 
         def read() -> list[SeriesView]:
             return [
                 {
-                    "name": one,
-                    "unit": known[one].unit if one in known else None,
+                    "name": value_name,
+                    "unit": all_series[value_name].unit if value_name in all_series else None,
                     "points": [
                         {"t": p.t_us / 1e6, "n": p.n, "mean": p.mean, "min": p.min, "max": p.max}
                         for p in history.points(engine, number, begin_us, end_us, points)
                     ],
                 }
-                for one, number in series.items()
+                for value_name, number in series.items()
             ]
 
         return await asyncio.to_thread(read)
@@ -145,8 +145,8 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         """Forecast a value from its history by a simple model, with the error that it had so far."""
         series = await _series(device, [name])
         unit = gateway.device(device).values.get(name)
-        found = await asyncio.to_thread(_forecast, engine, series[name], horizon, steps, time.time())
-        return {"name": name, "unit": None if unit is None else unit.unit, **found}  # type: ignore[typeddict-item]
+        prediction = await asyncio.to_thread(_forecast, engine, series[name], horizon, steps, time.time())
+        return {"name": name, "unit": None if unit is None else unit.unit, **prediction}  # type: ignore[typeddict-item]
 
     @app.post(INGEST, tags=["devices"], dependencies=[Depends(OtherCredential("the token of the device"))])
     @max_body(MAX_LINE_BYTES)
@@ -158,7 +158,7 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         The message is durable when this returns.
         """
         scheme, _, token = authorization.partition(" ")
-        known = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
+        reader = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
         if gateway.writer.is_full:
             raise Problem(
                 503,
@@ -168,7 +168,7 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
                 ),
             )
         answered: asyncio.Future[Sequence[Mapping[str, Any]]] = asyncio.get_running_loop().create_future()
-        gateway.receive(known, [await request.body()], answered.set_result)
+        gateway.receive(reader, [await request.body()], answered.set_result)
         answer = dict((await answered)[0])
         if answer["type"] == "error":
             raise Problem(422, "Message refused", answer["reason"], extra={"code": answer["code"]})
@@ -176,10 +176,10 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
 
     async def _series(device: str, names: list[str] | None) -> dict[str, int]:
         gateway.device(device)
-        found = await asyncio.to_thread(history.series_of, engine, device)
+        series = await asyncio.to_thread(history.series_of, engine, device)
         if names is None:
-            return found
-        missing = [name for name in names if name not in found]
+            return series
+        missing = [name for name in names if name not in series]
         if missing:
             raise Problem(
                 404,
@@ -189,10 +189,10 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
                     '{device} has no stored value "{name}"; it has {known}',
                     device=device,
                     name=missing[0][:64],
-                    known=", ".join(found) or "–",
+                    known=", ".join(series) or "–",
                 ),
             )
-        return {name: found[name] for name in names}
+        return {name: series[name] for name in names}
 
 
 def _forecast(engine: Engine, series: int, horizon_s: float, steps: int, now_s: float) -> dict[str, Any]:
@@ -206,7 +206,7 @@ def _forecast(engine: Engine, series: int, horizon_s: float, steps: int, now_s: 
     for point in history.intervals(engine, series, begin_us, end_us, width_us):
         values[(point.t_us - begin_us) // width_us] = point.mean
     try:
-        found = forecast(values, steps, per_day)
+        prediction = forecast(values, steps, per_day)
     except TooShort as short:
         raise Problem(
             409,
@@ -221,12 +221,14 @@ def _forecast(engine: Engine, series: int, horizon_s: float, steps: int, now_s: 
             ),
         ) from None
     times = [(end_us + (step + 0.5) * width_us) / 1e6 for step in range(steps)]
-    band = zip(times, found.mean.tolist(), found.low.tolist(), found.high.tolist(), strict=True)
+    band = zip(
+        times, prediction.mean.tolist(), prediction.low.tolist(), prediction.high.tolist(), strict=True
+    )
     return {
-        "method": found.method,
-        "error": found.error,
-        "naiveError": found.naive_error,
-        "origins": found.origins,
+        "method": prediction.method,
+        "error": prediction.error,
+        "naiveError": prediction.naive_error,
+        "origins": prediction.origins,
         "coverage": COVERAGE,
         "points": [{"t": t, "mean": mean, "low": low, "high": high} for t, mean, low, high in band],
     }
@@ -248,12 +250,12 @@ def _csv(engine: Engine, series: Mapping[str, int], begin_us: int, end_us: int) 
     text = io.StringIO()
     lines = csv.writer(text)
     lines.writerow(("time", "name", "value", "count", "minimum", "maximum"))
-    found = history.every_value(engine, series, begin_us, end_us)
+    rows = history.every_value(engine, series, begin_us, end_us)
     while True:
         yield text.getvalue().encode()
         text.seek(0)
         text.truncate()
-        page = list(islice(found, ROWS_AT_ONCE))
+        page = list(islice(rows, ROWS_AT_ONCE))
         if not page:
             return
         lines.writerows(

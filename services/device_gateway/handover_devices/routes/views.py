@@ -181,8 +181,8 @@ def device_view(device: Device, entity: str, now_s: float) -> DeviceView:
         "updatedAt": device.stored.updated_us / 1e6,
         "location": description.placement.location,
         "sensors": [
-            {"name": one.name, "unit": one.unit, "minimum": one.minimum, "maximum": one.maximum}
-            for one in description.sensors
+            {"name": sensor.name, "unit": sensor.unit, "minimum": sensor.minimum, "maximum": sensor.maximum}
+            for sensor in description.sensors
         ],
         "values": {
             name: {

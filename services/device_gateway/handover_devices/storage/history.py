@@ -40,16 +40,16 @@ def points(engine: Engine, series: int, begin_us: int, end_us: int, max_points: 
 
 def intervals(engine: Engine, series: int, begin_us: int, end_us: int, width_us: int) -> list[Point]:
     """Return the intervals of `width_us` of a series in `[begin_us, end_us)`, without empty ones."""
-    found = _all_tiers(series, begin_us, end_us).subquery()
+    values = _all_tiers(series, begin_us, end_us).subquery()
     # `//` truncates on both databases; times before `begin_us` are not selected, so nothing is negative.
-    number = cast((found.c.t_us - begin_us) // width_us, Integer).label("number")
+    number = cast((values.c.t_us - begin_us) // width_us, Integer).label("number")
     query = (
         select(
             number,
-            func.sum(found.c.n),
-            func.sum(found.c.mean * found.c.n),
-            func.min(found.c.min),
-            func.max(found.c.max),
+            func.sum(values.c.n),
+            func.sum(values.c.mean * values.c.n),
+            func.min(values.c.min),
+            func.max(values.c.max),
         )
         .group_by(number)
         .order_by(number)
@@ -89,8 +89,8 @@ def every_value(
     for name, number in series.items():
         from_us = begin_us
         while True:
-            found = _all_tiers(number, from_us, end_us).subquery()
-            query = select(found).order_by(found.c.t_us).limit(EXPORT_PAGE)
+            values = _all_tiers(number, from_us, end_us).subquery()
+            query = select(values).order_by(values.c.t_us).limit(EXPORT_PAGE)
             with engine.connect() as connection:
                 rows = connection.execute(query).all()
             for row in rows:
@@ -113,7 +113,7 @@ def samples(
 
 def latest(engine: Engine, device: str) -> dict[str, tuple[int, float]]:
     """Return the latest value of each series of a device, at full rate: time in microseconds, and value."""
-    found: dict[str, tuple[int, float]] = {}
+    latest_of: dict[str, tuple[int, float]] = {}
     with engine.connect() as connection:
         for name, number in series_of(engine, device).items():
             query = (
@@ -124,8 +124,8 @@ def latest(engine: Engine, device: str) -> dict[str, tuple[int, float]]:
             )
             row = connection.execute(query).first()
             if row is not None:
-                found[name] = (row.t_us, row.value)
-    return found
+                latest_of[name] = (row.t_us, row.value)
+    return latest_of
 
 
 def messages(

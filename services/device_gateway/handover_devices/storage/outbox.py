@@ -158,14 +158,14 @@ class Outbox:
         """Return the greatest number that was given, 0 at first. Blocks on the database."""
         with self._engine.connect() as connection:
             if connection.dialect.name == "sqlite":
-                found = connection.exec_driver_sql(
+                row = connection.exec_driver_sql(
                     "SELECT seq FROM sqlite_sequence WHERE name = 'device_outbox'"
                 ).scalar()
             else:
-                found = connection.exec_driver_sql(
+                row = connection.exec_driver_sql(
                     "SELECT CASE WHEN is_called THEN last_value ELSE 0 END FROM device_outbox_seq_seq"
                 ).scalar()
-        return int(found or 0)
+        return int(row or 0)
 
     def oldest_us(self) -> int | None:
         """Return when the oldest message was received. Blocks on the database."""

@@ -62,8 +62,8 @@ def partitions(connection: Connection) -> list[Partition]:
         "SELECT relname FROM pg_inherits JOIN pg_class ON pg_class.oid = inhrelid "
         "WHERE inhparent = to_regclass('device_value')"
     ).scalars()
-    found = [partition for name in names if (partition := _partition(name)) is not None]
-    return sorted(found, key=lambda one: one.end_us)
+    present = [partition for name in names if (partition := _partition(name)) is not None]
+    return sorted(present, key=lambda partition: partition.end_us)
 
 
 def ensure(connection: Connection, days: Iterable[int]) -> None:
@@ -75,7 +75,7 @@ def ensure(connection: Connection, days: Iterable[int]) -> None:
     present = partitions(connection)
     for day in wanted:
         begin_us = day * DAY_US
-        if not any((one.begin_us or 0) <= begin_us < one.end_us for one in present):
+        if not any((partition.begin_us or 0) <= begin_us < partition.end_us for partition in present):
             _attach(connection, f"device_value_d{_text(begin_us)}", begin_us, begin_us + DAY_US)
 
 
@@ -120,11 +120,11 @@ def _attach(connection: Connection, name: str, begin_us: int, end_us: int) -> No
 
 
 def _partition(name: str) -> Partition | None:
-    found = _NAME.fullmatch(name)
-    if found is None:  # a partition that somebody else has attached is left alone
+    match = _NAME.fullmatch(name)
+    if match is None:  # a partition that somebody else has attached is left alone
         return None
-    day_us = int(datetime.strptime(found[2], "%Y%m%d").replace(tzinfo=UTC).timestamp()) * 1_000_000
-    return Partition(name, None, day_us) if found[1] == "until_" else Partition(name, day_us, day_us + DAY_US)
+    day_us = int(datetime.strptime(match[2], "%Y%m%d").replace(tzinfo=UTC).timestamp()) * 1_000_000
+    return Partition(name, None, day_us) if match[1] == "until_" else Partition(name, day_us, day_us + DAY_US)
 
 
 def _text(day_us: int) -> str:

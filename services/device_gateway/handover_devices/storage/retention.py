@@ -84,7 +84,7 @@ def summarize(connection: Connection, series: int, rule: RetentionRule, now_us: 
 def old_partitions(connection: Connection, rule: RetentionRule, now_us: int) -> list[Partition]:
     """Return the partitions with values that are all older than `rule` keeps, oldest first."""
     before_us = _before(now_us, rule.values_h)
-    return [one for one in partitions.partitions(connection) if one.end_us <= before_us]
+    return [partition for partition in partitions.partitions(connection) if partition.end_us <= before_us]
 
 
 def delete_messages(connection: Connection, rule: RetentionRule, now_us: int) -> bool:
@@ -132,8 +132,8 @@ def _move(  # noqa: PLR0917 - one statement with these parts
     connection.execute(delete(source).where(old))
 
 
-def _chosen(connection: Connection, which: str, one: Any, other: Any) -> Any:
+def _chosen(connection: Connection, which: str, expression: Any, other: Any) -> Any:
     """Return the smaller or larger of two columns: SQLite calls that function min, PostgreSQL least."""
     if connection.dialect.name == "sqlite":
-        return getattr(func, which)(one, other)
-    return func.least(one, other) if which == "min" else func.greatest(one, other)
+        return getattr(func, which)(expression, other)
+    return func.least(expression, other) if which == "min" else func.greatest(expression, other)

@@ -39,8 +39,8 @@ def _add_certificates(connection: Connection) -> None:
 
 
 def _add_reason_messages(connection: Connection) -> None:
-    known = {one["name"] for one in inspect(connection).get_columns("device_command")}
-    if "reason_message" not in known:  # a step before may have made the table
+    columns = {column["name"] for column in inspect(connection).get_columns("device_command")}
+    if "reason_message" not in columns:  # a step before may have made the table
         connection.exec_driver_sql("ALTER TABLE device_command ADD COLUMN reason_message TEXT")
 
 

@@ -18,7 +18,7 @@ from handover_devices.model.description import DeviceDescription
 from handover_devices.protocol import messages
 from handover_devices.protocol.lines import LineBuffer
 from handover_devices.protocol.messages import BadMessage, parse_hello
-from handover_devices.refusals import Refused
+from handover_devices.refusals import HelloRefused
 from handover_devices.settings import GatewaySettings
 from tests.kit.device_gateways import running_gateway
 from tests.kit.paths import REPOSITORY
@@ -180,7 +180,7 @@ async def test_the_gateway_accepts_every_line_of_the_sketch(tmp_path: Path) -> N
 )
 async def test_a_wrong_change_of_the_sketch_is_found(right: str, wrong: str, tmp_path: Path) -> None:
     assert right in SKETCH
-    with pytest.raises((AssertionError, BadMessage, Refused)):
+    with pytest.raises((AssertionError, BadMessage, HelloRefused)):
         await replay(SKETCH.replace(right, wrong, 1), tmp_path)
 
 

@@ -21,14 +21,7 @@ from handover.telemetry import get_logger
 from handover_datamodels.times import iso
 from handover_gloves.accuracy_tests.report import first_recognized
 from handover_gloves.accuracy_tests.store import AccuracyTest, AccuracyTestStore
-from handover_gloves.accuracy_tests.trials import (
-    Observation,
-    Phase,
-    Plan,
-    Progress,
-    Trial,
-    draw_order,
-)
+from handover_gloves.accuracy_tests.trials import Observation, Phase, Plan, Progress, Trial, draw_order
 from handover_gloves.accuracy_tests.views import TestState, TestSummary
 from handover_gloves.gloves.glove import Glove
 from handover_gloves.gloves.known_gloves import KnownGloves
@@ -339,8 +332,8 @@ class AccuracyTestRunner:
             return dict(self._gestures.codes)
         codes: dict[str, str] = {}
         for name in gestures:
-            known = self._gestures.find(name)
-            if known is None:
+            gesture = self._gestures.find(name)
+            if gesture is None:
                 raise Problem(
                     422,
                     "Unknown gesture",
@@ -351,8 +344,8 @@ class AccuracyTestRunner:
                         hint=self._gestures.like(name),
                     ),
                 )
-            if known in self._gestures.composites:
-                parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(known))
+            if gesture in self._gestures.composites:
+                parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(gesture))
                 raise Problem(
                     422,
                     "Composed gesture",
@@ -360,11 +353,11 @@ class AccuracyTestRunner:
                         "accuracy_test.composed_gesture",
                         '"{known}" is composed of {parts}; an accuracy test asks for one shape of one '
                         "hand at a time, so test those instead",
-                        known=known,
+                        known=gesture,
                         parts=parts,
                     ),
                 )
-            codes[known] = self._gestures.codes[known]
+            codes[gesture] = self._gestures.codes[gesture]
         return codes
 
     def _require_no_other_test(self, glove: Glove, but: str | None = None) -> None:

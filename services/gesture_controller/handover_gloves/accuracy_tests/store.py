@@ -98,9 +98,9 @@ class AccuracyTestStore:
             "repeats": trial.repeats,
             "ended_at": iso(at),
         }
-        known = (_trials.c.test == test) & (_trials.c.number == trial.number)
+        is_trial = (_trials.c.test == test) & (_trials.c.number == trial.number)
         with self._engine.begin() as connection:
-            if connection.execute(select(_trials.c.number).where(known)).first() is None:
+            if connection.execute(select(_trials.c.number).where(is_trial)).first() is None:
                 connection.execute(insert(_trials).values(row))
 
     def set_phase(self, test: str, phase: Phase, reason: str, ended_at: datetime | None) -> None:

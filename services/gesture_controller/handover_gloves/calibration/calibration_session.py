@@ -19,8 +19,8 @@ from handover_gloves.calibration.calibration_wizard import (
     HAND_STEPS,
     SAMPLE_STEPS,
     CalibrationWizard,
-    Phase,
     Step,
+    WizardPhase,
 )
 from handover_gloves.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
 from handover_gloves.calibration.glove_fits import GloveFits
@@ -90,7 +90,7 @@ class CalibrationSession:
 class CalibrationSessions:
     """All calibration sessions, at most one for each glove."""
 
-    def __init__(self, known: KnownGloves, fits: GloveFits, store: CalibrationStore) -> None:
+    def __init__(self, gloves: KnownGloves, fits: GloveFits, store: CalibrationStore) -> None:
         self._fits = fits
         self._store = store
         self._sessions: dict[str, CalibrationSession] = {}
@@ -98,9 +98,9 @@ class CalibrationSessions:
         self._writing = asyncio.Lock()
         self._interrupted = store.unfinished()
         """By glove, the gesture of a session that a restart interrupted."""
-        for glove in known:
+        for glove in gloves:
             self._report_interruption(glove)
-        known.on_added.append(self._report_interruption)
+        gloves.on_added.append(self._report_interruption)
 
     async def begin(
         self, glove: Glove, *, gesture: str | None, apply: bool, countdown_s: float
@@ -277,7 +277,7 @@ class CalibrationSessions:
         gesture = self._interrupted.pop(glove.name)
         code = None if gesture is None else glove.reader.config.gestures.codes.get(gesture)
         steps = HAND_STEPS if gesture is None else SAMPLE_STEPS
-        wizard = CalibrationWizard(steps, phase=Phase.INTERRUPTED)
+        wizard = CalibrationWizard(steps, phase=WizardPhase.INTERRUPTED)
         session = CalibrationSession(glove, wizard, apply=False, gesture=gesture, code=code)
         shown = "showing the fist and the open hand" if gesture is None else f'showing "{gesture}"'
         session.outcome = _result(
@@ -288,7 +288,7 @@ class CalibrationSessions:
 
     async def _outcome(self, session: CalibrationSession) -> dict[str, Any]:
         glove, wizard = session.glove, session.wizard
-        if wizard.phase is Phase.GIVEN_UP:
+        if wizard.phase is WizardPhase.GIVEN_UP:
             raise Problem(
                 409,
                 "Given up",
@@ -385,7 +385,7 @@ def _message(session: CalibrationSession) -> OperatorMessage:
         return OperatorMessage("calibration.offered", "Measured; accept it to use it")
     instruction = _INSTRUCTIONS[wizard.step]
     values: dict[str, str | float | list[str]] = {"gesture": session.gesture or ""}
-    if wizard.phase is Phase.COUNTDOWN:
+    if wizard.phase is WizardPhase.COUNTDOWN:
         return OperatorMessage(f"calibration.{wizard.step.value}.soon", instruction, values)
     if wizard.waits_for_change or not wizard.restless:
         text = f"{instruction}, and keep it still"

@@ -45,7 +45,7 @@ class Step(Enum):
     GESTURE = "gesture"
 
 
-class Phase(Enum):
+class WizardPhase(Enum):
     """The progress within a step."""
 
     COUNTDOWN = "countdown"
@@ -66,7 +66,7 @@ class CalibrationWizard:
 
     steps: tuple[Step, ...] = HAND_STEPS
     countdown_s: float = COUNTDOWN_S
-    phase: Phase = Phase.COUNTDOWN
+    phase: WizardPhase = WizardPhase.COUNTDOWN
     captured: tuple[Frames, ...] = ()
     """The frames of each finished step."""
     since_s: float | None = None
@@ -83,7 +83,7 @@ class CalibrationWizard:
     @property
     def is_over(self) -> bool:
         """True if no more frames are needed."""
-        return self.phase in {Phase.DONE, Phase.GIVEN_UP, Phase.INTERRUPTED}
+        return self.phase in {WizardPhase.DONE, WizardPhase.GIVEN_UP, WizardPhase.INTERRUPTED}
 
     @property
     def step(self) -> Step:
@@ -93,9 +93,9 @@ class CalibrationWizard:
     @property
     def remaining_s(self) -> float:
         """The rest of the countdown, or of the second that the hand must be still."""
-        if self.phase is Phase.COUNTDOWN:
+        if self.phase is WizardPhase.COUNTDOWN:
             return self.countdown_s if self.since_s is None else self.since_s + self.countdown_s - self.at_s
-        if self.phase is Phase.CAPTURE:
+        if self.phase is WizardPhase.CAPTURE:
             return max(CAPTURE_S - (self.window[-1][0] - self.window[0][0] if self.window else 0.0), 0.0)
         return 0.0
 
@@ -113,28 +113,28 @@ class CalibrationWizard:
             seen = self if self.since_s is not None else replace(self, lowest=min(bend), highest=max(bend))
             return replace(seen, since_s=at_s, at_s=at_s, window=())
         now = replace(self, at_s=at_s, lowest=min(self.lowest, *bend), highest=max(self.highest, *bend))
-        if self.phase is Phase.COUNTDOWN:
+        if self.phase is WizardPhase.COUNTDOWN:
             if at_s - self.since_s < self.countdown_s:
                 return now
-            return replace(now, phase=Phase.CAPTURE, since_s=at_s, window=((at_s, tuple(bend)),))
+            return replace(now, phase=WizardPhase.CAPTURE, since_s=at_s, window=((at_s, tuple(bend)),))
         return now._after_capture(tuple(bend), at_s, at_s - self.since_s)
 
     def _after_capture(self, bend: tuple[float, ...], at_s: float, waited_s: float) -> "CalibrationWizard":
         window = (*(entry for entry in self.window if at_s - entry[0] <= CAPTURE_S), (at_s, bend))
         now = replace(self, window=window)
         if len(window) < MIN_FRAMES or at_s - window[0][0] < CAPTURE_S - (at_s - window[-2][0]):
-            return replace(now, phase=Phase.GIVEN_UP) if waited_s >= MAX_CAPTURE_S else now
+            return replace(now, phase=WizardPhase.GIVEN_UP) if waited_s >= MAX_CAPTURE_S else now
         frames = tuple(frame for _, frame in window)
         restless = tuple(self._restless(frames))
         is_unchanged = not restless and bool(self.captured) and not self._has_moved(frames)
         now = replace(now, restless=restless, waits_for_change=is_unchanged and waited_s < MAX_UNCHANGED_S)
         if restless or now.waits_for_change:
-            return replace(now, phase=Phase.GIVEN_UP) if waited_s >= MAX_CAPTURE_S else now
+            return replace(now, phase=WizardPhase.GIVEN_UP) if waited_s >= MAX_CAPTURE_S else now
         captured = (*self.captured, frames)
         return replace(
             now,
             captured=captured,
-            phase=Phase.DONE if len(captured) == len(self.steps) else Phase.COUNTDOWN,
+            phase=WizardPhase.DONE if len(captured) == len(self.steps) else WizardPhase.COUNTDOWN,
             since_s=at_s,
             window=(),
             waits_for_change=False,

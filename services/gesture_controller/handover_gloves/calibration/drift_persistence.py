@@ -28,14 +28,14 @@ MIN_SAVED_CHANGE = 0.02
 class DriftPersistence:
     """Stores the drift of all gloves, and restores it when a glove becomes known."""
 
-    def __init__(self, store: CalibrationStore, known: KnownGloves, records: GloveRecords) -> None:
+    def __init__(self, store: CalibrationStore, gloves: KnownGloves, records: GloveRecords) -> None:
         self._store = store
-        self._known = known
+        self._known = gloves
         self._records = records
         self._stored = store.drifts()
-        for glove in known:
+        for glove in gloves:
             self._restore(glove)
-        known.on_added.append(self._restore)
+        gloves.on_added.append(self._restore)
 
     async def save(self, min_change: float = MIN_SAVED_CHANGE) -> None:
         """Write the drifts that changed by more than `min_change`, a share of the span of any finger."""

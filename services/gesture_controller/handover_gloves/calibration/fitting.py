@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from handover_gloves.recognition.levels import Calibration, FingerLevels, Sample
+from handover_gloves.recognition.levels import Calibration, CalibrationSample, FingerLevels
 from handover_gloves.recognition.thresholds import FINGERS, Thresholds
 
 LEVELS, SAMPLES, OFFERED = "levels", "samples", "offered"
@@ -34,7 +34,7 @@ def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calib
             for finger in FINGERS
         )
         samples = tuple(
-            Sample(code, _five(frames["shares"]), _five(frames["noise"]))
+            CalibrationSample(code, _five(frames["shares"]), _five(frames["noise"]))
             for code, frames in learnt.get(SAMPLES, {}).items()
         )
     except (KeyError, TypeError, ValueError, AttributeError):

@@ -6,15 +6,9 @@ from dataclasses import replace
 
 from handover.errors import Problem
 from handover.messages import message, text_of
-from handover_gloves.calibration.fitting import (
-    OFFERED,
-    SAMPLES,
-    calibration_from,
-    learnt_from,
-)
+from handover_gloves.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
 from handover_gloves.calibration.glove_records import GloveRecords
-from handover_gloves.gloves.glove import Glove
-from handover_gloves.gloves.glove_listener import GloveListener
+from handover_gloves.gloves.glove import Glove, GloveListener
 from handover_gloves.recognition.levels import Calibration, CalibrationFailed, calibrate
 from handover_gloves.recognition.pipeline import RecognitionConfig
 from handover_gloves.recognition.thresholds import Thresholds, WrongThreshold

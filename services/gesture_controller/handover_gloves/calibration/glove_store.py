@@ -99,9 +99,9 @@ class GloveStore:
         if not files:
             return
         with self._engine.begin() as connection:
-            known = set(connection.scalars(select(tables.gloves.c.name)))
+            names = set(connection.scalars(select(tables.gloves.c.name)))
             for file in files:
-                if file.stem not in known:
+                if file.stem not in names:
                     glove, person, fit = _old_glove(file)
                     _save(connection, glove)
                     if fit.thresholds is not None:

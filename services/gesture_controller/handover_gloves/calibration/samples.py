@@ -8,8 +8,8 @@ from handover_gloves.recognition.levels import (
     MIN_FRAMES,
     Calibration,
     CalibrationFailed,
+    CalibrationSample,
     FingerLevels,
-    Sample,
 )
 from handover_gloves.recognition.thresholds import FINGERS
 
@@ -19,7 +19,9 @@ MAX_SAMPLE_UNREST = 0.3
 _MAD_TO_SIGMA = 1.4826
 
 
-def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[FingerLevels]) -> Sample:
+def sample_of(
+    code: str, frames: Sequence[Sequence[float]], levels: Sequence[FingerLevels]
+) -> CalibrationSample:
     """Return the sample of the gesture with `code` from `frames` (five raw values each, thumb first).
 
     `levels` belong to the person's calibration. Raises `CalibrationFailed` if there are too few frames, or if
@@ -57,10 +59,10 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
             )
         shares.append(round(usual, 4))
         noise.append(round(unrest, 4))
-    return Sample(code, tuple(shares), tuple(noise))
+    return CalibrationSample(code, tuple(shares), tuple(noise))
 
 
-def with_sample(calibration: Calibration, sample: Sample) -> Calibration:
+def with_sample(calibration: Calibration, sample: CalibrationSample) -> Calibration:
     """Return `calibration` with `sample` in place of an older one of the same gesture."""
-    others = tuple(each for each in calibration.samples if each.code != sample.code)
+    others = tuple(other for other in calibration.samples if other.code != sample.code)
     return Calibration(calibration.thresholds, calibration.levels, (*others, sample))

@@ -39,7 +39,7 @@ def bridge_arguments(arguments: Sequence[str]) -> list[str]:
     access_token = cli_access(settings).secret_token()
     if access_token is not None:
         os.environ[ACCESS_TOKEN] = access_token
-    known = {
+    codes = {
         "host": {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.glove_host, settings.glove_host),  # noqa: S104
         "port": str(settings.glove_port),
         "controller": settings.gesture_controller,
@@ -48,7 +48,7 @@ def bridge_arguments(arguments: Sequence[str]) -> list[str]:
         os.environ["HANDOVER_TLS_AUTHORITY"] = str(settings.tls_authority)
     command, *options = arguments
     names = TALKS_TO.get(command, ("host", "port"))
-    from_settings = [part for name in names for part in (f"--{name}", known[name])]
+    from_settings = [part for name in names for part in (f"--{name}", codes[name])]
     if "port" in names and settings.expects_tls(settings.glove_host):
         from_settings.append("--tls")
     return [command, *from_settings, *options]

@@ -36,17 +36,17 @@ def take_in(
     from handover_gloves.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
     try:
-        given = file.read(path.read_text(encoding="utf-8"), path.name)
+        definitions = file.read(path.read_text(encoding="utf-8"), path.name)
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} cannot be read: {error}") from None
     gestures = load(ControllerSettings.load().gestures_file).gestures
-    for key, one in given.items():
-        if one.gesture is not None and gestures.find(one.gesture) is None:
-            print(f'note: "{key}" asks for "{one.gesture}", which this site does not know')
+    for key, definition in definitions.items():
+        if definition.gesture is not None and gestures.find(definition.gesture) is None:
+            print(f'note: "{key}" asks for "{definition.gesture}", which this site does not know')
     with _database(url, "written") as engine:
         table.create(engine)
-        table.save(engine, given)
-        print(f"{len(given)} definitions written to {engine.url.render_as_string(hide_password=True)}")
+        table.save(engine, definitions)
+        print(f"{len(definitions)} definitions written to {engine.url.render_as_string(hide_password=True)}")
 
 
 @app.command("list")

@@ -37,11 +37,7 @@ from handover_gloves.recognition.gestures import (
     checked_code,
     default_commands,
 )
-from handover_gloves.recognition.thresholds import (
-    M2O2P_THRESHOLDS,
-    Thresholds,
-    WrongThreshold,
-)
+from handover_gloves.recognition.thresholds import M2O2P_THRESHOLDS, Thresholds, WrongThreshold
 
 _SECTIONS = ("gestures", "commands", "persons", "answers", "gloves")
 
@@ -74,18 +70,18 @@ class Configuration:
 
     def restricted_answers(self) -> list[str]:
         """Return a sentence for each answer that some Tasks do not offer by gesture."""
-        found = []
+        faults = []
         for whose, commands in {"": self.commands, **self.persons}.items():
             of_person = f" of {whose}" if whose else ""
             for outcome, gesture in self.answers.items():
                 if (command := commands.ids.get(gesture)) is not None and (
                     not whose or self.commands.ids.get(gesture) != command
                 ):
-                    found.append(
+                    faults.append(
                         f'"{gesture}" is the gesture of the answer {outcome} and of the command {command}'
                         f"{of_person}: a Task that asks for it can be answered {outcome} on the screen only"
                     )
-        return found
+        return faults
 
     def commands_of(self, person: str | None) -> Commands:
         """Return the commands with the gestures of `person`."""
@@ -128,8 +124,8 @@ class Reader(LinedYaml):
         sections = {} if root is None else {entry.key: entry for entry in self.entries(root, "the file")}
         for entry in sections.values():
             if entry.key not in _SECTIONS:
-                known = f"{', '.join(_SECTIONS[:-1])} and {_SECTIONS[-1]}"
-                raise self.wrong(entry.line, f'unknown section "{entry.key}"; the sections are {known}')
+                allowed = f"{', '.join(_SECTIONS[:-1])} and {_SECTIONS[-1]}"
+                raise self.wrong(entry.line, f'unknown section "{entry.key}"; the sections are {allowed}')
         gestures = self._gestures(sections.get("gestures"))
         commands = self._command_map(sections.get("commands"), gestures)
         persons = self._persons(sections.get("persons"), gestures, commands)
@@ -172,7 +168,7 @@ class Reader(LinedYaml):
         what = f'gesture "{entry.key}"'
         if not isinstance(entry.value, yaml.MappingNode):
             return Shape(self.text(entry.value, f"the code of {what}"))
-        parts = {given.key: given for given in self.entries(entry.value, what)}
+        parts = {part.key: part for part in self.entries(entry.value, what)}
         if set(parts) == {"left", "right"}:
             left, right = (
                 self.text(parts[hand].value, f"the {hand} hand of {what}") for hand in ("left", "right")
@@ -217,29 +213,29 @@ class Reader(LinedYaml):
 
     def _answer(self, entry: Entry, gestures: Gestures, taken: Collection[str]) -> str:
         name = self.text(entry.value, f"the gesture of the answer {entry.key}")
-        known = gestures.find(name)
-        if known is None:
+        gesture = gestures.find(name)
+        if gesture is None:
             raise self.wrong(
                 entry.line,
                 f'the answer {entry.key} has the unknown gesture "{name}"; {gestures.like(name)}',
             )
-        if known in gestures.composites:
+        if gesture in gestures.composites:
             raise self.wrong(
                 entry.line,
-                f'the answer {entry.key} has the gesture "{known}", which takes two hands or two steps; '
+                f'the answer {entry.key} has the gesture "{gesture}", which takes two hands or two steps; '
                 "choose a gesture of one hand, so that it can be given at any moment",
             )
-        if gestures.codes[known] in RESTING:
+        if gestures.codes[gesture] in RESTING:
             raise self.wrong(
                 entry.line,
-                f'the answer {entry.key} has the gesture "{known}", which is how a hand rests or carries; '
+                f'the answer {entry.key} has the gesture "{gesture}", which is how a hand rests or carries; '
                 "choose another, or it would be answered by accident",
             )
-        if known in taken:
+        if gesture in taken:
             raise self.wrong(
-                entry.line, f'"{known}" stands for both notGood and problem; choose two different gestures'
+                entry.line, f'"{gesture}" stands for both notGood and problem; choose two different gestures'
             )
-        return known
+        return gesture
 
     def _persons(
         self, section: Entry | None, gestures: Gestures, commands: Commands
@@ -261,12 +257,12 @@ class Reader(LinedYaml):
             if not entry.key.isdecimal():
                 raise self.wrong(entry.line, f'command "{entry.key}" is not a whole number such as 3')
             name = self.text(entry.value, f"the gesture of command {entry.key}")
-            known = gestures.find(name)
-            if known is None:
+            gesture = gestures.find(name)
+            if gesture is None:
                 raise self.wrong(
                     entry.line, f'command {entry.key} has the unknown gesture "{name}"; {gestures.like(name)}'
                 )
-            by_command[int(entry.key)] = known
+            by_command[int(entry.key)] = gesture
         return by_command
 
     def _refuse_two_meanings(self, by_command: Mapping[int, str], line: int, whose: str) -> None:

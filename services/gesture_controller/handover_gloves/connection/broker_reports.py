@@ -7,6 +7,7 @@ from handover.alerts import clear_alert, raise_alert, unshown_key
 from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient, BrokerError
 from handover.messages import message
+from handover.service_addresses import GESTURE_CONTROLLER
 from handover.telemetry import get_logger
 from handover_gloves import metrics
 from handover_gloves.connection.device_entities import DeviceEntities
@@ -23,7 +24,7 @@ class BrokerReports:
     def __init__(self, settings: ControllerSettings, broker: BrokerClient) -> None:
         self._settings = settings
         self._broker = broker
-        self._writer = reporting_writer("gesture-controller", settings, broker, metrics.BROKER_WRITES_REFUSED)
+        self._writer = reporting_writer(GESTURE_CONTROLLER, settings, broker, metrics.BROKER_WRITES_REFUSED)
         self.devices = DeviceEntities(settings, broker, self._writer)
 
     async def __aenter__(self) -> Self:

@@ -18,10 +18,9 @@ from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.calibration.glove_store import GloveStore, StoredGlove
 from handover_gloves.configuration.gestures_file import GloveConfiguration
 from handover_gloves.connection.admission import Admission, TokenStore
-from handover_gloves.gloves.connection_state import ConnectionRefused
+from handover_gloves.gloves.connection_state import ConnectionRefused, GloveLink
 from handover_gloves.gloves.gesture_responder import GestureResponder
-from handover_gloves.gloves.glove import Glove
-from handover_gloves.gloves.glove_listener import GloveLink, GloveListener
+from handover_gloves.gloves.glove import Glove, GloveListener
 from handover_gloves.gloves.known_gloves import KnownGloves
 from handover_gloves.people.people import People
 from handover_gloves.people.study_condition_store import StudyConditionStore
@@ -76,7 +75,7 @@ class GloveRegistry:
         glove = self.known.get(hello.glove)
         if glove is None:
             if not self.is_declared(hello.glove):
-                undeclared = sum(not self.is_declared(one.name) for one in self.known)
+                undeclared = sum(not self.is_declared(present.name) for present in self.known)
                 self.admission.require_slot(hello.glove, undeclared)
             glove = self._adopt_if_allowed(GloveConfiguration(hello.glove, hello.hand))
         glove.connect(link, hello, now_s)
@@ -143,11 +142,11 @@ class GloveRegistry:
                     "glove.wrong_name", 'a glove cannot be called "{name}"; {rule}', name=name, rule=rule
                 ),
             )
-        known = self.known.get(name)
-        if known is not None:
-            _require_same(known, hand, person)
-            return known, False
-        worn = next((each for each in self.known.worn_by(person) if each.hand == (hand or "right")), None)
+        present = self.known.get(name)
+        if present is not None:
+            _require_same(present, hand, person)
+            return present, False
+        worn = next((other for other in self.known.worn_by(person) if other.hand == (hand or "right")), None)
         if worn is not None:
             raise Problem(
                 409,
@@ -221,9 +220,9 @@ def _is_in_use(glove: Glove) -> bool:
     return bool(responder.prompt or responder.partner or glove.modes.paused or glove.observers.accuracy_test)
 
 
-def _require_same(known: Glove, hand: str | None, person: str | None) -> None:
+def _require_same(glove: Glove, hand: str | None, person: str | None) -> None:
     """Raise `Problem` 409 if a known glove is declared with another hand or person."""
-    if hand in {None, known.hand} and person in {None, known.person}:
+    if hand in {None, glove.hand} and person in {None, glove.person}:
         return
     raise Problem(
         409,
@@ -232,8 +231,8 @@ def _require_same(known: Glove, hand: str | None, person: str | None) -> None:
             "glove.known_otherwise",
             "{name} is the {hand} glove of {person}; declare another name, or choose who "
             "wears it with PUT /gloves/{name}/person",
-            name=known.name,
-            hand=known.hand,
-            person=known.person or "nobody",
+            name=glove.name,
+            hand=glove.hand,
+            person=glove.person or "nobody",
         ),
     )

@@ -37,6 +37,7 @@ from handover_gloves.settings import ControllerSettings
 
 log = get_logger(__name__)
 
+HELLO_TIMEOUT_S = 5.0
 MAX_WAITING_FOR_HELLO = 128
 """Connections without a hello that may be open at once."""
 
@@ -49,9 +50,11 @@ KEEPALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 class GloveServer:
     """Listens for gloves; an asynchronous context manager."""
 
-    def __init__(self, settings: ControllerSettings, gloves: GloveRegistry) -> None:
+    def __init__(
+        self, settings: ControllerSettings, gloves: GloveRegistry, *, hello_timeout_s: float = HELLO_TIMEOUT_S
+    ) -> None:
         self.gloves = gloves
-        self.hello_timeout_s = settings.hello_timeout_s
+        self.hello_timeout_s = hello_timeout_s
         self.waiting: dict[GloveConnection, None] = {}
         self.open: set[GloveConnection] = set()
         self._host, self._port = settings.glove_host, settings.glove_port

@@ -1,13 +1,20 @@
 """The connection of one glove: its hello, its last frame, and counts of what it sent."""
 
 from collections import Counter
+from typing import Protocol
 
 from handover_gloves import metrics
-from handover_gloves.gloves.glove_listener import GloveLink
 from handover_gloves.recognition.frames import Hello
 
 TAKEOVER_SILENCE_S = 3.0
 """A connection that is silent for this time is replaced by a new one of the same glove."""
+
+
+class GloveLink(Protocol):
+    """The connection of a glove."""
+
+    def end(self, reason: str) -> None:
+        """Send the reason to the glove and close."""
 
 
 class ConnectionRefused(ValueError):

@@ -13,13 +13,8 @@ from handover_datamodels.states import Outcome
 from handover_gloves import metrics
 from handover_gloves.gloves.connection_state import ConnectionState
 from handover_gloves.prompting import composite
-from handover_gloves.prompting.modes import Modes
-from handover_gloves.prompting.prompt import (
-    CannotComplete,
-    GesturePrompt,
-    PromptAnswer,
-    require_completable,
-)
+from handover_gloves.prompting.modes import GloveModes
+from handover_gloves.prompting.prompt import CannotComplete, GesturePrompt, PromptAnswer, require_completable
 from handover_gloves.recognition.gestures import Commands, Part
 from handover_gloves.recognition.hand_reader import HandReader
 from handover_gloves.recognition.hold import HoldEvent
@@ -50,7 +45,7 @@ class GestureResponder:
         self,
         connection: ConnectionState,
         reader: HandReader,
-        modes: Modes,
+        modes: GloveModes,
         commands: Commands,
         on_change: OnChange,
     ) -> None:
@@ -170,9 +165,9 @@ class GestureResponder:
         """Return the prompt, if it is of `task` and can be answered now; raises `CannotComplete`."""
         return require_completable(self.prompt, self.name, task, testing=self.modes.testing)
 
-    def give_pin(self, given: ProvenPin, task: str | None = None) -> None:
+    def give_pin(self, proof: ProvenPin, task: str | None = None) -> None:
         """Note who has given the own PIN for the prompt; raises `CannotComplete`."""
-        self.completable(task).pin = given
+        self.completable(task).pin = proof
         for hand in self._hands():
             hand.restart()
             hand._on_change()

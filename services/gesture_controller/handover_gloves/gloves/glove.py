@@ -4,16 +4,36 @@ There is no network and no broker here. Frames and prompts come in with the time
 `GloveListener`.
 """
 
+from typing import Protocol
+
 from handover_gloves import metrics
-from handover_gloves.gloves.connection_state import ConnectionState
+from handover_gloves.gloves.connection_state import ConnectionState, GloveLink
 from handover_gloves.gloves.gesture_responder import GestureResponder
-from handover_gloves.gloves.glove_listener import GloveLink, GloveListener
 from handover_gloves.gloves.glove_observers import GloveObservers
-from handover_gloves.prompting.modes import Modes
+from handover_gloves.prompting.modes import GloveModes
 from handover_gloves.recognition.frames import Frame, Hello
 from handover_gloves.recognition.gestures import Commands, Gestures, codes_in_use
 from handover_gloves.recognition.hand_reader import HandReader
 from handover_gloves.recognition.pipeline import RecognitionConfig
+
+
+class GloveListener(Protocol):
+    """Receives the events of gloves."""
+
+    def state_changed(self, glove: "Glove") -> None:
+        """Called when the content of the Device entity may have changed."""
+
+    def went_silent(self, glove: "Glove") -> None:
+        """Called when the glove stopped sending during a Task."""
+
+    def came_back(self, glove: "Glove") -> None:
+        """Called with the first frame, and with the first one after silence."""
+
+    def needs_calibration(self, glove: "Glove", reason: str) -> None:
+        """Called when the glove should be calibrated again; `reason` is half a sentence."""
+
+    def calibration_restored(self, glove: "Glove") -> None:
+        """Called when the glove has been calibrated, or somebody else wears it."""
 
 
 class Glove:
@@ -34,7 +54,7 @@ class Glove:
         self.person = person
         self.connection = ConnectionState(Hello(name, hand))
         self.reader = HandReader(name, config)
-        self.modes = Modes(filtering)
+        self.modes = GloveModes(filtering)
         self.observers = GloveObservers()
         self.responder = GestureResponder(self.connection, self.reader, self.modes, commands, self._changed)
         self._listener = listener

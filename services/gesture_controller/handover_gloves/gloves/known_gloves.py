@@ -28,7 +28,7 @@ class KnownGloves:
     def named(self, name: str) -> Glove:
         """Return the glove called `name`; raise `Problem` 404 if it is not known."""
         if name not in self._gloves:
-            known = ", ".join(self._gloves) or "none yet"
+            names = ", ".join(self._gloves) or "none yet"
             raise Problem(
                 404,
                 "Unknown glove",
@@ -36,7 +36,7 @@ class KnownGloves:
                     "glove.unknown_glove",
                     'there is no glove "{name}"; known: {known}',
                     name=name,
-                    known=known,
+                    known=names,
                 ),
             )
         return self._gloves[name]

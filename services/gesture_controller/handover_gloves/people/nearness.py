@@ -56,11 +56,11 @@ def neighbours(
     `sample` is a recording of `code`, and `samples` are recordings of some of the others with the same
     `thresholds`. Either gesture may be confused with the other, so the smaller distance counts.
     """
-    found = [
+    near = [
         _neighbour(name, code, other, (sample, samples.get(name)), thresholds)
         for name, other in others.items()
     ]
-    return sorted(found, key=lambda neighbour: (neighbour.distance, neighbour.sigmas or 0.0, neighbour.name))
+    return sorted(near, key=lambda neighbour: (neighbour.distance, neighbour.sigmas or 0.0, neighbour.name))
 
 
 @dataclass(frozen=True, slots=True)

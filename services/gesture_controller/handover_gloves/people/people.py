@@ -57,8 +57,8 @@ class People:
         """Return the person called `name`; raise `Problem` 404 if there is none."""
         if name in self._people:
             return self._people[name]
-        known = self.names()
-        if name in known:
+        all_names = self.names()
+        if name in all_names:
             return Person(name)
         raise Problem(
             404,
@@ -67,7 +67,7 @@ class People:
                 "people.unknown_person",
                 'there is nobody called "{name}"; known: {known}. Add them with PUT /people/{name}',
                 name=name,
-                known=", ".join(known) or "nobody yet",
+                known=", ".join(all_names) or "nobody yet",
             ),
         )
 
@@ -89,8 +89,8 @@ class People:
             is_new = name not in self.names()
             if is_new:
                 require_person_name(name)
-            known = self._people.get(name) or Person(name)
-            await self._keep(replace(known, title=known.title if title is None else title or None))
+            person = self._people.get(name) or Person(name)
+            await self._keep(replace(person, title=person.title if title is None else title or None))
         return is_new
 
     async def remove(self, name: str) -> None:
@@ -155,7 +155,7 @@ class People:
         name = person.name
         _require_gesture_name(gesture)
         others = replace(
-            person, gestures={key: one for key, one in person.gestures.items() if key != gesture}
+            person, gestures={key: kept for key, kept in person.gestures.items() if key != gesture}
         )
         if len(others.gestures) >= MAX_OWN_GESTURES:
             raise Problem(
@@ -191,14 +191,14 @@ class People:
         """Return the gesture nearest to `own`; raise `Problem` 409 if the two would be confused."""
         if own.shape.code is None or not is_code(own.shape.code):
             return None
-        known, _, _ = without_conflicts(others, self.site.gestures, self._base_commands(others.name))
+        usable, _, _ = without_conflicts(others, self.site.gestures, self._base_commands(others.name))
         recorded_with = own.sample.glove if own.sample else None
         samples = {
             key: other.sample
             for key, other in others.gestures.items()
             if other.sample is not None and other.sample.glove == recorded_with
         }
-        near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
+        near = neighbours(own.shape.code, usable.codes, own.sample, thresholds, samples)
         rejection = find_rejection(own.shape.code, near, unreliable)
         if rejection is not None:
             extra = {"nearest": neighbour_view(rejection.other)} if rejection.other else None
@@ -238,7 +238,7 @@ class People:
                     own=own,
                 ),
             )
-        left = {key: one for key, one in person.gestures.items() if key != gesture}
+        left = {key: kept for key, kept in person.gestures.items() if key != gesture}
         freed = [command for command, shown in person.commands.items() if shown == gesture]
         commands = {command: shown for command, shown in person.commands.items() if shown != gesture}
         changed = replace(person, gestures=left, commands=commands)

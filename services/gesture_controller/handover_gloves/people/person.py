@@ -67,26 +67,26 @@ def commands_of(person: Person, site: Commands, gestures: Gestures) -> Commands:
 
     `gestures` holds all gestures of the person.
     """
-    given: dict[int, str] = dict(site.gestures)
+    by_command: dict[int, str] = dict(site.gestures)
     for command, gesture in person.commands.items():
         if gesture is None:
-            given.pop(command, None)
+            by_command.pop(command, None)
             continue
-        known = gestures.find(gesture)
-        if known is None:
+        name = gestures.find(gesture)
+        if name is None:
             raise WrongCommand(
                 command, f'command {command} has the unknown gesture "{gesture}"; {gestures.like(gesture)}'
             )
-        given[command] = known
+        by_command[command] = name
     seen: dict[str, int] = {}
-    for command, gesture in sorted(given.items()):
+    for command, gesture in sorted(by_command.items()):
         if seen.setdefault(gesture, command) != command:
             raise WrongCommand(
                 command if command in person.commands else seen[gesture],
                 f'"{gesture}" stands for the commands {seen[gesture]} and {command} for {person.name}; give '
                 "one of them another gesture, or null for none",
             )
-    return Commands(given)
+    return Commands(by_command)
 
 
 def without_conflicts(
@@ -97,16 +97,16 @@ def without_conflicts(
     The third result describes each conflict in a sentence: the site may have changed its file.
     """
     faults: list[str] = []
-    known = gestures
+    usable = gestures
     for name, own in sorted(person.gestures.items(), key=lambda item: item[1].shape.code is None):
         try:
-            known = known.with_shapes({name: own.shape})
+            usable = usable.with_shapes({name: own.shape})
         except WrongGesture as error:
             faults.append(str(error))
     left = dict(person.commands)
     while True:
         try:
-            return known, commands_of(Person(person.name, commands=left), commands, known), faults
+            return usable, commands_of(Person(person.name, commands=left), commands, usable), faults
         except WrongCommand as error:
             faults.append(str(error))
             del left[error.command]

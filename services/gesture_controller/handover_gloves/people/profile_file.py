@@ -90,8 +90,8 @@ class _ProfileReader(Reader):
         sections = {entry.key: entry for entry in self.entries(root, "the profile")}
         for entry in sections.values():
             if entry.key not in SECTIONS:
-                known = f"{', '.join(SECTIONS[:-1])} and {SECTIONS[-1]}"
-                raise self.wrong(entry.line, f'unknown section "{entry.key}"; the sections are {known}')
+                allowed = f"{', '.join(SECTIONS[:-1])} and {SECTIONS[-1]}"
+                raise self.wrong(entry.line, f'unknown section "{entry.key}"; the sections are {allowed}')
         if "person" not in sections:
             raise self.wrong(1, "nobody is named; write person: and a name")
         name = self.text(sections["person"].value, "the name of the person")
@@ -119,18 +119,20 @@ class _ProfileReader(Reader):
             commands[int(entry.key)] = gesture
         return commands
 
-    def _own_gestures(self, section: Entry | None, known: Gestures) -> tuple[Gestures, dict[str, OwnGesture]]:
+    def _own_gestures(
+        self, section: Entry | None, usable: Gestures
+    ) -> tuple[Gestures, dict[str, OwnGesture]]:
         """Return all gestures, including those `known`, and the person's own ones."""
         entries = self.entries(section.value, "gestures") if section else []
         if section is not None and len(entries) > MAX_OWN_GESTURES:
             raise self.wrong(section.line, f"a person has {MAX_OWN_GESTURES} gestures of their own at most")
         gestures = {entry.key: self._gesture(entry) for entry in entries}
-        for entry in sorted(entries, key=lambda each: gestures[each.key].shape.code is None):
+        for entry in sorted(entries, key=lambda own_entry: gestures[own_entry.key].shape.code is None):
             try:
-                known = known.with_shapes({entry.key: gestures[entry.key].shape})
+                usable = usable.with_shapes({entry.key: gestures[entry.key].shape})
             except WrongGesture as error:
                 raise self.wrong(entry.line, str(error)) from None
-        return known, gestures
+        return usable, gestures
 
     def _gesture(self, entry: Entry) -> OwnGesture:
         if not isinstance(entry.value, yaml.MappingNode):
@@ -164,17 +166,17 @@ class _ProfileReader(Reader):
                 entry.line, f'glove "{entry.key}": a name is 1 to 64 letters, digits, ".", "_" or "-"'
             )
         thresholds, recognizer, learnt = None, None, {}
-        for given in [] if is_empty(entry.value) else self.entries(entry.value, f'glove "{entry.key}"'):
-            if given.key == "thresholds":
-                thresholds = self.thresholds(entry.key, given)
-            elif given.key == "recognizer":
-                recognizer = self.text(given.value, f'the recognizer of glove "{entry.key}"')
-            elif given.key == "learnt":
-                learnt = self._learnt(given)
+        for part in [] if is_empty(entry.value) else self.entries(entry.value, f'glove "{entry.key}"'):
+            if part.key == "thresholds":
+                thresholds = self.thresholds(entry.key, part)
+            elif part.key == "recognizer":
+                recognizer = self.text(part.value, f'the recognizer of glove "{entry.key}"')
+            elif part.key == "learnt":
+                learnt = self._learnt(part)
             else:
                 raise self.wrong(
-                    given.line,
-                    f'glove "{entry.key}" has an unknown field "{given.key}"; '
+                    part.line,
+                    f'glove "{entry.key}" has an unknown field "{part.key}"; '
                     "there are thresholds, recognizer and learnt",
                 )
         return Fit(thresholds, None, recognizer, learnt)

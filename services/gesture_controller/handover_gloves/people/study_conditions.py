@@ -40,9 +40,9 @@ class StudyConditions:
     def set(self, session: str, condition: StudyCondition) -> None:
         """Add a condition; older ones of the same glove or person are dropped."""
         self._conditions = {
-            key: one
-            for key, one in self._conditions.items()
-            if key != session and not one.overlaps(condition)
+            key: older
+            for key, older in self._conditions.items()
+            if key != session and not older.overlaps(condition)
         } | {session: condition}
 
     def remove(self, session: str) -> bool:
@@ -52,8 +52,8 @@ class StudyConditions:
     def find(self, glove: str | None, person: str | None) -> StudyCondition | None:
         """Return the condition of a glove or a person that decides whose gestures count, if any."""
         requested = StudyCondition("", glove, person)
-        overlapping = (each for each in self._conditions.values() if each.overlaps(requested))
-        return next((each for each in overlapping if each.own is not None), None)
+        overlapping = (condition for condition in self._conditions.values() if condition.overlaps(requested))
+        return next((condition for condition in overlapping if condition.own is not None), None)
 
     def require_none(self, *, glove: str | None = None, person: str | None = None) -> None:
         """Raise `Problem` 409 if a study decides whose gestures count for one of them."""

@@ -24,7 +24,7 @@ class Wearers:
 
     def __init__(
         self,
-        known: KnownGloves,
+        gloves: KnownGloves,
         fits: GloveFits,
         people: People,
         condition_store: StudyConditionStore,
@@ -34,13 +34,13 @@ class Wearers:
         self.conditions = StudyConditions(condition_store.load())
         self._condition_store = condition_store
         self._changing_conditions = asyncio.Lock()
-        self._known = known
+        self._known = gloves
         self._fits = fits
         self._wearer_changed = wearer_changed
         self._assigning = asyncio.Lock()
         fits.equip = self.equip
         people.changed = self._equip_worn_by
-        people.also_known = lambda: {glove.person for glove in known if glove.person}
+        people.also_known = lambda: {glove.person for glove in gloves if glove.person}
 
     async def wear(self, glove: Glove, person: str | None) -> None:
         """Store that `person` (None: nobody by name) wears `glove` from now on.

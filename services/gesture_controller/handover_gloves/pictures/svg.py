@@ -133,7 +133,7 @@ def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> s
 
     `hands` are the shapes of the animation; a single one does not move. `mark` is the prefix of the ids.
     """
-    fingers = [_Finger([hand[index] for hand in hands], pace, f"{mark}{index}") for index in range(5)]
+    fingers = [_DrawnFinger([hand[index] for hand in hands], pace, f"{mark}{index}") for index in range(5)]
     palm_path = _polygon(palm())
     defined = "".join(part for finger in fingers for part in finger.bones.values())
     edges = f'<path class="e" d="{palm_path}"/>' + "".join(finger.layer("e", "0") for finger in fingers)
@@ -142,7 +142,7 @@ def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> s
     return f'<defs>{defined}</defs>{edges}<path class="s" d="{palm_path}"/>{lines}{"".join(others)}{thumb}'
 
 
-class _Finger:
+class _DrawnFinger:
     """An animated finger; each bone is defined once and used for its outline and its fill."""
 
     def __init__(self, shapes: Sequence[FingerShape], pace: Pace, mark: str) -> None:

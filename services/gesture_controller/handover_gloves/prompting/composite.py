@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
-from handover_gloves.prompting.modes import Modes
+from handover_gloves.prompting.modes import GloveModes
 from handover_gloves.prompting.prompt import GesturePrompt
 from handover_gloves.prompting.sequence_gesture import SequenceProgress
 from handover_gloves.prompting.two_hand_gesture import ShownHand, TwoHandProgress
@@ -37,7 +37,7 @@ class CompositeHand(Protocol):
         """Its progress with composite gestures that are commands."""
 
     @property
-    def modes(self) -> Modes:
+    def modes(self) -> GloveModes:
         """Which of its gestures count."""
 
     @property
@@ -154,9 +154,9 @@ def advance_two_hands(
 ) -> TwoHandProgress:
     """Return the progress with a two-hand gesture after the last frame of `hand`."""
     shown = {
-        each.hand: ShownHand(each.reader.state.hold, each.last_s)
-        for each in (hand, other)
-        if each is not None
+        shape.hand: ShownHand(shape.reader.state.hold, shape.last_s)
+        for shape in (hand, other)
+        if shape is not None
     }
     timing = hand.reader.config.timing
     return before.after(gesture, shown.get("left"), shown.get("right"), now_s=now_s, timing=timing)

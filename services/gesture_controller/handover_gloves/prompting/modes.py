@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Modes:
+class GloveModes:
     """Which gestures of a glove count."""
 
     filtering: bool

@@ -51,8 +51,8 @@ async def find_definition(
         or parameters.get("gesture") is not None
         or parameters.get("commandId") is not None
     )
-    found = await database.look_up(task.is_defined_by.object, 0.0 if has_prompt else timeout_s)
-    return definition.filled_from(found)
+    stored = await database.look_up(task.is_defined_by.object, 0.0 if has_prompt else timeout_s)
+    return definition.filled_from(stored)
 
 
 async def handles_outcomes(task: Task, parameters: Mapping[str, Any], broker: BrokerClient) -> bool:
@@ -188,7 +188,7 @@ def _text(value: Any) -> str:
 
 
 def _first(*values: Any) -> Any:
-    return next((one for one in values if one is not None), None)
+    return next((value for value in values if value is not None), None)
 
 
 def _value(entity: Mapping[str, Any], attribute: str) -> Any:

@@ -13,11 +13,7 @@ from typing import Any, Literal
 from handover.messages import message
 from handover_datamodels.states import Outcome
 from handover_gloves.recognition.finger_states import BENT, STRAIGHT
-from handover_gloves.recognition.gesture_views import (
-    CompositeGestureView,
-    PartView,
-    PlainGestureView,
-)
+from handover_gloves.recognition.gesture_views import CompositeGestureView, PartView, PlainGestureView
 from handover_gloves.recognition.thresholds import FINGERS
 
 M2O2P_GESTURES: Mapping[str, str] = {
@@ -153,7 +149,7 @@ class Gestures:
         if name in self.codes or name in self.composites:
             return name
         searched = name.strip().casefold()
-        return next((known for known in self._all() if known.casefold() == searched), None)
+        return next((candidate for candidate in self._all() if candidate.casefold() == searched), None)
 
     def like(self, name: str) -> str:
         """Return a suggestion for the unknown gesture `name`, as half a sentence."""
@@ -225,13 +221,13 @@ class Gestures:
         names = {part.gesture for part in parts}
         codes = {part.code for part in parts}
         left = {name: code for name, code in self.codes.items() if name not in names and code not in codes}
-        known = {**left, **{part.gesture: part.code for part in parts}}
+        plain = {**left, **{part.gesture: part.code for part in parts}}
         whole = {
             name: composite
             for name, composite in self.composites.items()
-            if all(part in known for part in composite.names())
+            if all(part in plain for part in composite.names())
         }
-        return Gestures(known, whole)
+        return Gestures(plain, whole)
 
     def _all(self) -> list[str]:
         return [*self.codes, *self.composites]
@@ -277,31 +273,31 @@ def _composed(
     names: dict[str, str],
     composed: Mapping[str, CompositeGesture],
 ) -> CompositeGesture:
-    def part(given: str) -> str:
-        if is_code(given):
-            if given not in names:
-                codes[described(given)], names[given] = given, described(given)
-            return names[given]
-        known = Gestures(codes).find(given)
-        if known is None:
+    def part(written: str) -> str:
+        if is_code(written):
+            if written not in names:
+                codes[described(written)], names[written] = written, described(written)
+            return names[written]
+        gesture = Gestures(codes).find(written)
+        if gesture is None:
             hint = (
-                f'"{given}" itself is composed; a part is a gesture of one hand'
-                if given in composed
-                else Gestures(codes).like(given)
+                f'"{written}" itself is composed; a part is a gesture of one hand'
+                if written in composed
+                else Gestures(codes).like(written)
             )
             raise WrongGesture(
                 message(
                     "gesture.unknown_part",
                     'gesture "{name}" has the unknown part "{given}"; {hint}',
                     name=name,
-                    given=given,
+                    given=written,
                     hint=hint,
                 )
             )
-        return known
+        return gesture
 
     if shape.sequence is not None:
-        return SequenceGesture(*(part(given) for given in shape.sequence))
+        return SequenceGesture(*(part(gesture) for gesture in shape.sequence))
     if shape.left is None or shape.right is None:
         raise WrongGesture(
             message(

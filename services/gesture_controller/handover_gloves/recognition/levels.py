@@ -58,7 +58,7 @@ class FingerLevels:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class CalibrationSample:
     """A person's gesture with `code`: position and noise of each finger as shares of the span."""
 
     code: str
@@ -72,7 +72,7 @@ class Calibration:
 
     thresholds: Thresholds
     levels: tuple[FingerLevels, ...]
-    samples: tuple[Sample, ...] = ()
+    samples: tuple[CalibrationSample, ...] = ()
     """Samples of gestures."""
 
     def as_dict(self) -> dict[str, dict[str, float]]:
@@ -114,8 +114,8 @@ def calibrate(fist: Sequence[Sequence[float]], open_hand: Sequence[Sequence[floa
     faults = list(_faults(fingers))
     if faults:
         raise CalibrationFailed(faults[0] if len(faults) == 1 else "; ".join(faults))
-    thresholds = Thresholds(tuple(each.threshold for each in fingers))
-    return Calibration(thresholds, tuple(each.levels for each in fingers))
+    thresholds = Thresholds(tuple(finger.threshold for finger in fingers))
+    return Calibration(thresholds, tuple(finger.levels for finger in fingers))
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,12 +67,12 @@ class SpecificationDatabase:
             return Definition()
         backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
-            found = await asyncio.to_thread(self._find, (definition, definition.rsplit(":", 1)[-1]))
-            if isinstance(found, Definition):
+            row = await asyncio.to_thread(self._find, (definition, definition.rsplit(":", 1)[-1]))
+            if isinstance(row, Definition):
                 self._set_state(DatabaseState("ok"))
-                return found
-            self._set_state(found)
-            if found.name != "away" or clock() >= until_s:
+                return row
+            self._set_state(row)
+            if row.name != "away" or clock() >= until_s:
                 return Definition()
             self._away_s = clock()
             await backoff.wait()

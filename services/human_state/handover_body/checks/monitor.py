@@ -260,36 +260,36 @@ class SignalMonitor:
         rate_hz = self.info.rate_hz or 1.0
         count = len(samples.values)
         late_s = self._late_s if arrival_s <= self._late_until_s else 0.0
-        found = self._continuity.take(samples.start_s, count, arrival_s, samples.clock, late_s)
-        if found.is_repeated:
+        gap = self._continuity.take(samples.start_s, count, arrival_s, samples.clock, late_s)
+        if gap.is_repeated:
             return None
-        if found.gap_s:
+        if gap.gap_s:
             text = message(
                 "health.sensor.gap",
                 "{signal}: {seconds} s are missing",
                 signal=self.info.kind,
-                seconds=round(found.gap_s, 2),
+                seconds=round(gap.gap_s, 2),
             )
-            reports.append(self._report(SensorFault.GAP, arrival_s, text, {"gap_s": found.gap_s}))
-        if found.jump_s:
-            self._jumped(found.jump_s, arrival_s, reports)
+            reports.append(self._report(SensorFault.GAP, arrival_s, text, {"gap_s": gap.gap_s}))
+        if gap.jump_s:
+            self._jumped(gap.jump_s, arrival_s, reports)
             if samples.clock is ClockKind.RECORDING:
                 self._last_out_s = -math.inf
-        if found.rate_hz is not None:
+        if gap.rate_hz is not None:
             text = message(
                 "health.sensor.rate",
                 "{signal}: {measured} samples per second arrive, {stated} are stated",
                 signal=self.info.kind,
-                measured=round(found.rate_hz, 2),
+                measured=round(gap.rate_hz, 2),
                 stated=round(rate_hz, 2),
             )
-            details = {"measured_hz": found.rate_hz, "stated_hz": rate_hz}
+            details = {"measured_hz": gap.rate_hz, "stated_hz": rate_hz}
             self._lasts(SensorFault.RATE, arrival_s, text, reports, details)
             samples = replace(samples, quality=0.0)
-        elif found.is_continued and not self._is_on_pace(samples, count / rate_hz, arrival_s, reports):
+        elif gap.is_continued and not self._is_on_pace(samples, count / rate_hz, arrival_s, reports):
             samples = replace(samples, quality=0.0)
         target_s, uncertainty_s = self._mapped(samples, count / rate_hz, arrival_s)
-        if found.is_continued and math.isfinite(self._last_out_s):
+        if gap.is_continued and math.isfinite(self._last_out_s):
             residual_s = target_s - (self._last_out_s + 1 / rate_hz)
             if abs(residual_s) > self._max_residual_s(residual_s, arrival_s, samples.clock):
                 if residual_s < 0 and self._is_late(arrival_s, samples.clock):
@@ -390,11 +390,11 @@ class SignalMonitor:
     def _judged(self, samples: Samples, arrival_s: float, reports: list[SensorReport]) -> Samples:
         judged = self._values.take(samples)
         had_contact, self._has_contact = self._has_contact, samples.has_contact
-        if judged.found is not None:
-            found = judged.found
+        if judged.finding is not None:
+            fault = judged.finding
             if self._has_contact is False and had_contact is not False:
                 self._lasting.pop(SensorFault.NO_CONTACT, None)
-            self._lasts(found.fault, arrival_s, found.text, reports, found.details)
+            self._lasts(fault.fault, arrival_s, fault.text, reports, fault.details)
         elif judged.quality > 0:
             self._lasting.clear()
         return replace(samples, values=judged.values, quality=judged.quality)

@@ -65,7 +65,7 @@ class QuietEcg:
         self._at += len(moves)
         pause_s = self._pause_s()
         quiet = [runs.take(moves, usual, pause_s) for runs in (self._silent, self._no_beat)]
-        return max((each for each in quiet if each is not None), default=None)
+        return max((silence_s for silence_s in quiet if silence_s is not None), default=None)
 
     def _note_beats(self, steep: NDArray[np.bool_]) -> None:
         for place in np.flatnonzero(steep):
@@ -92,8 +92,10 @@ class _Runs:
 
     def take(self, moves: Floats, usual: float, pause_s: float) -> float | None:
         moving = np.flatnonzero(moves >= self._share * usual)
-        known = len(self._longest_s) >= MIN_KNOWN
-        allowed_s = max(self._least_s, self._factor * (max(self._longest_s) if known else UNKNOWN_S), pause_s)
+        has_enough = len(self._longest_s) >= MIN_KNOWN
+        allowed_s = max(
+            self._least_s, self._factor * (max(self._longest_s) if has_enough else UNKNOWN_S), pause_s
+        )
         if len(moving):
             ended_s = self._quiet_s + float(moving[0]) / self._rate_hz
             between_s = (np.diff(moving) - 1) / self._rate_hz

@@ -97,7 +97,7 @@ class Judged:
 
     values: Floats
     quality: float
-    found: Finding | None = None
+    finding: Finding | None = None
 
 
 class ValueChecks:
@@ -124,11 +124,11 @@ class ValueChecks:
             values = np.where(values <= 0.0, np.nan, values)
         if not self._is_wave and info.kind is not SignalKind.PRESSURE_MAP:
             values = np.where((values > info.max_value) | (values < info.min_value), np.nan, values)
-        found = next(self._found(samples, values), None)
-        if found is not None:
+        fault = next(self._found(samples, values), None)
+        if fault is not None:
             self._settle_s = SETTLE_S if self._is_wave else 0.0
             self._has_value = False
-            return Judged(values, 0.0, found)
+            return Judged(values, 0.0, fault)
         quality = samples.quality if samples.quality <= 1.0 and not np.isnan(values).all() else 0.0
         self._has_value = quality > 0
         if self._settle_s > 0:
@@ -138,12 +138,12 @@ class ValueChecks:
 
     def _found(self, samples: Samples, values: Floats) -> Iterator[Finding]:
         """Give the faults of a packet, the surest first."""
-        info, given = self._info, samples.values
+        info, raw = self._info, samples.values
         if samples.has_contact is False:
             text = message("health.sensor.contact", "the sensor does not touch the body")
             yield Finding(SensorFault.NO_CONTACT, text, {})
-        yield from self._saturated(given)
-        if np.isinf(given).any():
+        yield from self._saturated(raw)
+        if np.isinf(raw).any():
             text = message("health.sensor.infinite", "{signal}: an infinite value", signal=info.kind)
             yield Finding(SensorFault.ARTEFACT, text, {})
         if not self._is_wave and np.isnan(values).all() and not self._has_value:

@@ -35,9 +35,9 @@ def people(as_json: AsJson = False) -> None:
     if as_json:
         print_json(listed)
         return
-    for one in listed:
-        print(f"{one['person']:<24} {one['pseudonym']:<14} {', '.join(one['purposes']) or 'no consent'}")
-        for sensor in one["sensors"]:
+    for row in listed:
+        print(f"{row['person']:<24} {row['pseudonym']:<14} {', '.join(row['purposes']) or 'no consent'}")
+        for sensor in row["sensors"]:
             state = sensor["fault"] or sensor["link"] or "not running"
             print(f"  {sensor['name']:<22} {sensor['driver']:<18} {state:<12} {sensor['problem']}".rstrip())
             for left in sensor["leftOut"]:
@@ -51,14 +51,14 @@ def discover(
 ) -> None:
     """Search for devices of a driver."""
     if driver is None:
-        for one in _ask("GET", "/drivers").json():
-            print(f"{one['name']:<20} {one['description']}")
+        for listed in _ask("GET", "/drivers").json():
+            print(f"{listed['name']:<20} {listed['description']}")
         return
-    found = _ask("POST", f"/drivers/{driver}/discover", params={"timeout_s": seconds}).json()
-    for one in found:
-        strength = "" if one["rssiDbm"] is None else f"{one['rssiDbm']} dBm"
-        print(f"{one['address']:<40} {one['name']:<28} {strength}".rstrip())
-    if not found:
+    devices = _ask("POST", f"/drivers/{driver}/discover", params={"timeout_s": seconds}).json()
+    for device in devices:
+        strength = "" if device["rssiDbm"] is None else f"{device['rssiDbm']} dBm"
+        print(f"{device['address']:<40} {device['name']:<28} {strength}".rstrip())
+    if not devices:
         print(f"no device of {driver} answered within {seconds:g} s; is it worn, charged and near?")
 
 
@@ -91,9 +91,10 @@ def recordings(person: Person, as_json: AsJson = False) -> None:
     if as_json:
         print_json(listed)
         return
-    for one in listed:
-        size = "" if one["size"] is None else f"{one['size']:,} bytes"
-        print(f"{one['id']}  {one['started']:<28} {one['state']:<12} {size:<18} {one['label']}".rstrip())
+    for recording in listed:
+        size = "" if recording["size"] is None else f"{recording['size']:,} bytes"
+        begin = f"{recording['id']}  {recording['started']:<28} {recording['state']:<12} "
+        print(f"{begin}{size:<18} {recording['label']}".rstrip())
 
 
 @app.command()
@@ -107,7 +108,7 @@ def export(
     if form not in FORMATS:
         raise UsageError(f'there is no format "{form}"; choose from {", ".join(FORMATS)}')
     path = f"/people/{person}/recordings"
-    wanted = {one["id"]: one["sha256"] for one in _ask("GET", path).json()}
+    wanted = {listed["id"]: listed["sha256"] for listed in _ask("GET", path).json()}
     content = _ask("GET", f"{path}/{recording}/{FORMATS[form]}").content
     if form == "mcap" and hashlib.sha256(content).hexdigest() != wanted.get(recording):
         raise UsageError(f"{recording} was damaged on its way: its SHA-256 is another one; export it again")
@@ -142,15 +143,15 @@ def analyse(
         ) from error
     meanings = {}
     for text in channel or []:
-        name, _, given = text.rpartition("=")
-        kind, _, unit = given.removesuffix("]").partition("[")
+        name, _, mapping = text.rpartition("=")
+        kind, _, unit = mapping.removesuffix("]").partition("[")
         if not name or kind not in set(SignalKind):
             kinds = ", ".join(sorted(SignalKind))
             raise UsageError(
                 f'"{text}" is no channel; write NAME=KIND or NAME=KIND[UNIT] with a kind of {kinds}'
             )
         meanings[name] = Meaning(SignalKind(kind), unit or None)
-    found = analysed(file, meanings)
+    analysis = analysed(file, meanings)
     if as_json:
         features = [
             {
@@ -161,17 +162,17 @@ def analyse(
                 "status": feature.status,
                 "channel": name,
             }
-            for name, feature in found.features
+            for name, feature in analysis.features
         ]
-        channels = [asdict(one) for one in found.channels]
-        left_out = [asdict(one) for one in found.left_out]
+        channels = [asdict(info) for info in analysis.channels]
+        left_out = [asdict(track) for track in analysis.left_out]
         print(json.dumps({"features": features, "channels": channels, "left_out": left_out}))
         return
-    for one in found.channels:
-        rate = "irregular" if one.rate_hz is None else f"{one.rate_hz:g} Hz"
-        print(f"{one.name}: {one.kind}, {rate}, {one.samples:,} samples")
-        _print_features([feature for name, feature in found.features if name == one.name])
-    for left in found.left_out:
+    for info in analysis.channels:
+        rate = "irregular" if info.rate_hz is None else f"{info.rate_hz:g} Hz"
+        print(f"{info.name}: {info.kind}, {rate}, {info.samples:,} samples")
+        _print_features([feature for name, feature in analysis.features if name == info.name])
+    for left in analysis.left_out:
         print(f"{left.name} is left out: {left.reason}")
 
 

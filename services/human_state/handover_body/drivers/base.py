@@ -60,11 +60,11 @@ class DriverSettings(BaseModel):
         return {name: HIDDEN if name in cls._secrets() and value else value for name, value in stored.items()}
 
     @classmethod
-    def completed(cls, given: Mapping[str, Any], stored: Mapping[str, Any]) -> dict[str, Any]:
+    def completed(cls, settings: Mapping[str, Any], stored: Mapping[str, Any]) -> dict[str, Any]:
         """Return given settings, in which a secret that is `HIDDEN` stays as it is stored."""
         return {
             name: stored[name] if value == HIDDEN and name in cls._secrets() and name in stored else value
-            for name, value in given.items()
+            for name, value in settings.items()
         }
 
     @classmethod
@@ -114,7 +114,7 @@ class SensorDriver(ABC):
     async def run(self, sink: Sink) -> None:
         """Serve one connection until it is cancelled. Raise `LinkLost` when the device is gone."""
 
-    def simulate(self, given: Any) -> None:  # noqa: ARG002 - for drivers that simulate
+    def simulate(self, changes: Any) -> None:  # noqa: ARG002 - for drivers that simulate
         """Take what a simulated person does now. Raises `NotSimulated`, or `ValueError` for bad values."""
         raise NotSimulated(f"{self.source} measures a person; only a simulated sensor can be given acts")
 

@@ -109,13 +109,13 @@ class BluetoothDriver(SensorDriver):
 
     async def _find(self, bleak: Any) -> Any:
         settings: BluetoothSettings = self.settings
-        found = await bleak.BleakScanner.find_device_by_filter(
+        device = await bleak.BleakScanner.find_device_by_filter(
             self._is_wanted,
             timeout=settings.search_s,
             backend=self.scanner_backend,
             bluez={"adapter": settings.adapter} if settings.adapter else {},
         )
-        if found is None:
+        if device is None:
             wanted = settings.address or settings.name or f"device with the service {self.service_uuid}"
             raise LinkLost(
                 message(
@@ -125,7 +125,7 @@ class BluetoothDriver(SensorDriver):
                     seconds=settings.search_s,
                 )
             )
-        return found
+        return device
 
     def _is_wanted(self, device: Any, advertised: Any) -> bool:
         settings: BluetoothSettings = self.settings

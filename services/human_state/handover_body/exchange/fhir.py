@@ -1,13 +1,5 @@
 """Features and waveforms as HL7 FHIR R5 Observations, sessions as a Bundle, and back.
 
-Codes were compared with public implementation guides (docs/reference/body-signal-formats.md says which), not
-with the licensed tables: LOINC 8867-4 (heart rate), 9279-1 (respiratory rate),
-59408-5 and 2708-6 (oxygen saturation, the second is required by the vital-signs profile), 80404-7 (standard
-deviation of the intervals between beats, so SDNN only), 55423-8 (steps); ISO/IEEE 11073-10101 (MDC) 147842
-heart rate from the ECG, 149530 pulse rate, 151562 respiratory rate, 150456 SpO2, 150388 skin temperature.
-RMSSD and whatever else has no code there have one of our own system, which every Observation carries, so that
-reading is exact.
-
 The subject is a pseudonym, as an identifier: no name, no address. An Observation whose value is stale or
 implausible is `preliminary`, a valid one `final`.
 """
@@ -21,111 +13,28 @@ from typing import Any, Final
 
 import numpy as np
 
+from handover_body.exchange.fhir_codes import (
+    CATEGORY,
+    CODE_OF_UCUM,
+    LOCAL,
+    PSEUDONYM,
+    SOURCE,
+    UCUM,
+    UCUM_OF,
+    UCUM_OF_SIGNAL,
+    category_of,
+    codings_of,
+    feature_name_of,
+)
 from handover_body.formats.errors import ExchangeError
 from handover_body.formats.extra import required
 from handover_body.formats.json_messages import Recorded
 from handover_body.model.features import Feature, FeatureName, Status
 from handover_body.model.signals import Samples, SignalInfo, SignalKind
 
-LOINC: Final = "http://loinc.org"
-MDC: Final = "urn:iso:std:iso:11073:10101"
-LOCAL: Final = "https://w3id.org/handover/codes/human-state"
-UCUM: Final = "http://unitsofmeasure.org"
-PSEUDONYM: Final = "https://w3id.org/handover/pseudonym"
-SOURCE: Final = "https://w3id.org/handover/sensor"
-_CATEGORY: Final = "http://terminology.hl7.org/CodeSystem/observation-category"
 _NAMESPACE: Final = uuid.UUID("0d1c7c1e-5a1f-5d1b-9f0e-2f4f3a6b7c8d")
 MAX_ENTRIES: Final = 1_000_000
 MAX_WAVE_S: Final = 60.0
-
-_LOINC_OF: Final[Mapping[FeatureName, tuple[tuple[str, str], ...]]] = {
-    FeatureName.HEART_RATE: (("8867-4", "Heart rate"),),
-    FeatureName.BREATHING_RATE: (("9279-1", "Respiratory rate"),),
-    FeatureName.SPO2: (
-        ("2708-6", "Oxygen saturation in Arterial blood"),
-        ("59408-5", "Oxygen saturation in Arterial blood by Pulse oximetry"),
-    ),
-    FeatureName.HRV_SDNN: (("80404-7", "R-R interval.standard deviation (Heart rate variability)"),),
-    FeatureName.STEPS: (("55423-8", "Number of steps in unspecified time Pedometer"),),
-}
-_MDC_OF: Final[Mapping[FeatureName, tuple[str, str]]] = {
-    FeatureName.BREATHING_RATE: ("151562", "MDC_RESP_RATE"),
-    FeatureName.SPO2: ("150456", "MDC_PULS_OXIM_SAT_O2"),
-    FeatureName.SKIN_TEMPERATURE: ("150388", "MDC_TEMP_SKIN"),
-}
-_MDC_HEART_RATE: Final = ("147842", "MDC_ECG_HEART_RATE")
-_MDC_PULSE_RATE: Final = ("149530", "MDC_PULS_OXIM_PULS_RATE")
-_ACTIVITIES: Final = frozenset(
-    {
-        FeatureName.STEPS,
-        FeatureName.CADENCE,
-        FeatureName.ACTIVITY,
-        FeatureName.MOVEMENT,
-        FeatureName.BODY_MOVEMENT,
-    }
-)
-_UCUM_OF: Final[Mapping[FeatureName, str]] = {
-    FeatureName.HEART_RATE: "/min",
-    FeatureName.BREATHING_RATE: "/min",
-    FeatureName.CADENCE: "/min",
-    FeatureName.HRV_RMSSD: "ms",
-    FeatureName.HRV_SDNN: "ms",
-    FeatureName.SPO2: "%",
-    FeatureName.BODY_MOVEMENT: "%",
-    FeatureName.EDA_TONIC: "uS",
-    FeatureName.EDA_PHASIC: "uS",
-    FeatureName.EMG_ENVELOPE: "uV",
-    FeatureName.SKIN_TEMPERATURE: "Cel",
-    FeatureName.BLINK_RATE: "/min",
-    FeatureName.BLINK_DURATION: "ms",
-    FeatureName.FIXATION_DURATION: "ms",
-    FeatureName.SACCADE_RATE: "Hz",
-    FeatureName.SACCADE_AMPLITUDE: "deg",
-    FeatureName.PUPIL_DIAMETER: "mm",
-    FeatureName.CENTRE_OF_PRESSURE_X: "mm",
-    FeatureName.CENTRE_OF_PRESSURE_Y: "mm",
-}
-"""Others are fractions, counts and numbers of events: `1`."""
-_VITAL: Final = frozenset(
-    {FeatureName.HEART_RATE, FeatureName.BREATHING_RATE, FeatureName.SPO2, FeatureName.SKIN_TEMPERATURE}
-)
-_UCUM_OF_SIGNAL: Final = {
-    "D82": "uV",
-    "D80": "uS",
-    "CEL": "Cel",
-    "BPM": "/min",
-    "C94": "/min",
-    "C26": "ms",
-    "SEC": "s",
-    "P1": "%",
-    "MSK": "m/s2",
-    "K40": "[g]",
-    "MTR": "m",
-    "MMT": "mm",
-    "DD": "deg",
-    "HTZ": "Hz",
-    "OHM": "Ohm",
-    "NEW": "N",
-    "NU": "N.m",
-    "2A": "rad/s",
-    "D81": "uT",
-    "MLT": "mL",
-    "L2": "L/min",
-    "C62": "1",
-    "": "1",
-}
-_CODE_OF_UCUM: Final = {ucum: code for code, ucum in _UCUM_OF_SIGNAL.items() if ucum not in {"/min", "1"}} | {
-    "/min": "C94",
-    "1": "",
-}
-_NAME_OF: Final = (
-    {(LOINC, code): name for name, codings in _LOINC_OF.items() for code, _ in codings}
-    | {(MDC, code): name for name, (code, _) in _MDC_OF.items()}
-    | {
-        (MDC, _MDC_HEART_RATE[0]): FeatureName.HEART_RATE,
-        (MDC, _MDC_PULSE_RATE[0]): FeatureName.HEART_RATE,
-    }
-)
 
 
 def observation_of(feature: Feature, subject: str) -> dict[str, Any]:
@@ -143,13 +52,13 @@ def observation_of(feature: Feature, subject: str) -> dict[str, Any]:
     if isinstance(feature.value, str):
         value = {"valueString": feature.value}
     else:
-        value = {"valueQuantity": _quantity(feature.value, _UCUM_OF.get(feature.name, "1"))}
+        value = {"valueQuantity": _quantity(feature.value, UCUM_OF.get(feature.name, "1"))}
     written = {
         "resourceType": "Observation",
         "id": _id(subject, feature.source, feature.name.value, repr(feature.at_s)),
         "status": "final" if feature.status is Status.VALID else "preliminary",
-        "category": [_category(feature.name)],
-        "code": {"coding": _codings(feature), "text": feature.name.value},
+        "category": [category_of(feature.name)],
+        "code": {"coding": codings_of(feature), "text": feature.name.value},
         "subject": _reference("Patient", PSEUDONYM, subject),
         **when,
         **value,
@@ -172,16 +81,16 @@ def feature_of(observation: Mapping[str, Any]) -> Feature:
     a value raises no limit. Raises `ExchangeError` for an unknown code, another unit, and a missing value
     or time.
     """
-    given = _checked(observation)
-    name = _feature_name(given)
+    checked = _checked(observation)
+    name = feature_name_of(checked)
     components = {
         coding["code"]: component
-        for component in given.get("component", [])
+        for component in checked.get("component", [])
         for coding in component["code"].get("coding", [])
         if coding.get("system") == LOCAL and "code" in coding
     }
-    value = _value(given, name)
-    start_s, end_s = _effective(given)
+    value = _value(checked, name)
+    start_s, end_s = _effective(checked)
     quality = float(components.get("quality", {}).get("valueQuantity", {}).get("value", 0.0))
     status = components.get("status", {}).get("valueString", Status.IMPLAUSIBLE.value)
     if status not in set(Status) or not 0 <= quality <= 1:
@@ -190,12 +99,12 @@ def feature_of(observation: Mapping[str, Any]) -> Feature:
         )
     return Feature(
         name=name,
-        source=_identified(given.get("device"), SOURCE),
+        source=_identified(checked.get("device"), SOURCE),
         value=value,
         at_s=end_s,
         quality=quality,
         status=Status(status),
-        method=given.get("method", {}).get("text", ""),
+        method=checked.get("method", {}).get("text", ""),
         window_s=end_s - start_s,
         is_calibrated=bool(components.get("calibrated", {}).get("valueBoolean", True)),
     )
@@ -210,11 +119,11 @@ def waveform_of(samples: Samples, subject: str) -> dict[str, Any]:
     info = samples.info
     if info.rate_hz is None:
         raise ExchangeError(f"{info.kind} of {samples.source} has no rate, and sampled data needs one")
-    if info.unit not in _UCUM_OF_SIGNAL:
+    if info.unit not in UCUM_OF_SIGNAL:
         raise ExchangeError(f"{info.unit} of {info.kind} has no UCUM code here; convert it")
     flat = samples.values.ravel().tolist()
     sampled: dict[str, Any] = {
-        "origin": _quantity(0.0, _UCUM_OF_SIGNAL[info.unit]),
+        "origin": _quantity(0.0, UCUM_OF_SIGNAL[info.unit]),
         "interval": 1000.0 / info.rate_hz,
         "intervalUnit": "ms",
         "dimensions": len(info.channels),
@@ -226,7 +135,7 @@ def waveform_of(samples: Samples, subject: str) -> dict[str, Any]:
         "resourceType": "Observation",
         "id": _id(subject, samples.source, info.kind.value, repr(samples.start_s)),
         "status": "final",
-        "category": [{"coding": [{"system": _CATEGORY, "code": "procedure"}]}],
+        "category": [{"coding": [{"system": CATEGORY, "code": "procedure"}]}],
         "code": code,
         "subject": _reference("Patient", PSEUDONYM, subject),
         "effectivePeriod": {"start": _time(samples.start_s), "end": _time(samples.end_s)},
@@ -245,14 +154,14 @@ def waveform_of(samples: Samples, subject: str) -> dict[str, Any]:
 
 def samples_of(observation: Mapping[str, Any]) -> Samples:
     """Return the samples of an Observation that `waveform_of` wrote. Raises `ExchangeError`."""
-    given = _checked(observation)
-    codes = [coding.get("code", "") for coding in given["code"].get("coding", [])]
+    checked = _checked(observation)
+    codes = [coding.get("code", "") for coding in checked["code"].get("coding", [])]
     kinds = [code.removeprefix("signal-") for code in codes if code.startswith("signal-")]
-    sampled = given.get("valueSampledData")
+    sampled = checked.get("valueSampledData")
     if not kinds or kinds[0] not in set(SignalKind) or sampled is None:
         raise ExchangeError("an Observation is no waveform of a signal that is known here")
     components = [
-        (component["code"]["coding"][0]["code"], component) for component in given.get("component", [])
+        (component["code"]["coding"][0]["code"], component) for component in checked.get("component", [])
     ]
     unit = next((part["valueString"] for name, part in components if name == "unit"), None)
     dimensions = int(sampled["dimensions"])
@@ -270,16 +179,20 @@ def samples_of(observation: Mapping[str, Any]) -> Samples:
     milliseconds = {"ms": 1.0, "s": 1000.0, "us": 1e-3}.get(sampled["intervalUnit"])
     if milliseconds is None or not sampled.get("interval"):
         raise ExchangeError("sampled data needs an interval in s, ms or us")
-    written_unit = unit or _CODE_OF_UCUM.get(sampled["origin"].get("code", "1"), "")
+    written_unit = unit or CODE_OF_UCUM.get(sampled["origin"].get("code", "1"), "")
     info = SignalInfo(
         SignalKind(kinds[0]),
         "" if written_unit == "1" else written_unit,
         1000.0 / (float(sampled["interval"]) * milliseconds),
         tuple(labels) if len(labels) == dimensions else ("",) * dimensions,
-        method=given.get("method", {}).get("text", ""),
+        method=checked.get("method", {}).get("text", ""),
     )
     return Samples(
-        _identified(given.get("device"), SOURCE), info, _effective(given)[0], values, quality=float(quality)
+        _identified(checked.get("device"), SOURCE),
+        info,
+        _effective(checked)[0],
+        values,
+        quality=float(quality),
     )
 
 
@@ -289,14 +202,17 @@ def bundle_of(observations: Iterable[Mapping[str, Any]], session: str, at_s: flo
     `session` is the id of the PhysiologicalSession, `at_s` the time of the export. An Observation that occurs
     twice is there once. Raises `ExchangeError` beyond `MAX_ENTRIES`.
     """
-    return _bundle((_checked(one) for one in observations), session, at_s)
+    return _bundle((_checked(observation) for observation in observations), session, at_s)
 
 
 def _bundle(observations: Iterable[Mapping[str, Any]], session: str, at_s: float) -> dict[str, Any]:
     """Return a Bundle of Observations that were checked; checking all of them again would double the cost."""
     entries: dict[str, dict[str, Any]] = {}
-    for one in observations:
-        entries[str(one["id"])] = {"fullUrl": f"urn:uuid:{one['id']}", "resource": dict(one)}
+    for observation in observations:
+        entries[str(observation["id"])] = {
+            "fullUrl": f"urn:uuid:{observation['id']}",
+            "resource": dict(observation),
+        }
         if len(entries) > MAX_ENTRIES:
             raise ExchangeError(f"a Bundle has at most {MAX_ENTRIES:,} entries; export a shorter time")
     every = list(entries.values())
@@ -327,7 +243,7 @@ def session_bundle(
             if is_written:
                 observations.append(observation_of(item, subject))
         elif isinstance(item, Samples):
-            is_written = item.info.rate_hz is not None and item.info.unit in _UCUM_OF_SIGNAL
+            is_written = item.info.rate_hz is not None and item.info.unit in UCUM_OF_SIGNAL
             if is_written:
                 observations.append(waveform_of(item, subject))
         else:
@@ -395,41 +311,13 @@ def _checked(resource: Mapping[str, Any]) -> dict[str, Any]:
     return checked
 
 
-def _codings(feature: Feature) -> list[dict[str, Any]]:
-    codings = [
-        {"system": LOINC, "code": code, "display": display}
-        for code, display in _LOINC_OF.get(feature.name, ())
-    ]
-    mdc = _MDC_OF.get(feature.name)
-    if feature.name is FeatureName.HEART_RATE:
-        is_ecg, is_ppg = "ecg" in feature.method.lower(), "ppg" in feature.method.lower()
-        if is_ecg is not is_ppg:  # of a mixture and of a radar there is no code of the method
-            mdc = _MDC_HEART_RATE if is_ecg else _MDC_PULSE_RATE
-    if mdc is not None:
-        codings.append({"system": MDC, "code": mdc[0], "display": mdc[1]})
-    return [*codings, {"system": LOCAL, "code": feature.name.value}]
-
-
-def _feature_name(given: Mapping[str, Any]) -> FeatureName:
-    codings = given["code"].get("coding", [])
-    for coding in codings:
-        if coding.get("system") == LOCAL and coding.get("code") in set(FeatureName):
-            return FeatureName(coding["code"])
-    for coding in codings:
-        name = _NAME_OF.get((coding.get("system", ""), coding.get("code", "")))
-        if name is not None:
-            return name
-    codes = ", ".join(f"{one.get('system')} {one.get('code')}" for one in codings) or "none"
-    raise ExchangeError(f"an Observation has the codes {codes}; none is a feature that is known here")
-
-
-def _value(given: Mapping[str, Any], name: FeatureName) -> float | str:
-    if "valueString" in given:
-        return str(given["valueString"])
-    quantity = given.get("valueQuantity")
+def _value(observation: Mapping[str, Any], name: FeatureName) -> float | str:
+    if "valueString" in observation:
+        return str(observation["valueString"])
+    quantity = observation.get("valueQuantity")
     if quantity is None or "value" not in quantity:
         raise ExchangeError(f"the Observation of {name} has no valueQuantity and no valueString")
-    expected = _UCUM_OF.get(name, "1")
+    expected = UCUM_OF.get(name, "1")
     code = quantity.get("code", expected)
     if code != expected and not (
         code.startswith("{") and code.endswith(("}", "}/min")) and _same(code, expected)
@@ -443,15 +331,15 @@ def _same(code: str, expected: str) -> bool:
     return (code.partition("}")[2] or "1") == expected
 
 
-def _effective(given: Mapping[str, Any]) -> tuple[float, float]:
-    period = given.get("effectivePeriod")
-    moments = [given.get("effectiveDateTime")] * 2
+def _effective(observation: Mapping[str, Any]) -> tuple[float, float]:
+    period = observation.get("effectivePeriod")
+    moments = [observation.get("effectiveDateTime")] * 2
     if period is not None:
         moments = [period.get("start") or period.get("end"), period.get("end") or period.get("start")]
     if moments[0] is None:
         raise ExchangeError("an Observation has no effective time, so its age is not known")
     try:
-        start_s, end_s = (datetime.fromisoformat(str(one)).timestamp() for one in moments)
+        start_s, end_s = (datetime.fromisoformat(str(moment)).timestamp() for moment in moments)
     except ValueError as error:
         raise ExchangeError(f"an Observation has the time {moments[1]}: {error}") from None
     return start_s, end_s
@@ -462,12 +350,6 @@ def _identified(reference: Mapping[str, Any] | None, system: str) -> str:
     if identifier.get("system") == system:
         return str(identifier.get("value", ""))
     return str(identifier.get("value") or (reference or {}).get("reference") or "fhir")
-
-
-def _category(name: FeatureName) -> dict[str, Any]:
-    is_activity = name in _ACTIVITIES
-    code = "vital-signs" if name in _VITAL else "activity" if is_activity else "procedure"
-    return {"coding": [{"system": _CATEGORY, "code": code}]}
 
 
 def _component(code: str, value: dict[str, Any]) -> dict[str, Any]:

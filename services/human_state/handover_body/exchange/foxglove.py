@@ -20,14 +20,7 @@ from typing import Any, Final
 import orjson
 
 from handover_body.formats.extra import required
-from handover_body.formats.json_messages import (
-    SCHEMAS,
-    Recorded,
-    schema_name,
-    time_of,
-    to_json,
-    topic_of,
-)
+from handover_body.formats.json_messages import SCHEMAS, Recorded, schema_name, time_of, to_json, topic_of
 from handover_body.model.signals import Samples, SignalKind
 
 SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
@@ -78,12 +71,17 @@ class FoxgloveStream:
     def receive(self, text: str) -> None:
         """Apply what the client has sent; what is not for a server that only sends is ignored."""
         try:
-            given = orjson.loads(text)
-            if given["op"] == "subscribe":
-                self._subscribe({int(one["id"]): int(one["channelId"]) for one in given["subscriptions"]})
-            elif given["op"] == "unsubscribe":
-                for one in given["subscriptionIds"]:
-                    self._subscriptions.pop(int(one), None)
+            message = orjson.loads(text)
+            if message["op"] == "subscribe":
+                self._subscribe(
+                    {
+                        int(subscription["id"]): int(subscription["channelId"])
+                        for subscription in message["subscriptions"]
+                    }
+                )
+            elif message["op"] == "unsubscribe":
+                for number in message["subscriptionIds"]:
+                    self._subscriptions.pop(int(number), None)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             self._refuse(f"the message cannot be read: {error!r}"[:300])
 
@@ -99,9 +97,9 @@ class FoxgloveStream:
         self._data.clear()
 
     def _subscribe(self, asked: Mapping[int, int]) -> None:
-        known = set(self._channels.values())
+        topics = set(self._channels.values())
         for subscription, channel in asked.items():
-            if channel not in known or not 0 <= subscription <= _MAX_ID:
+            if channel not in topics or not 0 <= subscription <= _MAX_ID:
                 self._refuse(f"there is no channel {channel} for the subscription {subscription}")
             elif len(self._subscriptions) < MAX_TOPICS or subscription in self._subscriptions:
                 self._subscriptions[subscription] = channel
@@ -117,9 +115,9 @@ class FoxgloveStream:
 
     def _channel(self, topic: str, schema: Mapping[str, Any]) -> int | None:
         """Return the channel of a topic, which is advertised if it is new; None beyond `MAX_TOPICS`."""
-        known = self._channels.get(topic)
-        if known is not None or len(self._channels) >= MAX_TOPICS:
-            return known
+        number = self._channels.get(topic)
+        if number is not None or len(self._channels) >= MAX_TOPICS:
+            return number
         channel = self._channels[topic] = len(self._channels) + 1
         advertised = {
             "id": channel,
@@ -220,5 +218,5 @@ def shipped_layout() -> str:
 def _path(*parts: str) -> str:
     """Return a topic as a message path; Foxglove wants quotes where a name has other characters."""
     topic = "/".join(parts)
-    is_plain = all(one.isalnum() or one in "_/-" for one in topic)
+    is_plain = all(character.isalnum() or character in "_/-" for character in topic)
     return topic if is_plain else '"' + topic.replace("\\", "\\\\").replace('"', '\\"') + '"'

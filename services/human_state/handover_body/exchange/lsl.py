@@ -11,7 +11,7 @@ import numpy as np
 
 from handover_body.formats.errors import ExchangeError
 from handover_body.formats.extra import required
-from handover_body.formats.lsl import CONTENT_TYPES, ClockMap, signal_info
+from handover_body.formats.lsl import CONTENT_TYPES, LslClock, signal_info
 from handover_body.model.features import UNITS, Feature
 from handover_body.model.signals import ClockKind, Samples
 
@@ -30,7 +30,7 @@ class LslOutlets:
     def __init__(self, subject: str) -> None:
         self._lsl: Any = required("pylsl")
         self._subject = subject
-        self._clock = ClockMap()
+        self._clock = LslClock()
         self._outlets: dict[str, Any] = {}
 
     def push(self, item: Samples | Feature) -> None:
@@ -118,7 +118,7 @@ class LslInlet:
 
     def __init__(self, info: Any, timeout_s: float = 10.0) -> None:
         lsl: Any = required("pylsl")
-        self._clock = ClockMap()
+        self._clock = LslClock()
         self._inlet = lsl.StreamInlet(
             info, max_buflen=MAX_BUFFERED_S, processing_flags=lsl.proc_clocksync | lsl.proc_monotonize
         )

@@ -80,7 +80,7 @@ def human_state(
             "id": entity_id,
             "type": "HumanState",
             "refPerson": {"type": "Relationship", "object": person},
-            **_attributes((each for each in values if each.name in OF_PERSON), devices or {}),
+            **_attributes((feature for feature in values if feature.name in OF_PERSON), devices or {}),
         }
     )
 
@@ -89,7 +89,7 @@ def pressure_mat(
     entity_id: str, device: str, values: Iterable[FusedValue], devices: Mapping[str, str] | None = None
 ) -> PressureMat:
     """Return the entity of a pressure mat from the fused values of its centre of pressure and load."""
-    written = _attributes((each for each in values if each.name in _MAT), devices or {})
+    written = _attributes((feature for feature in values if feature.name in _MAT), devices or {})
     for instance in _instances(written.get("activeCells", [])):
         instance["value"] = round(instance["value"])
     return PressureMat.from_ngsild(
@@ -128,7 +128,7 @@ def features_of(entity: HumanState | PressureMat) -> list[Feature]:
     An instance without `status` is `implausible` and one without `quality` has 0: what a stranger wrote
     raises no limit. Window and period are not in the entity and have their defaults. Raises `ExchangeError`.
     """
-    found: list[Feature] = []
+    features: list[Feature] = []
     for name in FeatureName:
         attribute = getattr(entity, to_snake(name), None)
         if not isinstance(attribute, Measurement):
@@ -137,8 +137,8 @@ def features_of(entity: HumanState | PressureMat) -> list[Feature]:
             instances = attribute.instances()
         except ValueError as error:
             raise ExchangeError(f"{entity.id}: {name}: {error}") from None
-        found += [_feature(entity.id, name, each) for each in instances]
-    return found
+        features += [_feature(entity.id, name, instance) for instance in instances]
+    return features
 
 
 def read_human_state(data: Mapping[str, Any]) -> HumanState:
@@ -152,16 +152,16 @@ def read_human_state(data: Mapping[str, Any]) -> HumanState:
 def _attributes(values: Iterable[FusedValue], devices: Mapping[str, str]) -> dict[str, Any]:
     written: dict[str, Any] = {}
     for fused in values:
-        sensors = [each for each in fused.sensors if _is_writable(each.value)]
+        sensors = [sensor for sensor in fused.sensors if _is_writable(sensor.value)]
         if not _is_writable(fused.value):
             continue
         default = _measurement(fused, None)
         if len(sensors) == 1 and sensors[0].source in devices:
             default["observedBy"] = {"type": "Relationship", "object": devices[sensors[0].source]}
         instances = [default]
-        for each in sensors:
-            instances.append(_measurement(each, devices.get(each.source)))
-            instances[-1]["datasetId"] = dataset_id(each.source)
+        for sensor in sensors:
+            instances.append(_measurement(sensor, devices.get(sensor.source)))
+            instances[-1]["datasetId"] = dataset_id(sensor.source)
         written[fused.name.value] = instances if len(instances) > 1 else default
     return written
 
@@ -169,8 +169,10 @@ def _attributes(values: Iterable[FusedValue], devices: Mapping[str, str]) -> dic
 def only_fused(entity: Mapping[str, Any]) -> dict[str, Any]:
     """Return a normalized entity without the instances of sensors, for a broker that keeps one value each."""
     return {
-        name: next((one for one in attribute if "datasetId" not in one), attribute[0])
-        if isinstance(attribute, list) and attribute and all(isinstance(one, dict) for one in attribute)
+        name: next((instance for instance in attribute if "datasetId" not in instance), attribute[0])
+        if isinstance(attribute, list)
+        and attribute
+        and all(isinstance(instance, dict) for instance in attribute)
         else attribute
         for name, attribute in entity.items()
     }
@@ -204,25 +206,25 @@ def _is_writable(value: float | str) -> bool:
     return isinstance(value, str) or math.isfinite(value)
 
 
-def _feature(entity_id: str, name: FeatureName, given: Measurement[Any]) -> Feature:
-    if given.observed_at is None:
+def _feature(entity_id: str, name: FeatureName, measurement: Measurement[Any]) -> Feature:
+    if measurement.observed_at is None:
         raise ExchangeError(f"{entity_id}: {name} has no observedAt, so its age is not known; write it")
-    if given.unit_code is not None and given.unit_code != UNITS.get(name, given.unit_code):
+    if measurement.unit_code is not None and measurement.unit_code != UNITS.get(name, measurement.unit_code):
         raise ExchangeError(
-            f"{entity_id}: {name} is in {given.unit_code}, but must be in {UNITS[name]}; convert it"
+            f"{entity_id}: {name} is in {measurement.unit_code}, but must be in {UNITS[name]}; convert it"
         )
     source = FUSED
-    if given.dataset_id is not None:
-        source = unquote(given.dataset_id.removeprefix(DATASET))
+    if measurement.dataset_id is not None:
+        source = unquote(measurement.dataset_id.removeprefix(DATASET))
     return Feature(
         name=name,
         source=source,
-        value=given.value if isinstance(given.value, str) else float(given.value),
-        at_s=given.observed_at.timestamp(),
-        quality=0.0 if given.quality is None else float(given.quality.value),
-        status=Status.IMPLAUSIBLE if given.status is None else Status(given.status.value.value),
-        method="" if given.method is None else given.method.value,
-        is_calibrated=given.calibrated is None or given.calibrated.value,
+        value=measurement.value if isinstance(measurement.value, str) else float(measurement.value),
+        at_s=measurement.observed_at.timestamp(),
+        quality=0.0 if measurement.quality is None else float(measurement.quality.value),
+        status=Status.IMPLAUSIBLE if measurement.status is None else Status(measurement.status.value.value),
+        method="" if measurement.method is None else measurement.method.value,
+        is_calibrated=measurement.calibrated is None or measurement.calibrated.value,
     )
 
 
@@ -297,16 +299,19 @@ class EntityThrottle:
     def _has_changed(self, snapshot: _Snapshot) -> bool:
         if snapshot.keys() != self._written.keys():
             return True
-        return any(self._differs(key[0], given, self._written[key]) for key, given in snapshot.items())
+        return any(self._differs(key[0], value, self._written[key]) for key, value in snapshot.items())
 
-    def _differs(self, name: FeatureName, given: _Sent, written: _Sent) -> bool:
-        if given.status is not written.status or abs(given.quality - written.quality) >= QUALITY_BAND:
+    def _differs(self, name: FeatureName, value: _Sent, written: _Sent) -> bool:
+        if value.status is not written.status or abs(value.quality - written.quality) >= QUALITY_BAND:
             return True
-        if isinstance(given.value, str) or isinstance(written.value, str):
-            return given.value != written.value
-        change = abs(given.value - written.value)
+        if isinstance(value.value, str) or isinstance(written.value, str):
+            return value.value != written.value
+        change = abs(value.value - written.value)
         return change >= self._bands[name] if name in self._bands else change > 0
 
 
 def _snapshot(features: Sequence[Feature]) -> _Snapshot:
-    return {(each.name, each.source): _Sent(each.value, each.quality, each.status) for each in features}
+    return {
+        (feature.name, feature.source): _Sent(feature.value, feature.quality, feature.status)
+        for feature in features
+    }

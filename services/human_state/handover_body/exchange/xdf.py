@@ -203,7 +203,7 @@ def _line(first: str, second: str) -> str:
 
 def _printable(text: str) -> str:
     """Return the text without characters that XML 1.0 cannot contain."""
-    return "".join(one for one in text if one in "\t\n" or _is_printable(ord(one)))
+    return "".join(character for character in text if character in "\t\n" or _is_printable(ord(character)))
 
 
 def _is_printable(code: int) -> bool:

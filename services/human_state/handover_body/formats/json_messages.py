@@ -155,15 +155,15 @@ def to_json(item: Recorded, subject: str = "") -> dict[str, Any]:
     return {"subject": subject, "at_s": item.at_s, "name": item.name, "text": item.text}
 
 
-def from_json(name: str, given: Any) -> Recorded:
+def from_json(name: str, message: Any) -> Recorded:
     """Return the item of a message with the schema `name`. Raises `ExchangeError`."""
     reader = _READERS.get(name)
     if reader is None:
         raise ExchangeError(f"{name} is no schema of ours; known are {', '.join(sorted(_READERS))}")
-    if not isinstance(given, Mapping):
-        raise ExchangeError(f"a message of {name} is a JSON object, not {type(given).__name__}")
+    if not isinstance(message, Mapping):
+        raise ExchangeError(f"a message of {name} is a JSON object, not {type(message).__name__}")
     try:
-        return reader(given)
+        return reader(message)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ExchangeError(f"a message of {name} cannot be read: {error!r}") from None
 
@@ -209,70 +209,70 @@ def _time(value: Any) -> float:
     return number
 
 
-def _read_samples(given: Any) -> Samples:
-    minimum, maximum = given.get("min_value"), given.get("max_value")
+def _read_samples(message: Any) -> Samples:
+    minimum, maximum = message.get("min_value"), message.get("max_value")
     info = SignalInfo(
-        kind=SignalKind(given["kind"]),
-        unit=str(given["unit"]),
-        rate_hz=given.get("rate_hz"),
-        channels=tuple(map(str, given["channels"])),
+        kind=SignalKind(message["kind"]),
+        unit=str(message["unit"]),
+        rate_hz=message.get("rate_hz"),
+        channels=tuple(map(str, message["channels"])),
         min_value=-math.inf if minimum is None else float(minimum),
         max_value=math.inf if maximum is None else float(maximum),
-        resolution=given.get("resolution"),
-        method=str(given.get("method", "")),
+        resolution=message.get("resolution"),
+        method=str(message.get("method", "")),
     )
-    times = given.get("times_s")
+    times = message.get("times_s")
     times_s = None if times is None else np.array(times, np.float64)
     if times_s is not None and not np.all(np.isfinite(times_s)):
         raise ValueError("times_s has values that are no times")
     return Samples(
-        source=str(given["source"]),
+        source=str(message["source"]),
         info=info,
-        start_s=_time(given["start_s"]),
-        values=np.array(given["values"], np.float64).reshape(len(given["values"]), len(info.channels)),
+        start_s=_time(message["start_s"]),
+        values=np.array(message["values"], np.float64).reshape(len(message["values"]), len(info.channels)),
         times_s=times_s,
-        clock=ClockKind(given.get("clock", ClockKind.RECORDING)),
-        uncertainty_s=float(given.get("uncertainty_s", 0.0)),
-        quality=_fraction(given.get("quality", 1.0)),
-        has_contact=given.get("has_contact"),
+        clock=ClockKind(message.get("clock", ClockKind.RECORDING)),
+        uncertainty_s=float(message.get("uncertainty_s", 0.0)),
+        quality=_fraction(message.get("quality", 1.0)),
+        has_contact=message.get("has_contact"),
     )
 
 
-def _read_feature(given: Any) -> Feature:
-    value = given["value"]
+def _read_feature(message: Any) -> Feature:
+    value = message["value"]
     return Feature(
-        name=FeatureName(given["name"]),
-        source=str(given["source"]),
+        name=FeatureName(message["name"]),
+        source=str(message["source"]),
         value=value if isinstance(value, str) else math.nan if value is None else float(value),
-        at_s=_time(given["at_s"]),
-        quality=_fraction(given["quality"]),
-        status=Status(given["status"]),
-        method=str(given.get("method", "")),
-        window_s=float(given.get("window_s", 0.0)),
-        period_s=float(given.get("period_s", 1.0)),
-        is_calibrated=bool(given.get("is_calibrated", True)),
+        at_s=_time(message["at_s"]),
+        quality=_fraction(message["quality"]),
+        status=Status(message["status"]),
+        method=str(message.get("method", "")),
+        window_s=float(message.get("window_s", 0.0)),
+        period_s=float(message.get("period_s", 1.0)),
+        is_calibrated=bool(message.get("is_calibrated", True)),
     )
 
 
-def _read_report(given: Any) -> SensorReport:
-    link, fault, battery = given.get("link"), given.get("fault"), given.get("battery")
+def _read_report(message: Any) -> SensorReport:
+    link, fault, battery = message.get("link"), message.get("fault"), message.get("battery")
     return SensorReport(
-        source=str(given["source"]),
-        at_s=_time(given["at_s"]),
+        source=str(message["source"]),
+        at_s=_time(message["at_s"]),
         link=None if link is None else LinkState(link),
         battery=None if battery is None else float(battery),
-        has_contact=given.get("has_contact"),
+        has_contact=message.get("has_contact"),
         fault=None if fault is None else SensorFault(fault),
-        text=str(given.get("text", "")),
+        text=str(message.get("text", "")),
         details={
             str(name): math.nan if value is None else float(value)
-            for name, value in given.get("details", {}).items()
+            for name, value in message.get("details", {}).items()
         },
     )
 
 
-def _read_marker(given: Any) -> Marker:
-    return Marker(_time(given["at_s"]), str(given["name"]), str(given.get("text", "")))
+def _read_marker(message: Any) -> Marker:
+    return Marker(_time(message["at_s"]), str(message["name"]), str(message.get("text", "")))
 
 
 _READERS: Final[Mapping[str, Callable[[Any], Recorded]]] = {

@@ -41,7 +41,7 @@ _UNITS: Final = {
 """Codes of UN/CEFACT of the units that streams of others use; a code itself is taken as it is."""
 
 
-class ClockMap:
+class LslClock:
     """The offset between the clock of LSL and s since 1970, measured once: both run alike on one machine."""
 
     def __init__(self) -> None:
@@ -65,8 +65,10 @@ def signal_info(info: Any) -> tuple[SignalInfo, str]:
     """
     kind = _KIND_OF.get(info.type().lower())
     if kind is None:
-        known = ", ".join(sorted({*CONTENT_TYPES.values(), *(one.value for one in SignalKind)}))
-        raise ExchangeError(f'the stream "{info.name()}" has the type {info.type()}; known are {known}')
+        types = ", ".join(
+            sorted({*CONTENT_TYPES.values(), *(signal_kind.value for signal_kind in SignalKind)})
+        )
+        raise ExchangeError(f'the stream "{info.name()}" has the type {info.type()}; known are {types}')
     if info.channel_format() == required("pylsl").cf_string:
         raise ExchangeError(f'the stream "{info.name()}" has texts; it is no signal')
     labels: list[str] = []

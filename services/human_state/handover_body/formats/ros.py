@@ -13,149 +13,46 @@ from typing import Any, Final
 import numpy as np
 
 from handover_body.formats.errors import ExchangeError
-from handover_body.model.features import UNITS, Feature, FeatureName, Status
-from handover_body.model.signals import (
-    GAIT_CHANNELS,
-    ClockKind,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
+from handover_body.formats.ros_tables import (
+    BY_CHANNEL,
+    CLOCK_OF,
+    CLOCKS,
+    CONTACT,
+    CONTACT_OF,
+    DURATION,
+    EYE_OF,
+    EYES,
+    GAZE,
+    INTERVALS,
+    KIND_OF,
+    OF_MOVEMENTS,
+    SCALARS,
+    SERIES,
+    STATUS_OF,
+    TYPED,
+    UNKNOWN_FIELDS,
+    VALIDITY,
 )
+from handover_body.model.features import UNITS, Feature, FeatureName, Status
+from handover_body.model.signals import ClockKind, Samples, SensorReport, SignalInfo, SignalKind
 
 PACKAGE: Final = "handover_human_msgs/msg/"
 Message = dict[str, Any]
-
-_SERIES: Final[Mapping[SignalKind, str]] = {
-    SignalKind.ECG: "Ecg",
-    SignalKind.PPG: "Ppg",
-    SignalKind.EDA: "Eda",
-    SignalKind.EMG: "Emg",
-    SignalKind.EEG: "Eeg",
-    SignalKind.EOG: "Eog",
-    SignalKind.ICG: "Icg",
-    SignalKind.BCG: "Bcg",
-    SignalKind.RESPIRATION: "Respiration",
-    SignalKind.ACCELERATION: "Acceleration",
-    SignalKind.ANGULAR_VELOCITY: "AngularVelocity",
-    SignalKind.MAGNETIC_FIELD: "MagneticField",
-    SignalKind.JOINT_ANGLES: "JointAngles",
-    SignalKind.JOINT_MOMENTS: "JointMoments",
-}
-_SCALARS: Final[Mapping[SignalKind, tuple[str, str, str]]] = {
-    SignalKind.HEART_RATE: ("HeartRate", "rate_bpm", "BPM"),
-    SignalKind.BREATHING_RATE: ("BreathingRate", "rate_per_min", "C94"),
-    SignalKind.SPO2: ("Spo2", "percent", "P1"),
-    SignalKind.SKIN_TEMPERATURE: ("SkinTemperature", "celsius", "CEL"),
-    SignalKind.STROKE_VOLUME: ("StrokeVolume", "millilitres", "MLT"),
-    SignalKind.CARDIAC_OUTPUT: ("CardiacOutput", "litres_per_min", "L2"),
-    SignalKind.DISTANCE: ("Distance", "metres", "MTR"),
-    SignalKind.MOVEMENT: ("Movement", "movement", ""),
-}
-"""Type, field and unit."""
-_BY_CHANNEL: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
-    SignalKind.GAIT: ("Gait", GAIT_CHANNELS),
-    SignalKind.MOOD: ("Mood", ("valence", "arousal")),
-    SignalKind.EYE_STATE: (
-        "EyeState",
-        (
-            "pupil_left_mm",
-            "pupil_right_mm",
-            "eyelid_left_mm",
-            "eyelid_right_mm",
-            "eyelid_top_left_rad",
-            "eyelid_bottom_left_rad",
-            "eyelid_top_right_rad",
-            "eyelid_bottom_right_rad",
-            "eyeball_left_x_mm",
-            "eyeball_left_y_mm",
-            "eyeball_left_z_mm",
-            "eyeball_right_x_mm",
-            "eyeball_right_y_mm",
-            "eyeball_right_z_mm",
-            "axis_left_x",
-            "axis_left_y",
-            "axis_left_z",
-            "axis_right_x",
-            "axis_right_y",
-            "axis_right_z",
-        ),
-    ),
-}
-"""Type, and the fields that have the names of channels; NaN is a field that is not measured."""
-_EYES: Final[Mapping[SignalKind, int]] = {
-    SignalKind.BLINK: 1,
-    SignalKind.FIXATION: 2,
-    SignalKind.SACCADE: 3,
-    SignalKind.GAZE: 4,
-}
-"""The constants of `EyeEvent`."""
-_EYE_OF: Final = {number: kind for kind, number in _EYES.items()}
-_GAZE: Final = ("gaze_x", "gaze_y")
-_DURATION: Final = ("duration_s",)
-_OF_MOVEMENTS: Final = ("amplitude_deg", "peak_velocity")
-_KIND_OF: Final = {name: kind for kind, name in _SERIES.items()} | {
-    name: kind for kind, (name, _, _) in _SCALARS.items()
-}
-_INTERVALS: Final = {"SEC": 1.0, "C26": 1e-3}
-"""Factor to s by unit."""
-_CLOCKS: Final = {ClockKind.DEVICE: 1, ClockKind.ARRIVAL: 2, ClockKind.RECORDING: 3}
-_CLOCK_OF: Final = {number: clock for clock, number in _CLOCKS.items()}
-_VALIDITY: Final = {Status.VALID: 1, Status.STALE: 2, Status.IMPLAUSIBLE: 3}
-_STATUS_OF: Final = {number: status for status, number in _VALIDITY.items()}
-_CONTACT: Final = {None: 0, True: 1, False: 2}
-_CONTACT_OF: Final = {0: None, 1: True, 2: False}
-
-_TYPED: Final[Mapping[FeatureName, tuple[str, str]]] = {
-    FeatureName.HEART_RATE: ("HeartRate", "rate_bpm"),
-    FeatureName.BREATHING_RATE: ("BreathingRate", "rate_per_min"),
-    FeatureName.HRV_RMSSD: ("HeartRateVariability", "rmssd_ms"),
-    FeatureName.HRV_SDNN: ("HeartRateVariability", "sdnn_ms"),
-    FeatureName.HRV_LF_HF: ("HeartRateVariability", "lf_hf"),
-    FeatureName.SPO2: ("Spo2", "percent"),
-    FeatureName.SKIN_TEMPERATURE: ("SkinTemperature", "celsius"),
-    FeatureName.MOVEMENT: ("Movement", "movement"),
-    FeatureName.POSTURE: ("Posture", "posture"),
-    FeatureName.ACTIVITY: ("Activity", "activity"),
-    FeatureName.EXERTION_LEVEL: ("Strain", "exertion"),
-    FeatureName.FATIGUE: ("Strain", "fatigue"),
-    FeatureName.STRESS: ("Strain", "stress"),
-    FeatureName.BLINK_RATE: ("EyeActivity", "blink_rate_per_min"),
-    FeatureName.BLINK_DURATION: ("EyeActivity", "blink_duration_ms"),
-    FeatureName.FIXATION_DURATION: ("EyeActivity", "fixation_duration_ms"),
-    FeatureName.SACCADE_RATE: ("EyeActivity", "saccade_rate_hz"),
-    FeatureName.SACCADE_AMPLITUDE: ("EyeActivity", "saccade_amplitude_deg"),
-    FeatureName.PUPIL_DIAMETER: ("EyeActivity", "pupil_diameter_mm"),
-}
-_UNKNOWN_FIELDS: Final[Mapping[str, Sequence[str]]] = {
-    "HeartRateVariability": ("rmssd_ms", "sdnn_ms", "lf_hf"),
-    "Strain": ("exertion", "fatigue", "stress"),
-    "EyeActivity": (
-        "blink_rate_per_min",
-        "blink_duration_ms",
-        "fixation_duration_ms",
-        "saccade_rate_hz",
-        "saccade_amplitude_deg",
-        "pupil_diameter_mm",
-    ),
-    "Posture": ("inclination_rad",),
-}
-"""Fields that are NaN where they are not computed."""
 
 
 def messages_of(samples: Samples, subject: str = "") -> list[tuple[str, Message]]:
     """Return type and message of `samples`, oldest first; `subject` is the pseudonym of the person."""
     kind, info = samples.info.kind, samples.info
-    if kind in _SERIES:
-        return [(PACKAGE + _SERIES[kind], _series(samples, subject))]
-    if kind in _SCALARS and len(info.channels) == 1 and info.unit == _SCALARS[kind][2]:
-        name, field, _ = _SCALARS[kind]
+    if kind in SERIES:
+        return [(PACKAGE + SERIES[kind], _series(samples, subject))]
+    if kind in SCALARS and len(info.channels) == 1 and info.unit == SCALARS[kind][2]:
+        name, field, _ = SCALARS[kind]
         return [
             (PACKAGE + name, {**_head(samples, subject, at_s), field: float(value)})
             for at_s, value in zip(samples.sample_times_s(), samples.values[:, 0], strict=True)
         ]
-    if kind in _BY_CHANNEL and set(info.channels) <= set(_BY_CHANNEL[kind][1]):
-        name, fields = _BY_CHANNEL[kind]
+    if kind in BY_CHANNEL and set(info.channels) <= set(BY_CHANNEL[kind][1]):
+        name, fields = BY_CHANNEL[kind]
         unknown = dict.fromkeys(fields, math.nan)
         return [
             (
@@ -168,13 +65,13 @@ def messages_of(samples: Samples, subject: str = "") -> list[tuple[str, Message]
             )
             for at_s, row in zip(samples.sample_times_s(), samples.values, strict=True)
         ]
-    if kind is SignalKind.INTER_BEAT_INTERVAL and len(info.channels) == 1 and info.unit in _INTERVALS:
+    if kind is SignalKind.INTER_BEAT_INTERVAL and len(info.channels) == 1 and info.unit in INTERVALS:
         message = _head(samples, subject, samples.end_s)
-        message["intervals_s"] = samples.values[:, 0] * _INTERVALS[info.unit]
+        message["intervals_s"] = samples.values[:, 0] * INTERVALS[info.unit]
         message["times_s"] = np.array(samples.sample_times_s(), np.float64)
         return [(PACKAGE + "InterBeatIntervals", message)]
-    if kind is SignalKind.PRESSURE_MAP or (kind in _EYES and info.channels in _eye_channels(kind)):
-        name, made = ("EyeEvent", _eye_event) if kind in _EYES else ("PressureMap", _pressures)
+    if kind is SignalKind.PRESSURE_MAP or (kind in EYES and info.channels in _eye_channels(kind)):
+        name, made = ("EyeEvent", _eye_event) if kind in EYES else ("PressureMap", _pressures)
         return [
             (PACKAGE + name, made(samples, subject, at_s, row))
             for at_s, row in zip(samples.sample_times_s(), samples.values, strict=True)
@@ -188,15 +85,15 @@ def samples_of(type_name: str, message: Mapping[str, Any]) -> Samples:
     try:
         if name == "OtherSignal":
             return _from_series(SignalKind(message["kind"]), message)
-        kind = _KIND_OF.get(name)
-        if kind is not None and kind in _SERIES:
+        kind = KIND_OF.get(name)
+        if kind is not None and kind in SERIES:
             return _from_series(kind, message)
         if kind is not None:
-            field = _SCALARS[kind][1]
+            field = SCALARS[kind][1]
             return _single(kind, message, [message[field]], ("",))
         if name in ("InterBeatIntervals", "EyeEvent"):
             return _intervals(message) if name == "InterBeatIntervals" else _from_eye_event(message)
-        for of_kind, (of_name, fields) in _BY_CHANNEL.items():
+        for of_kind, (of_name, fields) in BY_CHANNEL.items():
             if name == of_name:
                 channels = tuple(field for field in fields if not math.isnan(message[field])) or fields[:1]
                 return _single(of_kind, message, [message[field] for field in channels], channels)
@@ -224,10 +121,10 @@ def feature_message(feature: Feature, subject: str = "") -> tuple[str, Message]:
 
 def typed_message(feature: Feature, subject: str = "") -> tuple[str, Message] | None:
     """Return the message of its own that a feature has, such as `HeartRate`; None if it has none."""
-    if feature.name not in _TYPED:
+    if feature.name not in TYPED:
         return None
-    name, field = _TYPED[feature.name]
-    message = _feature_head(feature, subject) | dict.fromkeys(_UNKNOWN_FIELDS.get(name, ()), math.nan)
+    name, field = TYPED[feature.name]
+    message = _feature_head(feature, subject) | dict.fromkeys(UNKNOWN_FIELDS.get(name, ()), math.nan)
     message[field] = feature.value
     if name == "HeartRateVariability":
         message["window_s"] = feature.window_s
@@ -244,7 +141,7 @@ def feature_of(message: Mapping[str, Any]) -> Feature:
             value=message["text"] if message["is_text"] else float(message["value"]),
             at_s=_seconds(message["header"]["stamp"]),
             quality=_fraction(info["quality"]),
-            status=_STATUS_OF.get(info["validity"], Status.IMPLAUSIBLE),
+            status=STATUS_OF.get(info["validity"], Status.IMPLAUSIBLE),
             method=info["method"],
             window_s=float(message["window_s"]),
             period_s=float(message["period_s"]),
@@ -259,7 +156,7 @@ def state_message(features: Sequence[Feature], subject: str, at_s: float) -> tup
     return PACKAGE + "HumanState", {
         "header": {"stamp": _stamp(at_s), "frame_id": ""},
         "subject": subject,
-        "features": [feature_message(each, subject)[1] for each in features],
+        "features": [feature_message(feature, subject)[1] for feature in features],
     }
 
 
@@ -299,9 +196,9 @@ def _head(samples: Samples, subject: str, at_s: float) -> Message:
             "max_value": info.max_value,
             "quality": samples.quality,
             "validity": 0,
-            "clock": _CLOCKS[samples.clock],
+            "clock": CLOCKS[samples.clock],
             "clock_uncertainty_s": samples.uncertainty_s,
-            "contact": _CONTACT[samples.has_contact],
+            "contact": CONTACT[samples.has_contact],
             "calibrated": True,
         },
     }
@@ -320,7 +217,7 @@ def _feature_head(feature: Feature, subject: str) -> Message:
             "min_value": -math.inf,
             "max_value": math.inf,
             "quality": feature.quality,
-            "validity": _VALIDITY[feature.status],
+            "validity": VALIDITY[feature.status],
             "clock": 0,
             "clock_uncertainty_s": 0.0,
             "contact": 0,
@@ -358,40 +255,40 @@ def _pressures(samples: Samples, subject: str, at_s: float, row: Any) -> Message
 def _eye_channels(kind: SignalKind) -> tuple[tuple[str, ...], ...]:
     """Return the channels that an `EyeEvent` can carry: a gaze lasts no time, events have a duration."""
     if kind is SignalKind.GAZE:
-        return (_GAZE,)
-    rest = ((), _OF_MOVEMENTS[:1], _OF_MOVEMENTS[1:], _OF_MOVEMENTS)
-    return tuple(_DURATION + gaze + of for gaze in ((), _GAZE) for of in rest)
+        return (GAZE,)
+    rest = ((), OF_MOVEMENTS[:1], OF_MOVEMENTS[1:], OF_MOVEMENTS)
+    return tuple(DURATION + gaze + of for gaze in ((), GAZE) for of in rest)
 
 
 def _eye_event(samples: Samples, subject: str, at_s: float, row: Any) -> Message:
-    given = dict(zip(samples.info.channels, row.tolist(), strict=True))
+    fields = dict(zip(samples.info.channels, row.tolist(), strict=True))
     return {
         **_head(samples, subject, at_s),
-        "kind": _EYES[samples.info.kind],
-        **{name: given.get(name, math.nan) for name in _DURATION + _OF_MOVEMENTS},
-        "gaze": np.array([given[name] for name in _GAZE if name in given], np.float64),
+        "kind": EYES[samples.info.kind],
+        **{name: fields.get(name, math.nan) for name in DURATION + OF_MOVEMENTS},
+        "gaze": np.array([fields[name] for name in GAZE if name in fields], np.float64),
     }
 
 
 def _from_eye_event(message: Mapping[str, Any]) -> Samples:
-    kind = _EYE_OF.get(message["kind"])
+    kind = EYE_OF.get(message["kind"])
     if kind is None:
         raise ValueError(f"{message['kind']} is no kind of eye event")
-    gaze = dict(zip(_GAZE, map(float, message["gaze"]), strict=False))
+    gaze = dict(zip(GAZE, map(float, message["gaze"]), strict=False))
     if len(message["gaze"]) not in (0, 2):
         raise ValueError(f"a gaze has two values, not {len(message['gaze'])}")
     if kind is SignalKind.GAZE:
-        return _single(kind, message, list(gaze.values()), _GAZE)
-    of_movements = {name: message[name] for name in _OF_MOVEMENTS if not math.isnan(message[name])}
-    given = {**{name: message[name] for name in _DURATION}, **gaze, **of_movements}
-    return _single(kind, message, list(given.values()), tuple(given))
+        return _single(kind, message, list(gaze.values()), GAZE)
+    of_movements = {name: message[name] for name in OF_MOVEMENTS if not math.isnan(message[name])}
+    fields = {**{name: message[name] for name in DURATION}, **gaze, **of_movements}
+    return _single(kind, message, list(fields.values()), tuple(fields))
 
 
 def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:
-    given = message["samples"]
-    channels = tuple(given["channels"])
-    values = np.asarray(given["values"], np.float64)
-    times_s = np.asarray(given["times_s"], np.float64)
+    series = message["samples"]
+    channels = tuple(series["channels"])
+    values = np.asarray(series["values"], np.float64)
+    times_s = np.asarray(series["times_s"], np.float64)
     if not channels or len(values) % len(channels):
         raise ValueError(f"{len(values)} values are no rows of {len(channels)} channels")
     rows = values.reshape(-1, len(channels))
@@ -399,7 +296,7 @@ def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:
         raise ValueError(f"there are {len(times_s)} times for {len(rows)} samples")
     info = _signal_info(kind, message, channels, message["info"]["method"])
     irregular = len(times_s) > 0 or info.rate_hz is None
-    return _samples(info, message, float(given["start_s"]), rows, times_s if irregular else None)
+    return _samples(info, message, float(series["start_s"]), rows, times_s if irregular else None)
 
 
 def _intervals(message: Mapping[str, Any]) -> Samples:
@@ -430,7 +327,7 @@ def _signal_info(
 ) -> SignalInfo:
     info = message["info"]
     is_scaled = unit is not None and unit != info["unit"]
-    factor = _INTERVALS.get(info["unit"], 1.0) if is_scaled else 1.0
+    factor = INTERVALS.get(info["unit"], 1.0) if is_scaled else 1.0
     return SignalInfo(
         kind=kind,
         unit=info["unit"] if unit is None else unit,
@@ -446,17 +343,17 @@ def _signal_info(
 def _samples(
     info: SignalInfo, message: Mapping[str, Any], start_s: float, values: Any, times_s: Any
 ) -> Samples:
-    given = message["info"]
+    head = message["info"]
     return Samples(
-        source=given["source"],
+        source=head["source"],
         info=info,
         start_s=start_s,
         values=values,
         times_s=times_s,
-        clock=_CLOCK_OF.get(given["clock"], ClockKind.ARRIVAL),
-        uncertainty_s=float(given["clock_uncertainty_s"]),
-        quality=_fraction(given["quality"]),
-        has_contact=_CONTACT_OF.get(given["contact"]),
+        clock=CLOCK_OF.get(head["clock"], ClockKind.ARRIVAL),
+        uncertainty_s=float(head["clock_uncertainty_s"]),
+        quality=_fraction(head["quality"]),
+        has_contact=CONTACT_OF.get(head["contact"]),
     )
 
 

@@ -70,7 +70,7 @@ def measured_rest_bpm(values: Sequence[Feature]) -> float:
     Raises `NoBaseline` if they are too few.
     """
     means = _window_means(values, REST_WINDOW_S)
-    usable = sorted((each for each in values if _is_usable(each)), key=lambda each: each.at_s)
+    usable = sorted((feature for feature in values if _is_usable(feature)), key=lambda feature: feature.at_s)
     if not usable or usable[-1].at_s - usable[0].at_s < REST_PROTOCOL_S * MIN_COVERAGE or not means:
         raise NoBaseline(
             f"the heart rate at rest needs {REST_PROTOCOL_S:.0f} s of valid values in {MIN_COVERAGE:.0%} of "
@@ -99,7 +99,7 @@ def _is_usable(feature: Feature) -> bool:
 
 def _window_means(values: Sequence[Feature], window_s: float) -> list[float]:
     """Return the means of all windows that end with a value and that values cover well enough."""
-    usable = sorted((each for each in values if _is_usable(each)), key=lambda each: each.at_s)
+    usable = sorted((feature for feature in values if _is_usable(feature)), key=lambda feature: feature.at_s)
     means: list[float] = []
     first, total, covered_s = 0, 0.0, 0.0
     for index, value in enumerate(usable):

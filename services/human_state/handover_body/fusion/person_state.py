@@ -74,14 +74,14 @@ class PersonState:
         kept = self._kept.setdefault(key, _Kept(Series()))
         if _is_worse_method(feature, kept, now_s):
             return None
-        kept.series, given = kept.series.take(feature)
-        if given is None:
+        kept.series, accepted = kept.series.take(feature)
+        if accepted is None:
             return None
-        kept.shown = _shown(given, kept.shown)
-        kept.is_faulty = given.status is not Status.VALID
-        if given.status is Status.VALID:
-            kept.counted = given
-        return given
+        kept.shown = _shown(accepted, kept.shown)
+        kept.is_faulty = accepted.status is not Status.VALID
+        if accepted.status is Status.VALID:
+            kept.counted = accepted
+        return accepted
 
     def report(self, report: SensorReport) -> None:
         """Take a fault, a lost contact or a lost link of a sensor: no value continues after it.
@@ -104,11 +104,11 @@ class PersonState:
 
     def sensors(self, name: FeatureName, now_s: float) -> list[Feature]:
         """Return the value of each sensor with its present status."""
-        found = []
+        fused_values = []
         for (kind, _), kept in self._kept.items():
             if kind is name and kept.shown is not None:
-                found.append(_aged(kept, now_s))
-        return found
+                fused_values.append(_aged(kept, now_s))
+        return fused_values
 
     def has_fault(self, name: FeatureName, now_s: float) -> bool:
         """Return whether a sensor that once counted has no valid value now, or has a fault."""
@@ -127,9 +127,9 @@ class PersonState:
     def for_limits(self, name: FeatureName, now_s: float) -> FusedValue | None:
         """Return the value that may feed a limit: valid, and of calibrated sensors only."""
         usable = [
-            each
-            for each in self.sensors(name, now_s)
-            if each.status is Status.VALID and each.is_calibrated and not isinstance(each.value, str)
+            sensor
+            for sensor in self.sensors(name, now_s)
+            if sensor.status is Status.VALID and sensor.is_calibrated and not isinstance(sensor.value, str)
         ]
         return fused(name, usable) if usable else None
 
@@ -146,10 +146,10 @@ class PersonState:
 
 def fused(name: FeatureName, sensors: Iterable[Feature]) -> FusedValue:
     """Return the fused value of one feature of at least one sensor."""
-    ordered = tuple(sorted(sensors, key=lambda each: (each.quality, each.at_s), reverse=True))
-    valid = [each for each in ordered if each.status is Status.VALID]
+    ordered = tuple(sorted(sensors, key=lambda feature: (feature.quality, feature.at_s), reverse=True))
+    valid = [feature for feature in ordered if feature.status is Status.VALID]
     if not valid:
-        last = max(ordered, key=lambda each: each.at_s)
+        last = max(ordered, key=lambda feature: feature.at_s)
         return FusedValue(
             name,
             last.value,
@@ -161,17 +161,21 @@ def fused(name: FeatureName, sensors: Iterable[Feature]) -> FusedValue:
             is_calibrated=last.is_calibrated,
             period_s=last.period_s,
         )
-    numbers = [each for each in valid if not isinstance(each.value, str)]
+    numbers = [feature for feature in valid if not isinstance(feature.value, str)]
     if not numbers:
         best = valid[0]
         return _of(name, best.value, [best], ordered)
-    values = [float(each.value) for each in numbers]
+    values = [float(feature.value) for feature in numbers]
     if name is FeatureName.HEART_RATE and max(values) - min(values) > MAX_APART_BPM:
-        highest = max(numbers, key=lambda each: float(each.value))
+        highest = max(numbers, key=lambda feature: float(feature.value))
         return replace(_of(name, highest.value, [highest], ordered), disagree=True)
     # the mean lies between the values; bounds take away what rounding adds
-    weights = sum(each.quality for each in numbers)
-    mean = sum(float(each.value) * each.quality for each in numbers) / weights if weights > 0 else values[0]
+    weights = sum(feature.quality for feature in numbers)
+    mean = (
+        sum(float(feature.value) * feature.quality for feature in numbers) / weights
+        if weights > 0
+        else values[0]
+    )
     return _of(name, min(max(mean, min(values)), max(values)), numbers, ordered)
 
 
@@ -181,21 +185,21 @@ def _of(
     return FusedValue(
         name,
         value,
-        max(each.at_s for each in used),
-        max(each.quality for each in used),
+        max(feature.at_s for feature in used),
+        max(feature.quality for feature in used),
         Status.VALID,
-        ", ".join(dict.fromkeys(each.method for each in used if each.method)),
+        ", ".join(dict.fromkeys(feature.method for feature in used if feature.method)),
         sensors,
-        is_calibrated=all(each.is_calibrated for each in used),
-        period_s=min(each.period_s for each in used),
+        is_calibrated=all(feature.is_calibrated for feature in used),
+        period_s=min(feature.period_s for feature in used),
     )
 
 
-def _shown(given: Feature, before: Feature | None) -> Feature | None:
+def _shown(feature: Feature, before: Feature | None) -> Feature | None:
     """Return what is shown: a value that is no number keeps the one before, which is implausible now."""
-    if isinstance(given.value, str) or math.isfinite(given.value):
-        return given
-    return None if before is None else replace(before, status=given.status, quality=0.0)
+    if isinstance(feature.value, str) or math.isfinite(feature.value):
+        return feature
+    return None if before is None else replace(before, status=feature.status, quality=0.0)
 
 
 def _is_worse_method(feature: Feature, kept: _Kept, now_s: float) -> bool:

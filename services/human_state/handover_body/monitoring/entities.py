@@ -105,7 +105,7 @@ class HumanStates:
 
     async def delete_orphans(self, people: People) -> None:
         """Delete entities of persons who were deleted, or whose consent ended, while this did not run."""
-        allowed = {one.pseudonym for one in people.all() if Purpose.BROKER in one.purposes()}
+        allowed = {person.pseudonym for person in people.all() if Purpose.BROKER in person.purposes()}
         prefix = self._settings.entity_id("HumanState", "P-").removesuffix("P-")
         for entity in await self._health.broker.query(type="HumanState"):
             pseudonym = str(entity["id"]).removeprefix(prefix)

@@ -57,7 +57,9 @@ class LslFeed:
 
     def _follow(self) -> None:
         """Tap new monitors; close the streams of persons who withdrew their consent."""
-        present = {one for one in self._monitoring.monitors.values() if one.person.name in self._people}
+        present = {
+            wanted for wanted in self._monitoring.monitors.values() if wanted.person.name in self._people
+        }
         for monitor in self._tapped.keys() - present:
             self._leave(monitor)
         for monitor in present - self._tapped.keys():

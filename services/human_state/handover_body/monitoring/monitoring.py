@@ -41,7 +41,7 @@ CHECK_EVERY_S: Final = 1.0
 
 
 @dataclass(slots=True)
-class _Running:
+class _RunningSensor:
     row: SensorRow
     task: asyncio.Task[None] | None
     driver: SensorDriver | None = None
@@ -85,7 +85,7 @@ class Monitoring:
         self._tasks = tasks
         self._pipeline_of = pipeline_of
         self._classifier_of = classifier_of
-        self._running: dict[str, _Running] = {}
+        self._running: dict[str, _RunningSensor] = {}
         self._is_publishing = False
         """Whether the readers get the limits in this turn of the event loop."""
         self._ticked = asyncio.Event()
@@ -119,7 +119,7 @@ class Monitoring:
         for robot in wanted:
             if (robot, name) not in self.links:
                 self._link(robot, name)
-        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+        SENSORS.set(sum(sensor.task is not None for sensor in self._running.values()))
 
     def _stop(self, name: str) -> None:
         for sensor, running in list(self._running.items()):
@@ -130,7 +130,7 @@ class Monitoring:
         monitor = self.monitors.pop(name, None)
         if monitor is not None:
             self.on_stopped(monitor)
-        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+        SENSORS.set(sum(sensor.task is not None for sensor in self._running.values()))
 
     def _stop_sensor(self, sensor: str, person: str | None) -> None:
         running = self._running.get(sensor)
@@ -145,7 +145,7 @@ class Monitoring:
         running = self._running.get(sensor)
         return None if running is None else running.driver
 
-    def _start_sensor(self, row: SensorRow, monitor: PersonMonitor) -> _Running:
+    def _start_sensor(self, row: SensorRow, monitor: PersonMonitor) -> _RunningSensor:
         try:
             kind: type[SensorDriver] = SENSOR_DRIVERS.load(row.driver)
             driver = kind(row.name, kind.settings_model.model_validate(row.settings))
@@ -153,10 +153,10 @@ class Monitoring:
         except (HandoverError, ValueError) as error:
             log.warning("sensor cannot start", sensor=row.name, driver=row.driver, error=str(error))
             monitor.sensors[row.name] = SensorView(LinkState.FAULT, text=str(error)[:300])
-            return _Running(row, None)
+            return _RunningSensor(row, None)
         kinds = frozenset(info.kind for info in driver.signals)
         monitor.sensors[row.name] = SensorView(kinds=kinds, left_out=dict(driver.left_out))
-        return _Running(row, self._tasks.start(runner.run), driver)
+        return _RunningSensor(row, self._tasks.start(runner.run), driver)
 
     def _link(self, robot: str, person: str) -> None:
         url = f"{self._settings.trajectory_tool.replace('http', 'ws', 1)}/robots/{robot}/speed_limits"
@@ -258,7 +258,7 @@ class Monitoring:
             await self._ticked.wait()
         if robot is None:
             return orjson.dumps(self._limits)
-        limits = [one for one in self._limits["limits"] if robot in one["robots"]]
+        limits = [limit for limit in self._limits["limits"] if robot in limit["robots"]]
         return orjson.dumps({**self._limits, "limits": limits})
 
 

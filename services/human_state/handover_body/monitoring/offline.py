@@ -98,7 +98,9 @@ def analyse(path: Path, meanings: dict[str, Meaning] | None = None) -> Offline:
         for signal in signals:
             features += [(signal.track.name, feature) for feature in signal.until(elapsed_s)]
     channels = [
-        Channel(one.track.name, one.track.info.kind, one.track.info.unit, one.track.info.rate_hz, one.sent)
-        for one in signals
+        Channel(
+            info.track.name, info.track.info.kind, info.track.info.unit, info.track.info.rate_hz, info.sent
+        )
+        for info in signals
     ]
     return Offline(features, channels, left_out)

@@ -216,12 +216,12 @@ class PersonMonitor:
         for feature in (*features, *self._analysis.take(features)):
             self._tap(feature)
             age_s = max(wall_s - feature.at_s, 0.0)
-            given = self.state.take(replace(feature, at_s=now_s - age_s), now_s)
-            if given is None:
+            accepted = self.state.take(replace(feature, at_s=now_s - age_s), now_s)
+            if accepted is None:
                 continue
-            FEATURES.labels(feature.name, given.status).inc()
-            if given.name is FeatureName.HEART_RATE and given.status is Status.VALID:
-                self.recent.append(given)
+            FEATURES.labels(feature.name, accepted.status).inc()
+            if accepted.name is FeatureName.HEART_RATE and accepted.status is Status.VALID:
+                self.recent.append(accepted)
                 DELAY.observe(age_s)
                 before = self.limit.fraction
                 self.step(now_s)
@@ -248,19 +248,19 @@ class PersonMonitor:
         value = self.state.for_limits(FeatureName.HEART_RATE, now_s)
         if value is None:
             return None
-        is_radar = all(RADAR in each.method for each in value.sensors)
+        is_radar = all(RADAR in sensor.method for sensor in value.sensors)
         timeout_s = RADAR_TIMEOUT_S if is_radar else TIMEOUT_S
         return HeartRate(float(value.value), value.at_s, value.period_s, timeout_s)
 
     def values(self, now_s: float) -> list[FusedValue]:
         """Return all features of the person now; the exertion follows from heart rate and baseline."""
-        found = self.state.values(now_s)
+        features = self.state.values(now_s)
         if worn := self._worn(now_s):
-            found.append(fused(FeatureName.WEAR_STATE, worn))
+            features.append(fused(FeatureName.WEAR_STATE, worn))
         rate = self.state.for_limits(FeatureName.HEART_RATE, now_s)
-        if rate is not None and all(each.name is not FeatureName.EXERTION_LEVEL for each in found):
+        if rate is not None and all(feature.name is not FeatureName.EXERTION_LEVEL for feature in features):
             exertion = self.person.baseline.exertion(float(rate.value))
-            found.append(
+            features.append(
                 replace(
                     rate,
                     name=FeatureName.EXERTION_LEVEL,
@@ -269,7 +269,7 @@ class PersonMonitor:
                     sensors=(),
                 )
             )
-        return found
+        return features
 
     def _worn(self, now_s: float) -> list[Feature]:
         """Return of each sensor that measures it whether it is worn."""

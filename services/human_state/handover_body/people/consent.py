@@ -41,5 +41,5 @@ class Consent:
         row = self.row
         if row is None or row.withdrawn_us is not None or not row.given_us <= now_us < row.ends_us:
             return frozenset()
-        known = frozenset(Purpose(one) for one in row.purposes if one in set(Purpose))
-        return known if Purpose.LIVE in known else frozenset()
+        purposes_of_row = frozenset(Purpose(purpose) for purpose in row.purposes if purpose in set(Purpose))
+        return purposes_of_row if Purpose.LIVE in purposes_of_row else frozenset()

@@ -68,20 +68,20 @@ class People:
     async def load(self) -> None:
         """Read what was stored."""
         stored = await asyncio.to_thread(self._store.load)
-        limits = {one.person: one for one in stored.limits}
-        consents = {one.person: one for one in stored.consents}
+        limits = {limit.person: limit for limit in stored.limits}
+        consents = {given_consent.person: given_consent for given_consent in stored.consents}
         for row in stored.persons:
             self._persons[row.name] = Person(
                 row,
                 limits[row.name],
                 Consent(consents.get(row.name)),
-                {one.name: one for one in stored.sensors if one.person == row.name},
+                {worn.name: worn for worn in stored.sensors if worn.person == row.name},
                 frozenset(robot for robot, person in stored.bindings if person == row.name),
             )
 
     def all(self) -> list[Person]:
         """Return all persons in the order of their names."""
-        return sorted(self._persons.values(), key=lambda one: one.name)
+        return sorted(self._persons.values(), key=lambda candidate: candidate.name)
 
     def find(self, name: str) -> Person | None:
         """Return a person; None if there is none."""
@@ -89,8 +89,8 @@ class People:
 
     def person(self, name: str) -> Person:
         """Return a person; raise `Problem` 404."""
-        found = self._persons.get(name)
-        if found is None:
+        match = self._persons.get(name)
+        if match is None:
             raise Problem(
                 404,
                 "Unknown person",
@@ -100,7 +100,7 @@ class People:
                     person=name,
                 ),
             )
-        return found
+        return match
 
     def stored_settings(self, name: str, driver: str) -> Mapping[str, Any]:
         """Return the settings of a sensor; none if it is not there or has another driver."""
@@ -133,8 +133,8 @@ class People:
             )
             limit = LimitRow(name, *curve, is_stopped=before is not None and before.limit.is_stopped)
             await asyncio.to_thread(self._store.save_person, row, limit)
-            known = Person(row, limit) if before is None else replace(before, row=row, limit=limit)
-            return self._set(known)
+            changed = Person(row, limit) if before is None else replace(before, row=row, limit=limit)
+            return self._set(changed)
 
     async def consent(self, name: str, purposes: frozenset[Purpose], ends_us: int, given_by: str) -> Person:
         """Store a consent, which replaces the one before. Raises `Problem`."""

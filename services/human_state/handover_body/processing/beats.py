@@ -146,11 +146,11 @@ class BeatDetector:
 
     def flush(self) -> list[Beat]:
         """Return the beats that wait for a decision, at the end of a recording; the detector is reset."""
-        found: list[Beat] = []
+        beats: list[Beat] = []
         if self._template is not None:
-            found = self._decide(self._filtered(self._qrs_filter), is_end=True)
+            beats = self._decide(self._filtered(self._qrs_filter), is_end=True)
         self.reset()
-        return found
+        return beats
 
     def _filtered(self, taps: Floats) -> Floats:
         half = len(taps) // 2
@@ -269,12 +269,12 @@ class BeatDetector:
         path = self._best_sequence(at / rate, gains, None if last is None else last / rate, end / rate)
         delay_s = DECISION_DELAY_S if self.sigma < 0.12 else MAX_DECISION_DELAY_S
         decided = len(y) if is_end else len(y) - max(delay_s * rate, self._margin)
-        found: list[Beat] = []
+        beats: list[Beat] = []
         for index in path:
             if at[index] >= decided:
                 break
-            found.append(self._accept(int(at[index]), bool(is_usual[index]), match, y))
-        return found
+            beats.append(self._accept(int(at[index]), bool(is_usual[index]), match, y))
+        return beats
 
     def _noise_of(self, match: Floats, peaks: NDArray[np.int_], y: Floats) -> float:
         """Return the standard deviation of `match` outside beats, of which `peaks` are candidates.

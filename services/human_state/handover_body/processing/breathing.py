@@ -159,15 +159,15 @@ class BeatBreathing:
         self._due_s = at_s + 2.0
         grid_s = np.arange(beats[1, 0], beats[-1, 0], 0.25)
         mean_hz = len(beats) / (beats[-1, 0] - beats[0, 0])
-        found = []
+        candidates = []
         for series in (beats[1:, 1], np.diff(beats[:, 0])):
             steady = np.clip(series, *np.percentile(series, [5, 95]))
             rate, quality = breathing_of(np.interp(grid_s, beats[1:, 0], steady), 4.0)
             if rate < 30 * mean_hz:  # beats sample breathing; above half their rate nothing can be said
-                found.append((quality, rate))
-        if not found:
+                candidates.append((quality, rate))
+        if not candidates:
             return []
-        quality, rate = max(found)
+        quality, rate = max(candidates)
         quality *= float(beats[:, 2].mean())
         return _feature(source, rate, quality, at_s, self._method, max_quality=MAX_QUALITY_OF_BEATS)
 

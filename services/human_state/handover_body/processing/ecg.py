@@ -56,8 +56,8 @@ class EcgProcessor:
         self._waiting += len(samples.values)
         if self._waiting < BLOCK_S * self._rate_hz - 1:  # a rate may be a measured one
             return []
-        block = np.concatenate([each.values[:, 0] for each in self._pending])
-        quality = min(each.quality for each in self._pending)
+        block = np.concatenate([part.values[:, 0] for part in self._pending])
+        quality = min(part.quality for part in self._pending)
         end_s = samples.end_s
         self._pending.clear()
         self._fed += self._waiting
@@ -69,10 +69,10 @@ class EcgProcessor:
             self._rhythm.add_beat(at_s, beat.quality * quality, is_usual_shape=beat.is_usual_shape)
             self._breathing.add_beat(at_s, beat.height, beat.quality * quality)
         block_s = len(block) / self._rate_hz
-        found = self._rhythm.features(samples.source, end_s, max(1.0, block_s), self._envelope.rates_bpm)
-        found += self._breathing.features(samples.source, end_s)
-        self._relearn_if_poor(beats, found, block_s)
-        return found
+        features = self._rhythm.features(samples.source, end_s, max(1.0, block_s), self._envelope.rates_bpm)
+        features += self._breathing.features(samples.source, end_s)
+        self._relearn_if_poor(beats, features, block_s)
+        return features
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Forget the signal before a fault."""
@@ -86,11 +86,11 @@ class EcgProcessor:
             self._poor_s = self._unconfirmed_s = 0.0
         return []
 
-    def _relearn_if_poor(self, beats: list[Beat], found: list[Feature], block_s: float) -> None:
+    def _relearn_if_poor(self, beats: list[Beat], features: list[Feature], block_s: float) -> None:
         """Learn the shape again when nothing matches it, or when what matches it is not the heart."""
         is_good = any(beat.quality >= RELEARN_BELOW for beat in beats)
         self._poor_s = 0.0 if is_good else self._poor_s + block_s
-        for feature in found:
+        for feature in features:
             if feature.name is FeatureName.HEART_RATE:
                 is_confirmed = feature.status is Status.VALID
                 self._unconfirmed_s = 0.0 if is_confirmed else self._unconfirmed_s + block_s

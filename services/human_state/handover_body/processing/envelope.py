@@ -117,12 +117,12 @@ class EnvelopeRate:
 
     def _period_s(self, wave: Floats, is_known: NDArray[np.bool_]) -> float:
         """Return the first large maximum of the autocorrelation of known samples; 0 where none is."""
-        known = is_known.astype(np.float64)
-        if known.mean() < 0.5:
+        finite = is_known.astype(np.float64)
+        if finite.mean() < 0.5:
             return 0.0
-        wave = (wave - wave[is_known].mean()) * known
+        wave = (wave - wave[is_known].mean()) * finite
         first, last = int(SHORTEST_S * self._rate_hz), min(len(wave) * 2 // 3, int(2.2 * self._rate_hz))
-        products, weights = _autocorrelation(wave)[:last], _autocorrelation(known)[:last]
+        products, weights = _autocorrelation(wave)[:last], _autocorrelation(finite)[:last]
         if products[0] <= 0:
             return 0.0
         correlation = products / np.maximum(weights, 1.0) * weights[0] / products[0]

@@ -76,18 +76,18 @@ class PersonAnalysis:
 
     def take(self, features: Iterable[Feature]) -> list[Feature]:
         """Take features of the person's sensors; return those that follow."""
-        found: list[Feature] = []
+        results: list[Feature] = []
         for feature in features:
             if isinstance(feature.value, str) or feature.status is not Status.VALID:
                 continue
             self._newest[feature.name] = feature.at_s, float(feature.value)
             if feature.name is FeatureName.HEART_RATE:
-                found += self._take_rate(feature.at_s, float(feature.value))
+                results += self._take_rate(feature.at_s, float(feature.value))
             elif feature.name is FeatureName.BREATHING_RATE:
-                found += self._take_breathing(feature.at_s, float(feature.value))
+                results += self._take_breathing(feature.at_s, float(feature.value))
             elif feature.name in {FeatureName.HRV_RMSSD, FeatureName.EDA_TONIC}:
                 self._learn_rest(feature.name, float(feature.value))
-        return found
+        return results
 
     def breathing_stopped(self, since_s: float, now_s: float) -> list[Feature]:
         """Report that a sensor sees a person who has not breathed since `since_s` (radar, belt)."""
@@ -102,13 +102,13 @@ class PersonAnalysis:
         if self._rates and not 0 <= at_s - self._rates[-1][0] < 30:
             self._rates.clear()  # no event is found across a gap
         self._rates.append((at_s, bpm))
-        found = self._indices(at_s, bpm)
+        features = self._indices(at_s, bpm)
         if at_s >= self._quiet_until_s and is_cyclic(
             [t for t, _ in self._rates], [b for _, b in self._rates]
         ):
             self._quiet_until_s = at_s + CYCLE_S / 2
-            found.append(self._event("cyclicHeartRate", at_s, CYCLE_S))
-        return found
+            features.append(self._event("cyclicHeartRate", at_s, CYCLE_S))
+        return features
 
     def _take_breathing(self, at_s: float, per_minute: float) -> list[Feature]:
         if per_minute >= PAUSE_BREATHS_PER_MINUTE:

@@ -134,11 +134,13 @@ class EventWindow:
             return []
         self._due_s = at_s + EACH_S
         table = np.array(self._events).reshape(-1, 4)
-        known = np.isfinite(table[:, 1])
+        is_finite = np.isfinite(table[:, 1])
         certain = covered_s / self.window_s
         if len(table):
-            certain *= float(known.mean()) * (float(table[known, 3].mean()) if known.any() else 0.0)
-        return list(self._features(source, at_s, count / covered_s, table[known], min(certain, 1.0)))
+            certain *= float(is_finite.mean()) * (
+                float(table[is_finite, 3].mean()) if is_finite.any() else 0.0
+            )
+        return list(self._features(source, at_s, count / covered_s, table[is_finite], min(certain, 1.0)))
 
     def _features(
         self, source: str, at_s: float, rate_hz: float, table: Floats, quality: float
@@ -175,13 +177,13 @@ class EyeEventProcessor:
 
     def feed(self, samples: Samples) -> Sequence[Feature]:
         """Take events; return what they complete."""
-        found: list[Feature] = []
+        features: list[Feature] = []
         for at_s, row in zip(samples.sample_times_s(), samples.values, strict=True):
             size = np.nan if self._amplitude is None else float(row[self._amplitude])
-            found += self._window.add(
+            features += self._window.add(
                 samples.source, float(at_s), float(row[self._duration]), size, samples.quality
             )
-        return found
+        return features
 
     def nothing_happened(self, source: str, until_s: float) -> Sequence[Feature]:
         """Return the rates of eyes that do nothing."""
@@ -226,14 +228,16 @@ class GazeProcessor:
         self._tail = rows[-self._lag :]
         times_s = samples.sample_times_s()[-len(velocity) :]
         fast = velocity > SACCADE_DEG_S
-        found: list[Feature] = []
+        features: list[Feature] = []
         for at in np.flatnonzero(np.diff(fast, prepend=fast[:1] if self._is_fast is None else self._is_fast)):
             # the velocity of a sample is that of the 20 ms before it
             moved_s = float(times_s[at]) - VELOCITY_WINDOW_S / 2
-            found += self._ended(samples, bool(fast[at]), moved_s, rows[max(at - 1, 0) : at + 1].mean(axis=0))
+            features += self._ended(
+                samples, bool(fast[at]), moved_s, rows[max(at - 1, 0) : at + 1].mean(axis=0)
+            )
         if len(fast):
             self._is_fast = bool(fast[-1])
-        return found
+        return features
 
     def _ended(self, samples: Samples, is_fast: bool, at_s: float, gaze: Floats) -> list[Feature]:
         """End the movement before `at_s`: a fixation if a saccade begins."""
@@ -297,15 +301,15 @@ class EogProcessor:
         self._began_s = samples.end_s - (len(self._wave) - 1) / self._rate_hz
         half = round(EOG_BASELINE_S / 2 * self._rate_hz)
         end = len(self._wave) - half
-        found: list[Feature] = []
+        features: list[Feature] = []
         if end > self._done:
             above = self._above(self._done, end, half)
             for number, value in enumerate(above):
                 at_s = self._began_s + (self._done + number) / self._rate_hz
-                found += self._judge(samples, at_s, float(value))
+                features += self._judge(samples, at_s, float(value))
             cut = max(end - half, 0)
             self._wave, self._done = self._wave[cut:], end - cut
-        return found
+        return features
 
     def _above(self, begin: int, end: int, half: int) -> Floats:
         """Return the wave above the median around each sample, which is computed 50 times a second."""

@@ -23,8 +23,8 @@ class IntervalProcessor:
         """Take intervals; return the features that are due. The device's own heart rate is another signal."""
         for at_s, value in zip(samples.sample_times_s(), samples.values[:, 0], strict=True):
             self._rhythm.add_interval(float(at_s), float(value) * self._factor, samples.quality)
-        found = self._rhythm.features(samples.source, samples.end_s, 1.0)
-        return [feature for feature in found if feature.name is not FeatureName.HEART_RATE]
+        features = self._rhythm.features(samples.source, samples.end_s, 1.0)
+        return [feature for feature in features if feature.name is not FeatureName.HEART_RATE]
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Forget the intervals before a fault."""

@@ -75,16 +75,16 @@ def pipeline_for(info: SignalInfo, *, has_own: bool = True) -> "SignalPipeline":
 
     Raises `ValueError` if the signal cannot be analysed; the text says why.
     """
-    found: list[Processor] = []
+    processors: list[Processor] = []
     for place in OWN.get(info.kind, ()) if has_own else ():
         module, name = place.split(":")
-        found.append(getattr(importlib.import_module(f"{_HERE}.{module}"), name)(info))
+        processors.append(getattr(importlib.import_module(f"{_HERE}.{module}"), name)(info))
     for name in SIGNAL_PROCESSORS.names():
         make: Callable[[SignalInfo], Processor | None] = SIGNAL_PROCESSORS.load(name)
         processor = make(info)
         if processor is not None:
-            found.append(processor)
-    return SignalPipeline(info, found)
+            processors.append(processor)
+    return SignalPipeline(info, processors)
 
 
 class SignalPipeline:
@@ -94,8 +94,8 @@ class SignalPipeline:
         self.info: Final = info
         # A pipeline among them gives its processors.
         self._processors: list[Processor] = []
-        for each in processors:
-            self._processors += each.processors if isinstance(each, SignalPipeline) else [each]
+        for processor in processors:
+            self._processors += processor.processors if isinstance(processor, SignalPipeline) else [processor]
         self._valid: dict[FeatureName, Feature] = {}
         self._reports: deque[SensorReport] = deque(maxlen=MAX_REPORTS)
 
@@ -147,21 +147,21 @@ class SignalPipeline:
     def _each(
         self, call: Callable[[Processor], Sequence[Feature]], source: str, at_s: float
     ) -> list[Feature]:
-        found: list[Feature] = []
+        features: list[Feature] = []
         for processor in tuple(self._processors):
             try:
-                found += call(processor)
+                features += call(processor)
             except Exception as error:  # noqa: BLE001 -- a processor of somebody else may fail in any way
                 self._processors.remove(processor)
                 name = type(processor).__name__
                 text = f"the processor {name} of {self.info.kind} failed: {error!r}; it was dropped"
                 self._reports.append(SensorReport(source, at_s, text=text))
-        for feature in self._remembered(found):
+        for feature in self._remembered(features):
             self._valid[feature.name] = feature
-        return found
+        return features
 
-    def _remembered(self, found: list[Feature]) -> Iterator[Feature]:
-        for feature in found:
+    def _remembered(self, features: list[Feature]) -> Iterator[Feature]:
+        for feature in features:
             if feature.status is Status.VALID:
                 yield feature
             else:

@@ -105,10 +105,10 @@ def _fundamental(wave: Floats, interval_s: float, rate_hz: float) -> float:
         low, high = int(0.9 * frequency_hz / step_hz), int(1.1 * frequency_hz / step_hz) + 2
         return float(power[low:high].max(initial=0.0))
 
-    half, one, two = (at(share / interval_s) for share in (0.5, 1.0, 2.0))
-    if one <= 0:
+    half, same, two = (at(share / interval_s) for share in (0.5, 1.0, 2.0))
+    if same <= 0:
         return 0.0
-    return float(np.clip((one / (two + 1e-12) - 0.3) / 0.5, 0, 1) * np.clip((0.9 - half / one) / 0.5, 0, 1))
+    return float(np.clip((same / (two + 1e-12) - 0.3) / 0.5, 0, 1) * np.clip((0.9 - half / same) / 0.5, 0, 1))
 
 
 def _period(wave: Floats, rate_hz: float) -> tuple[float, float]:
@@ -135,13 +135,13 @@ def unwrapped(x: Floats) -> Floats:
     span = np.ptp(x, axis=0)
     jumps = np.diff(x, axis=0)
     is_jump = np.abs(jumps) > WRAP_SHARE * span
-    found = x
+    troughs = x
     for channel in np.flatnonzero((is_jump & (jumps > 0)).any(axis=0) & (is_jump & (jumps < 0)).any(axis=0)):
-        if found is x:
-            found = x.copy()
+        if troughs is x:
+            troughs = x.copy()
         turns = np.where(is_jump[:, channel], -np.sign(jumps[:, channel]), 0.0)
-        found[1:, channel] += np.cumsum(turns) * span[channel]
-    return found
+        troughs[1:, channel] += np.cumsum(turns) * span[channel]
+    return troughs
 
 
 def _likeness(wave: Floats, rises: NDArray[np.int_], period_s: float, rate_hz: float) -> float:
@@ -152,7 +152,7 @@ def _likeness(wave: Floats, rises: NDArray[np.int_], period_s: float, rate_hz: f
     if len(shapes) < 3:
         return 0.0
     mean = shapes.mean(axis=0)
-    return float(np.mean([np.corrcoef(each, mean)[0, 1] for each in shapes]))
+    return float(np.mean([np.corrcoef(shape, mean)[0, 1] for shape in shapes]))
 
 
 def saturation_of(red: Floats, infrared: Floats, rate_hz: float) -> float | None:
@@ -161,7 +161,7 @@ def saturation_of(red: Floats, infrared: Floats, rate_hz: float) -> float | None
     means = float(red.mean()), float(infrared.mean())
     if min(means) <= 0:
         return None
-    pulsations = [float(np.std(dsp.sosfiltfilt(band, each - each.mean()))) for each in (red, infrared)]
+    pulsations = [float(np.std(dsp.sosfiltfilt(band, light - light.mean()))) for light in (red, infrared)]
     if pulsations[1] <= 0:
         return None
     value = 110 - 25 * (pulsations[0] / means[0]) / (pulsations[1] / means[1])
@@ -201,17 +201,17 @@ class PpgProcessor:
             info=replace(self._info, channels=("",)),
             values=samples.values[:, pulse_channel : pulse_channel + 1],
         )
-        found = list(self._breathing.feed(baseline))
+        features = list(self._breathing.feed(baseline))
         at_s = samples.end_s
         if len(self._raw) < SHORTEST_S * self._info_hz or at_s < self._due_s:
-            return found
+            return features
         self._due_s = at_s + EACH_S - 0.5 / self._rate_hz
         self._window = self._thinned()
         pulse, quality = pulse_of(self._window[:, pulse_channel], self._rate_hz)
         quality *= samples.quality
         if pulse > 0:
             length_s = len(self._window) / self._rate_hz
-            found.append(
+            features.append(
                 Feature(
                     FeatureName.HEART_RATE,
                     samples.source,
@@ -223,8 +223,8 @@ class PpgProcessor:
                     length_s,
                 )
             )
-            found += self._saturation(samples.source, at_s, quality)
-        return found
+            features += self._saturation(samples.source, at_s, quality)
+        return features
 
     def _thinned(self) -> Floats:
         whole = len(self._raw) // self._step * self._step

@@ -106,9 +106,9 @@ def rise_bpm(window: list[Interval], steady: list[Interval], at_s: float) -> flo
     newest_s = window[-1].at_s
     parts = [
         [
-            each.length_s
-            for each in window
-            if newest_s - (n + 1) * RISE_S / 3 < each.at_s <= newest_s - n * RISE_S / 3
+            interval.length_s
+            for interval in window
+            if newest_s - (n + 1) * RISE_S / 3 < interval.at_s <= newest_s - n * RISE_S / 3
         ]
         for n in (2, 1, 0)
     ]
@@ -136,12 +136,12 @@ def lf_hf(intervals: list[Interval]) -> tuple[float, float] | None:
     """Return the powers in s² at low and high frequency: Welch's method on intervals resampled at 4 Hz."""
     from scipy import signal as dsp  # noqa: PLC0415 -- an extra
 
-    normal = [each for each in intervals if each.is_normal]
+    normal = [interval for interval in intervals if interval.is_normal]
     if len(normal) < 60:
         return None
-    at_s = np.array([each.at_s for each in normal])
+    at_s = np.array([interval.at_s for interval in normal])
     grid_s = np.arange(at_s[0], at_s[-1], 0.25)
-    series = np.interp(grid_s, at_s, [each.length_s for each in normal])
+    series = np.interp(grid_s, at_s, [interval.length_s for interval in normal])
     if len(series) < 4 * 100:
         return None
     frequencies, power = dsp.welch(dsp.detrend(series), 4.0, nperseg=min(len(series), 4 * 120))
@@ -202,9 +202,9 @@ class Rhythm:
     ) -> list[Feature]:
         """Return the features that are due, of the signal up to `at_s`."""
         rate = self.heart_rate(source, at_s, period_s, second)
-        found = [rate] if rate is not None else []
+        rates = [rate] if rate is not None else []
         if rate is None or rate.status is not Status.VALID:
-            return found
+            return rates
         for name, each_s in (
             (FeatureName.HRV_RMSSD, 5.0),
             (FeatureName.HRV_SDNN, 10.0),
@@ -214,8 +214,8 @@ class Rhythm:
                 feature = self._variability(name, source, at_s, each_s)
                 self._due_s[name] = at_s + each_s
                 if feature is not None:
-                    found.append(feature)
-        return found
+                    rates.append(feature)
+        return rates
 
     def heart_rate(
         self, source: str, at_s: float, period_s: float, second: SecondRate | None = None
@@ -223,25 +223,27 @@ class Rhythm:
         """Return the rate of the newest beats; once implausible when beats stop, None before the first."""
         # Beats are accepted up to 1.5 s late; two intervals more without one are a fault.
         interval_s = float(np.median(self._recent)) if self._recent else 1.0
-        window = [each for each in self._intervals if each.at_s > at_s - HEART_RATE_WINDOW_S - 1.5]
+        window = [
+            interval for interval in self._intervals if interval.at_s > at_s - HEART_RATE_WINDOW_S - 1.5
+        ]
         if len(window) >= MIN_INTERVALS and at_s - window[-1].at_s < 1.6 + max(1.0, 2 * interval_s):
-            is_clear = min(each.quality for each in window[-MIN_INTERVALS:]) >= CLEAR_QUALITY
-            first = steady_from(np.array([each.length_s for each in window]), is_clear=is_clear)
+            is_clear = min(interval.quality for interval in window[-MIN_INTERVALS:]) >= CLEAR_QUALITY
+            first = steady_from(np.array([interval.length_s for interval in window]), is_clear=is_clear)
             steady = window[first:]
-            found = self._rate_of(steady, source, at_s, period_s)
-            if found is None:
+            feature = self._rate_of(steady, source, at_s, period_s)
+            if feature is None:
                 return None
-            rate = float(found.value)
+            rate = float(feature.value)
             if second is not None and not self._is_confirmed(steady, rate, second):
-                found = replace(found, quality=min(found.quality, MAX_UNCONFIRMED))
+                feature = replace(feature, quality=min(feature.quality, MAX_UNCONFIRMED))
             # What no heart has is no value; what a rate at the bound seems to have is the bound.
             lowest, highest = PLAUSIBLE_BPM
             bounded = min(max(rate + rise_bpm(window, steady, at_s), lowest), highest)
             is_plausible = lowest * (1 - BOUND_SHARE) <= rate <= highest * (1 + BOUND_SHARE)
-            found = replace(found, value=bounded if is_plausible else rate)
-            found = found if is_plausible else replace(found, quality=0.0, status=Status.IMPLAUSIBLE)
-            self._was_valid = found.status is Status.VALID
-            return found
+            feature = replace(feature, value=bounded if is_plausible else rate)
+            feature = feature if is_plausible else replace(feature, quality=0.0, status=Status.IMPLAUSIBLE)
+            self._was_valid = feature.status is Status.VALID
+            return feature
         if self._was_valid:
             self._was_valid = False
             last = self._intervals[-1].length_s if self._intervals else 1.0
@@ -278,12 +280,12 @@ class Rhythm:
 
     def _rate_of(self, window: list[Interval], source: str, at_s: float, period_s: float) -> Feature | None:
         """Return the mean rate of a window; None while good beats are too few for a value."""
-        lengths = np.array([each.length_s for each in window])
+        lengths = np.array([interval.length_s for interval in window])
         total_s = float(lengths.sum())
         median_s = float(np.median(lengths))
         is_near = np.abs(lengths - median_s) <= MAX_CHANGE * median_s
-        regular = float(np.mean(is_near & np.array([each.is_usual_shape for each in window])))
-        quality = float(np.mean([each.quality for each in window])) * (0.4 + 0.6 * regular)
+        regular = float(np.mean(is_near & np.array([interval.is_usual_shape for interval in window])))
+        quality = float(np.mean([interval.quality for interval in window])) * (0.4 + 0.6 * regular)
         coverage = min(1.0, total_s / COVERED_S)
         if not self._was_valid and quality * coverage < MIN_QUALITY <= quality:
             return None  # good beats, but too few of them so far: no value yet, not a bad one
@@ -300,23 +302,25 @@ class Rhythm:
 
     def _variability(self, name: FeatureName, source: str, at_s: float, period_s: float) -> Feature | None:
         window_s = RMSSD_WINDOW_S if name is FeatureName.HRV_RMSSD else LONG_WINDOW_S
-        window = [each for each in self._intervals if each.at_s > at_s - window_s]
-        normal_s = sum(each.length_s for each in window if each.is_normal)
-        all_s = sum(each.length_s for each in window)
+        window = [interval for interval in self._intervals if interval.at_s > at_s - window_s]
+        normal_s = sum(interval.length_s for interval in window if interval.is_normal)
+        all_s = sum(interval.length_s for interval in window)
         if normal_s < (45 if name is FeatureName.HRV_RMSSD else 120):
             return None
         value: float | None
         if name is FeatureName.HRV_RMSSD:
             value = rmssd_ms(window)
         elif name is FeatureName.HRV_SDNN:
-            value = 1000 * float(np.std([each.length_s for each in window if each.is_normal], ddof=1))
+            value = 1000 * float(
+                np.std([interval.length_s for interval in window if interval.is_normal], ddof=1)
+            )
         else:
             powers = lf_hf(window)
             value = powers[0] / powers[1] if powers is not None and powers[1] > 0 else None
         if value is None:
             return None
         share = normal_s / all_s
-        quality = float(np.mean([each.quality for each in window])) * max(0.0, 2.5 * share - 1.5)
+        quality = float(np.mean([interval.quality for interval in window])) * max(0.0, 2.5 * share - 1.5)
         if name is not FeatureName.HRV_RMSSD:
             quality *= min(1.0, normal_s / (0.9 * LONG_WINDOW_S))
         return Feature(name, source, value, at_s, quality, Status.VALID, self.method, all_s, period_s)

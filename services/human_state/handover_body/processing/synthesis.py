@@ -62,7 +62,7 @@ def synthetic_beats(
     `heart_rate_bpm` is a value or a function of the time in s. Half of the ectopic beats are ventricular.
     """
     random = np.random.default_rng(seed)
-    found: list[TrueBeat] = []
+    beats: list[TrueBeat] = []
     at_s, pause_s = 0.4, 0.0
     while at_s < duration_s - 0.3:
         bpm = heart_rate_bpm(at_s) if callable(heart_rate_bpm) else heart_rate_bpm
@@ -70,14 +70,14 @@ def synthetic_beats(
         spread = min(1.0, interval_s) * rmssd_s
         interval_s += spread * (np.sin(2 * np.pi * at_s * breathing_per_minute / 60) + 0.4 * random.normal())
         kind: BeatKind = "N"
-        if len(found) > 3 and found[-1].kind == "N" and random.random() < ectopic_share:
+        if len(beats) > 3 and beats[-1].kind == "N" and random.random() < ectopic_share:
             kind = "V" if random.random() < 0.5 else "A"
-        found.append(TrueBeat(at_s - (0.3 * interval_s if kind != "N" else 0.0), kind))
+        beats.append(TrueBeat(at_s - (0.3 * interval_s if kind != "N" else 0.0), kind))
         pause_s = (
             0.0 if kind != "A" else -0.2 * interval_s
         )  # the pause after an atrial beat is not compensatory
         at_s += interval_s + pause_s
-    return found
+    return beats
 
 
 def ecg_of(
@@ -164,19 +164,19 @@ def acceleration_of(activity: str, duration_s: float, rate_hz: float, seed: int)
     random = np.random.default_rng(seed)
     count = round(duration_s * rate_hz)
     t = np.arange(count) / rate_hz
-    found = random.normal(0, 0.02, (count, 3))
-    found[:, 2] += 9.80665
+    acceleration = random.normal(0, 0.02, (count, 3))
+    acceleration[:, 2] += 9.80665
     steps_hz = {"walk": 1.8, "run": 2.7}.get(activity, 0.0) * random.uniform(0.95, 1.05)
     if activity == "sit":
         sway = _shaped(random, count, rate_hz, lambda f: 1 / (1 + (f / 0.5) ** 4))
-        found[:, 0] += 0.3 * sway / max(sway.std(), 1e-9)
+        acceleration[:, 0] += 0.3 * sway / max(sway.std(), 1e-9)
     if steps_hz:
         size = 2.0 if activity == "walk" else 7.0
         phase = 2 * np.pi * steps_hz * t + 0.15 * np.sin(2 * np.pi * 0.2 * t)
-        found[:, 2] += size * (np.sin(phase) + 0.35 * np.sin(2 * phase + 0.5))
-        found[:, 0] += 0.4 * size * np.sin(phase / 2)
-        found[:, 1] += 0.5 * size * np.sin(phase + 1.0)
-    return found, steps_hz * duration_s
+        acceleration[:, 2] += size * (np.sin(phase) + 0.35 * np.sin(2 * phase + 0.5))
+        acceleration[:, 0] += 0.4 * size * np.sin(phase / 2)
+        acceleration[:, 1] += 0.5 * size * np.sin(phase + 1.0)
+    return acceleration, steps_hz * duration_s
 
 
 def breathing_wave(
@@ -233,15 +233,15 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
     shows the wrong rate; `rateOfOldest`: with that of their oldest sample, so the second one does.
     """
     random = np.random.default_rng(seed)
-    found = list(packets)
+    delivered = list(packets)
     info = packets[0].info
     begin_s = packets[index].start_s
     period_s = 1 / (info.rate_hz or 1.0)
     sent_s = [packet.end_s + period_s for packet in packets]
     if name == "gap":
         lost = int(random.integers(1, 6))
-        del found[index : index + lost], sent_s[index : index + lost]
-        return Faulty(found, begin_s, sent_s)
+        del delivered[index : index + lost], sent_s[index : index + lost]
+        return Faulty(delivered, begin_s, sent_s)
     step_s = float(random.choice([-1, 1]) * random.uniform(0.1, 50))
     factor = (
         float(random.choice([0.001, 1000.0]))
@@ -273,8 +273,8 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
         else:
             values = values.copy()
             values[int(random.integers(len(values)))] = np.nan
-        found[number] = replace(packet, values=values, start_s=start_s, has_contact=has_contact)
-    return Faulty(found, begin_s, sent_s)
+        delivered[number] = replace(packet, values=values, start_s=start_s, has_contact=has_contact)
+    return Faulty(delivered, begin_s, sent_s)
 
 
 def packets_of(

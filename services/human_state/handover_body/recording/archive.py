@@ -120,9 +120,9 @@ class Archive:
         for suffix in (SUFFIX, JOURNAL, _UNFINISHED):
             self._path(name, suffix).unlink(missing_ok=True)
 
-    def delete_others(self, known: Iterable[str]) -> None:
+    def delete_others(self, identifiers: Iterable[str]) -> None:
         """Delete files of recordings that are not `known`: their deletion was interrupted."""
-        names = set(known)
+        names = set(identifiers)
         if not self._folder.is_dir():
             return
         for path in self._folder.iterdir():

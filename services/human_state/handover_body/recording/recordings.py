@@ -53,7 +53,7 @@ class EndReason(StrEnum):
 
 
 @dataclass(slots=True)
-class _Running:
+class _RunningRecording:
     row: RecordingRow
     person: str
     monitor: PersonMonitor
@@ -87,7 +87,7 @@ class Recordings:
         self._tasks = tasks
         self._keep_us = int(keep_days * DAY_US)
         self._rows: dict[str, RecordingRow] = {}
-        self._running: dict[str, _Running] = {}
+        self._running: dict[str, _RunningRecording] = {}
         """By the name of the person."""
         self._turn = asyncio.Lock()
 
@@ -136,8 +136,8 @@ class Recordings:
 
     def of(self, subject: str) -> list[RecordingRow]:
         """Return the recordings of a pseudonym, newest first."""
-        found = [row for row in self._rows.values() if row.subject == subject]
-        return sorted(found, key=lambda row: -row.started_us)
+        rows = [row for row in self._rows.values() if row.subject == subject]
+        return sorted(rows, key=lambda row: -row.started_us)
 
     def recording(self, identifier: str, subject: str) -> RecordingRow:
         """Return a recording of a pseudonym; raise `Problem` 404."""
@@ -156,7 +156,7 @@ class Recordings:
 
     def is_running(self, row: RecordingRow) -> bool:
         """Return whether a recording takes signals now."""
-        return any(one.row.id == row.id and one.ending is None for one in self._running.values())
+        return any(running.row.id == row.id and running.ending is None for running in self._running.values())
 
     def expires_us(self, row: RecordingRow) -> int:
         """Return when a recording is deleted, in us since 1970."""
@@ -240,7 +240,7 @@ class Recordings:
 
     def recorded(self) -> list[str]:
         """Return the names of the persons who are being recorded."""
-        return [name for name, one in self._running.items() if one.ending is None]
+        return [name for name, running in self._running.items() if running.ending is None]
 
     async def delete(self, row: RecordingRow) -> None:
         """Delete a recording with its file; one that runs is ended."""
@@ -264,7 +264,7 @@ class Recordings:
         def tap(item: Recorded) -> None:
             self._take(running, item)
 
-        running = _Running(row, name, monitor, journal, tap)
+        running = _RunningRecording(row, name, monitor, journal, tap)
         self._rows[row.id] = row
         self._running[name] = running
         monitor.taps.add(tap)
@@ -272,10 +272,10 @@ class Recordings:
         self.on_changed(row)
         self.apply(name)  # the consent may have ended while the file was made
 
-    def _find(self, identifier: str) -> _Running | None:
-        return next((one for one in self._running.values() if one.row.id == identifier), None)
+    def _find(self, identifier: str) -> _RunningRecording | None:
+        return next((running for running in self._running.values() if running.row.id == identifier), None)
 
-    def _is_allowed(self, running: _Running) -> bool:
+    def _is_allowed(self, running: _RunningRecording) -> bool:
         person = self._people.find(running.person)
         return (
             person is not None
@@ -283,7 +283,7 @@ class Recordings:
             and self._monitoring.monitors.get(running.person) is running.monitor
         )
 
-    def _take(self, running: _Running, item: Recorded) -> None:
+    def _take(self, running: _RunningRecording, item: Recorded) -> None:
         if running.ending is not None:
             return
         if not self._is_allowed(running):
@@ -293,7 +293,7 @@ class Recordings:
         else:
             running.waiting.append(item)
 
-    async def _check(self, running: _Running) -> None:
+    async def _check(self, running: _RunningRecording) -> None:
         if running.ending is not None:
             return
         if not self._is_allowed(running):
@@ -305,7 +305,7 @@ class Recordings:
         ):
             self._begin_end(running, EndReason.DISK)
 
-    async def _write(self, running: _Running) -> bool:
+    async def _write(self, running: _RunningRecording) -> bool:
         """Write what waits; return whether that succeeded."""
         async with running.turn:
             items, running.waiting = running.waiting, []
@@ -316,17 +316,17 @@ class Recordings:
                 return False
         return True
 
-    def _begin_end(self, running: _Running, reason: EndReason) -> asyncio.Task[None]:
+    def _begin_end(self, running: _RunningRecording, reason: EndReason) -> asyncio.Task[None]:
         if running.ending is None:
             running.monitor.taps.discard(running.tap)
             running.monitor.recording = None
             running.ending = self._tasks.start(self._close, running, reason)
         return running.ending
 
-    async def _end(self, running: _Running, reason: EndReason) -> None:
+    async def _end(self, running: _RunningRecording, reason: EndReason) -> None:
         await asyncio.wait([self._begin_end(running, reason)])
 
-    async def _close(self, running: _Running, reason: EndReason) -> None:
+    async def _close(self, running: _RunningRecording, reason: EndReason) -> None:
         ended_us = now_us()
         await self._write(running)
         try:

@@ -50,7 +50,9 @@ class SessionEntities:
 
     def changed(self, row: RecordingRow) -> None:
         """Write the entity of a recording, or delete it where it is no longer allowed."""
-        person = next((one for one in self._people.all() if one.pseudonym == row.subject), None)
+        person = next(
+            (candidate for candidate in self._people.all() if candidate.pseudonym == row.subject), None
+        )
         self._apply(row, person)
 
     def apply(self, name: str) -> None:

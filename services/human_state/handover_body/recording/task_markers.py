@@ -15,6 +15,7 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient, BrokerError
 from handover.broker.latest_value_writer import LatestValueWriter
 from handover.runtime.retry import with_jitter
+from handover.service_addresses import HUMAN_STATE
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver, ids_of
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.telemetry import get_logger
@@ -25,7 +26,7 @@ from handover_datamodels import Task
 
 log = get_logger(__name__)
 
-NAME: Final = "human-state"
+NAME: Final = HUMAN_STATE
 PATH: Final = "/notifications"
 MARKER: Final = "task"
 MAX_REMEMBERED: Final = 10_000

@@ -41,20 +41,20 @@ def add_access_routes(app: FastAPI, people: People, audit: AuditTrail) -> None:
         chosen = AuditFilter(about=resource, outcome=DONE)
 
         def read(connection: Connection) -> list[AccessView]:
-            found = audit.log.read(connection, chosen=chosen, after=before, limit=limit, newest_first=True)
-            names = audit.log.names(connection, {one.subject for one in found})
+            entries = audit.log.read(connection, chosen=chosen, after=before, limit=limit, newest_first=True)
+            names = audit.log.names(connection, {entry.subject for entry in entries})
             return [
                 AccessView(
-                    number=one.seq,
-                    at=datetime.fromtimestamp(one.at_ms / 1000, UTC),
-                    subject=one.subject,
-                    name=names.get(one.subject),
-                    is_own=one.subject == caller.subject,
-                    action=one.action,
-                    is_reading=one.action.startswith(_READING),
+                    number=entry.seq,
+                    at=datetime.fromtimestamp(entry.at_ms / 1000, UTC),
+                    subject=entry.subject,
+                    name=names.get(entry.subject),
+                    is_own=entry.subject == caller.subject,
+                    action=entry.action,
+                    is_reading=entry.action.startswith(_READING),
                 )
-                for one in found
+                for entry in entries
             ]
 
-        found: list[AccessView] = await audit.read(read)
-        return found
+        views: list[AccessView] = await audit.read(read)
+        return views

@@ -34,7 +34,9 @@ def add_foxglove(app: FastAPI, monitoring: Monitoring) -> None:
     @app.websocket("/foxglove", dependencies=[Depends(token_in_query), require(Permission.READ_HEALTH_DATA)])
     async def foxglove(socket: WebSocket) -> None:
         """Send what the sensors of persons who consent send, by pseudonym."""
-        subprotocol = next((one for one in SUBPROTOCOLS if one in socket.scope["subprotocols"]), None)
+        subprotocol = next(
+            (protocol for protocol in SUBPROTOCOLS if protocol in socket.scope["subprotocols"]), None
+        )
         await socket.accept(subprotocol)
         if subprotocol is None:
             reason = f"this is for clients of Foxglove; ask for {' or '.join(SUBPROTOCOLS)}"

@@ -2,19 +2,16 @@
 
 import asyncio
 import time
-from dataclasses import dataclass
 from typing import Annotated, Any, Final, NamedTuple
 
 from fastapi import Depends, FastAPI, Query, Request, Response
-from pydantic import ValidationError
 
-from handover.errors import HandoverError, Problem
-from handover.formats.validation import LocalMoment, fault_text
-from handover.messages import message, text_of
+from handover.errors import Problem
+from handover.formats.validation import LocalMoment
+from handover.messages import message
 from handover.security.caller import Caller
-from handover.security.guard import guard_of, require_by_handler, require_somewhere
+from handover.security.guard import guard_of, require_by_handler
 from handover.security.permissions import Permission
-from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
 from handover_body.fusion.baseline import (
     Baseline,
     NoBaseline,
@@ -25,15 +22,9 @@ from handover_body.fusion.baseline import (
 from handover_body.limits.body_limit import RefusedReset
 from handover_body.limits.curve import LimitCurve, of_baseline
 from handover_body.model.features import FeatureName
-from handover_body.monitoring.monitoring import Monitoring
-from handover_body.monitoring.person_monitor import PersonMonitor
-from handover_body.monitoring.removal import Removal
-from handover_body.people.people import People
 from handover_body.routes.access import SignedIn, may_see, require_own_or
 from handover_body.routes.bodies import (
     ConsentGiven,
-    DriverView,
-    FoundView,
     HistoryDuration,
     HistoryPoint,
     HistoryValue,
@@ -42,44 +33,14 @@ from handover_body.routes.bodies import (
     PersonChange,
     PersonView,
     Reset,
-    SensorChange,
     StateView,
 )
+from handover_body.routes.parts import Parts
 from handover_body.routes.views import limit_view, moment, person_view, state_view
-from handover_body.storage.store import SensorRow, Store
 
 Mover = Annotated[Caller, require_by_handler(Permission.MOVE_ROBOTS, "for the robot")]
-Configurer = Annotated[Caller, require_by_handler(Permission.CONFIGURE, "for the person")]
 DAY_S: Final = 86_400.0
 MAX_POINTS: Final = 2000
-Seconds = Annotated[float, Query(gt=0, le=30)]
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """What the routes use."""
-
-    people: People
-    monitoring: Monitoring
-    store: Store
-    removal: Removal
-
-    def monitor_of(self, person: str) -> PersonMonitor:
-        """Return the monitor of a person; raise `Problem` 404, or 409 without consent."""
-        self.people.person(person)
-        found = self.monitoring.monitors.get(person)
-        if found is None:
-            raise Problem(
-                409,
-                "No consent",
-                message(
-                    "health.no_consent",
-                    "{person} has given no consent that is valid now, so nothing is processed; "
-                    "ask the person",
-                    person=person,
-                ),
-            )
-        return found
 
 
 def add_people_routes(app: FastAPI, parts: Parts) -> None:
@@ -91,7 +52,6 @@ def add_people_routes(app: FastAPI, parts: Parts) -> None:
         _add_state,
         _add_summaries,
         _add_limits,
-        _add_sensors,
     ):
         add(app, parts)
 
@@ -102,7 +62,11 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.get("/people", tags=["people"])
     async def list_people(caller: SignedIn, request: Request) -> list[PersonView]:
         """Return the persons whose data the caller may see: all, those of grants, or the own."""
-        return [person_view(one, monitoring) for one in people.all() if may_see(request, caller, one.name)]
+        return [
+            person_view(person, monitoring)
+            for person in people.all()
+            if may_see(request, caller, person.name)
+        ]
 
     @app.get("/people/{person}", tags=["people"])
     async def one_person(person: Name, caller: SignedIn, request: Request) -> PersonView:
@@ -114,8 +78,8 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     async def put_person(person: Name, body: PersonChange, caller: SignedIn, request: Request) -> PersonView:
         """Add a person, or change baseline and curve. The pseudonym is drawn here and stays."""
         await require_own_or(request, caller, Permission.CONFIGURE, person)
-        known = people.find(person)
-        baseline, curve = _baseline(body, known.baseline if known else Baseline())
+        stored = people.find(person)
+        baseline, curve = _baseline(body, stored.baseline if stored else Baseline())
         changed = await people.put(person, baseline, (curve.free_bpm, curve.strained_bpm, curve.least))
         return person_view(changed, monitoring)
 
@@ -156,8 +120,8 @@ def _add_baselines(app: FastAPI, parts: Parts) -> None:
         await require_own_or(request, caller, Permission.CONFIGURE, person)
         before = people.person(person).baseline
         try:
-            found = measured_maximum_bpm(parts.monitor_of(person).recent)
-            measured = max(found, before.maximum_bpm) if before.method == "measured" else found
+            maximum_bpm = measured_maximum_bpm(parts.monitor_of(person).recent)
+            measured = max(maximum_bpm, before.maximum_bpm) if before.method == "measured" else maximum_bpm
             baseline = Baseline(before.rest_bpm, measured, "measured")
         except NoBaseline as error:
             raise Problem(409, "No baseline", str(error)) from None
@@ -330,86 +294,6 @@ def _add_limits(app: FastAPI, parts: Parts) -> None:
         guard = guard_of(request)
         guard.require(caller, Permission.MOVE_ROBOTS, guard.settings.entity_id("Device", robot))
         return person_view(await people.bind(person, robot, is_bound=False), monitoring)
-
-
-def _add_sensors(app: FastAPI, parts: Parts) -> None:
-    people, monitoring = parts.people, parts.monitoring
-
-    @app.put("/sensors/{sensor}", tags=["sensors"])
-    async def put_sensor(
-        sensor: Name,
-        body: SensorChange,
-        caller: Configurer,
-        request: Request,
-    ) -> PersonView:
-        """Give a person a sensor; it runs while the person consents. Another person loses it."""
-        guard = guard_of(request)
-        guard.require(caller, Permission.CONFIGURE, guard.settings.entity_id("Person", body.person))
-        driver = _driver(body.driver)
-        given = driver.settings_model.completed(body.settings, people.stored_settings(sensor, body.driver))
-        try:
-            driver.settings_model.model_validate(given)
-        except ValidationError as error:
-            faults = fault_text(error, "settings")
-            raise Problem(422, "Bad settings", f"the settings of {body.driver}: {faults}") from None
-        row = SensorRow(sensor, body.driver, given, body.person)
-        return person_view(await people.put_sensor(row), monitoring)
-
-    @app.delete("/sensors/{sensor}", tags=["sensors"], status_code=204)
-    async def delete_sensor(
-        sensor: Name,
-        caller: Configurer,
-        request: Request,
-    ) -> Response:
-        """Take a sensor away from its person."""
-        guard = guard_of(request)
-        person = people.sensor(sensor).person
-        guard.require(caller, Permission.CONFIGURE, guard.settings.entity_id("Person", person))
-        await people.remove_sensor(sensor)
-        return Response(status_code=204)
-
-    @app.get("/drivers", tags=["sensors"], dependencies=[require_somewhere(Permission.READ)])
-    async def drivers() -> list[DriverView]:
-        """Return the drivers of sensors, with the JSON Schema of their settings."""
-        found = []
-        for name in SENSOR_DRIVERS.names():
-            kind = _driver(name)
-            text = (kind.__doc__ or "").strip().split("\n", maxsplit=1)[0]
-            found.append(
-                DriverView(name=name, description=text, settings=kind.settings_model.model_json_schema())
-            )
-        return found
-
-    @app.post(
-        "/drivers/{driver}/discover",
-        tags=["sensors"],
-        dependencies=[require_somewhere(Permission.CONFIGURE)],
-    )
-    async def discover(driver: str, timeout_s: Seconds = 5.0) -> list[FoundView]:
-        """Search for devices of a driver."""
-        kind = _driver(driver)
-        try:
-            found = await kind.discover(timeout_s)
-        except (HandoverError, OSError, RuntimeError) as error:  # no adapter, or no library of the driver
-            raise Problem(
-                409,
-                "Cannot search",
-                message(
-                    "health.cannot_search",
-                    "{driver} cannot search here: {why}",
-                    driver=driver,
-                    why=text_of(error),
-                ),
-            ) from error
-        return [FoundView(address=one.address, name=one.name, rssi_dbm=one.rssi_dbm) for one in found[:200]]
-
-
-def _driver(name: str) -> type[SensorDriver]:
-    try:
-        found: type[SensorDriver] = SENSOR_DRIVERS.load(name)
-    except HandoverError as error:
-        raise Problem(422, "Unknown driver", str(error)) from None
-    return found
 
 
 def _baseline(body: PersonChange, before: Baseline) -> tuple[Baseline, LimitCurve]:

@@ -76,8 +76,8 @@ async def _until_left(socket: WebSocket, sending: Any) -> None:
     try:
         await asyncio.wait({task, reading}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for one in (task, reading):
-            one.cancel()
+        for job in (task, reading):
+            job.cancel()
         await asyncio.gather(task, reading, return_exceptions=True)
 
 
@@ -103,7 +103,7 @@ async def _send_values(socket: WebSocket, monitoring: Monitoring, person: str) -
         await monitoring.next_limits(sent)
         sent = monitoring.sequence
         monitor, now_s = monitoring.monitors.get(person), time.monotonic()
-        shown = [] if monitor is None else [_value(one, now_s) for one in monitor.values(now_s)]
+        shown = [] if monitor is None else [_value(feature, now_s) for feature in monitor.values(now_s)]
         await socket.send_text(orjson.dumps({"sequence": monitoring.sequence, "values": shown}).decode())
 
 
@@ -118,13 +118,13 @@ def _value(value: FusedValue, now_s: float) -> dict[str, Any]:
         "isCalibrated": value.is_calibrated,
         "sensors": [
             {
-                "sensor": each.source,
-                "value": each.value,
-                "quality": round(each.quality, 3),
-                "status": each.status,
-                "ageS": round(max(now_s - each.at_s, 0.0), 3),
+                "sensor": sensor.source,
+                "value": sensor.value,
+                "quality": round(sensor.quality, 3),
+                "status": sensor.status,
+                "ageS": round(max(now_s - sensor.at_s, 0.0), 3),
             }
-            for each in value.sensors
+            for sensor in value.sensors
         ],
     }
 

@@ -61,23 +61,23 @@ def person_view(person: Person, monitoring: Monitoring) -> PersonView:
 
 def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> SensorStateView:
     row = person.sensors[name]
-    known = SensorView() if monitor is None else monitor.sensors.get(name, SensorView())
-    fault = known.present_fault(time.monotonic())
-    problem = known.text if fault is None or not fault.text else fault.text
+    view = SensorView() if monitor is None else monitor.sensors.get(name, SensorView())
+    fault = view.present_fault(time.monotonic())
+    problem = view.text if fault is None or not fault.text else fault.text
     coded = with_code("problem", problem)
     return SensorStateView(
         name=name,
         driver=row.driver,
         settings=_shown_settings(row),
-        link=known.link,
-        battery=known.battery,
-        has_contact=known.has_contact,
+        link=view.link,
+        battery=view.battery,
+        has_contact=view.has_contact,
         fault=None if fault is None else fault.fault,
         problem=str(problem),
         problem_code=coded.get("problemCode"),
         problem_parameters=coded.get("problemParameters"),
-        signals=sorted(known.signals),
-        left_out=[_left_out_view(name, reason) for name, reason in sorted(known.left_out.items())],
+        signals=sorted(view.signals),
+        left_out=[_left_out_view(name, reason) for name, reason in sorted(view.left_out.items())],
     )
 
 
@@ -154,14 +154,14 @@ def _value_view(value: FusedValue, now_s: float) -> ValueView:
         disagree=value.disagree,
         sensors=[
             SensorValueView(
-                sensor=each.source,
-                value=each.value,
-                quality=each.quality,
-                status=each.status,
-                age_s=max(now_s - each.at_s, 0.0),
-                method=each.method,
+                sensor=sensor.source,
+                value=sensor.value,
+                quality=sensor.quality,
+                status=sensor.status,
+                age_s=max(now_s - sensor.at_s, 0.0),
+                method=sensor.method,
             )
-            for each in value.sensors
-            if not isinstance(each.value, float) or each.value == each.value
+            for sensor in value.sensors
+            if not isinstance(sensor.value, float) or sensor.value == sensor.value
         ],
     )

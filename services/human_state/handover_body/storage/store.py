@@ -257,10 +257,10 @@ class Store:
             .order_by(part)
         )
         with self._engine.connect() as connection:
-            found = connection.execute(query).all()
+            points = connection.execute(query).all()
         return [
             PointRow(from_us + place * width_us + width_us // 2, least, float(mean), most, rows)
-            for place, least, mean, most, rows in found
+            for place, least, mean, most, rows in points
         ]
 
     def durations(self, subject: str, feature: str, from_us: int, to_us: int) -> list[tuple[str, float]]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.wrapped_records import unwrapped
+from benchmarks.body.wrapped_records import unwrapped
 from handover_body.processing.synthesis import ecg_of, synthetic_beats
 
 

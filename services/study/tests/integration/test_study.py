@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES
+from handover_study.model.questionnaires import TLX_PAIRS, TLX_SCALES
 from tests.kit.waiting import until
 
 

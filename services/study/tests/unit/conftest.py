@@ -11,9 +11,9 @@ own, four the given ones. Ages: 21 to 40.
 
 import pytest
 
-from handover_study.analysis import analysis_of
-from handover_study.protocol import FINISHED, Condition, Session, StepAnswer
-from handover_study.questionnaires import TLX_PAIRS
+from handover_study.model.protocol import FINISHED, Condition, Session, StepAnswer
+from handover_study.model.questionnaires import TLX_PAIRS
+from handover_study.report.analysis import analysis_of
 
 SUS_SCORES = [65, 70, 72.5, 75, 77.5, 80, 82.5, 85, 87.5, 90] * 2
 SUS_ANSWERS = {

@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_study.analysis import (
-    against,
-    analysis_of,
-    mann_whitney,
-    normality,
-    summary,
-    wilcoxon,
-)
+from handover_study.report.analysis import against, analysis_of, mann_whitney, normality, summary, wilcoxon
 
 
 def upper_tail_of_t(t: float, df: int) -> float:

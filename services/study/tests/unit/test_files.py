@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from handover_study.analysis import analysis_of
-from handover_study.pdf import pdf_of
-from handover_study.protocol import LANGUAGES, StepAnswer
-from handover_study.table import csv_of
+from handover_study.model.protocol import LANGUAGES, StepAnswer
+from handover_study.report.analysis import analysis_of
+from handover_study.report.pdf import pdf_of
+from handover_study.report.table import csv_of
 
 
 def rows_of(sessions: list[Any]) -> list[dict[str, str]]:

@@ -7,16 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from handover_study.protocol import (
-    FINISHED,
-    STEPS,
-    Condition,
-    Session,
-    balanced,
-    checked,
-    next_step,
-)
-from handover_study.questionnaires import TLX_PAIRS, TLX_SCALES
+from handover_study.model.protocol import FINISHED, STEPS, Condition, Session, balanced, checked, next_step
+from handover_study.model.questionnaires import TLX_PAIRS, TLX_SCALES
 
 RATINGS = dict.fromkeys(TLX_SCALES, 50)
 CHOICES = [{"of": list(pair), "chosen": pair[1]} for pair in TLX_PAIRS]

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_study.protocol import LANGUAGES
-from handover_study.questionnaires import (
+from handover_study.model.protocol import LANGUAGES
+from handover_study.model.questionnaires import (
     TLX_PAIRS,
     TLX_SCALES,
     sus_grade,
@@ -14,7 +14,7 @@ from handover_study.questionnaires import (
     tlx_weighted,
     tlx_weights,
 )
-from handover_study.wording import consent_version, wording
+from handover_study.model.wording import consent_version, wording
 
 
 @pytest.mark.parametrize(

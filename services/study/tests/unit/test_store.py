@@ -9,8 +9,8 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem
-from handover_study.protocol import FINISHED, STEPS, Session, StepAnswer
-from handover_study.store import StudyStore
+from handover_study.model.protocol import FINISHED, STEPS, Session, StepAnswer
+from handover_study.storage.store import StudyStore
 
 AT = "2026-03-02T09:00:00.000000Z"
 

@@ -203,12 +203,12 @@ class BedMachine(Machine):
             ),
             period_s < calm_s,
         )
-        given = self.controller.parameters
+        bounds = self.controller.parameters
         trial.compare(
             message("case.bed.figure.slew", "greatest change of the period (positive feedback)"),
             message("case.bed.paper.slew", "(not bounded)"),
             message("case.bed.ours.slew", "{slew} s a second", slew=round(self._slew_s_per_s, 3)),
-            self._slew_s_per_s <= given.period_slew_s_per_s + 1e-6,
+            self._slew_s_per_s <= bounds.period_slew_s_per_s + 1e-6,
         )
 
     async def _breathe_not(self, trial: Trial) -> None:
@@ -222,8 +222,8 @@ class BedMachine(Machine):
         pause = message("case.bed.wait.pause", "the pause")
         await trial.until(pause, lambda: time.monotonic() - began_s >= APNOEA_S, 2 * APNOEA_S)
         self.sleeper = replace(self.sleeper, is_breathing=True).turn("lyingLeft")
-        found = message("case.bed.wait.found", "the event is found")
-        seconds = await trial.until(found, lambda: self.apnoeas > before, PATIENCE_S)
+        text = message("case.bed.wait.found", "the event is found")
+        seconds = await trial.until(text, lambda: self.apnoeas > before, PATIENCE_S)
         position = message("case.bed.wait.position", "the new position")
         await trial.until(position, lambda: self.position == "left", PATIENCE_S)
         trial.say(
@@ -290,7 +290,7 @@ class BedMachine(Machine):
                 rising=round(rising_s, 1),
             )
         )
-        given = self.controller.parameters
+        bounds = self.controller.parameters
         trial.compare(
             message("case.bed.figure.restless", "restlessness stops the rocking and lifts the backrest"),
             message("case.bed.paper.restless", "to 45°"),
@@ -300,7 +300,7 @@ class BedMachine(Machine):
                 degrees=round(self.frame.backrest_deg),
                 speed=round(self._lift_deg_per_s, 1),
             ),
-            self._lift_deg_per_s <= given.backrest_deg_per_s + 1e-6,
+            self._lift_deg_per_s <= bounds.backrest_deg_per_s + 1e-6,
         )
 
 

@@ -32,7 +32,7 @@ MAX_DT_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class BedParameters:
     """Bounds of the bed. The 45 degrees are those of the paper, the others ours."""
 
     period_at_60_bpm_s: float = 4.0
@@ -61,7 +61,7 @@ class Signals:
 class Bed:
     """The controller at the time of the last step. `amplitude` is 0 to 1, `backrest_deg` a command."""
 
-    parameters: Parameters = field(default_factory=Parameters)
+    parameters: BedParameters = field(default_factory=BedParameters)
     is_enabled: bool = False
     is_restless: bool = False
     """Latched: the backrest rises, until a person starts the bed again."""
@@ -90,9 +90,9 @@ class Bed:
 
     def wanted_period_s(self, heart_rate_bpm: float) -> float:
         """Return the period that belongs to a heart rate, within its bounds."""
-        given = self.parameters
-        period_s = given.period_at_60_bpm_s * 60 / max(heart_rate_bpm, 1.0)
-        return min(max(period_s, given.min_period_s), given.max_period_s)
+        bounds = self.parameters
+        period_s = bounds.period_at_60_bpm_s * 60 / max(heart_rate_bpm, 1.0)
+        return min(max(period_s, bounds.min_period_s), bounds.max_period_s)
 
     def step(self, signals: Signals, dt_s: float) -> "Bed":
         """Return the bed `dt_s` later."""
@@ -109,7 +109,7 @@ class Bed:
         return made._rocking(signals, dt_s, may_rock=may_rock)._lifting(signals, dt_s)
 
     def _moved(self, signals: Signals) -> "Bed":
-        movements = deque(one for one in self.movements if one[0] > self.now_s - WINDOW_S)
+        movements = deque(movement for movement in self.movements if movement[0] > self.now_s - WINDOW_S)
         if signals.movement is not None:
             movements.append((self.now_s, signals.movement))
         made = replace(self, movements=tuple(movements))
@@ -118,13 +118,13 @@ class Bed:
         return replace(made, is_restless=self.is_restless or is_restless)
 
     def _following(self, signals: Signals, dt_s: float) -> "Bed":
-        rate, given = signals.heart_rate_bpm, self.parameters
+        rate, bounds = signals.heart_rate_bpm, self.parameters
         if rate is None:
             return replace(self, heart_rate_bpm=None)
         before = rate if self.heart_rate_bpm is None else self.heart_rate_bpm
-        share = min(dt_s / given.heart_rate_time_constant_s, 1.0)
+        share = min(dt_s / bounds.heart_rate_time_constant_s, 1.0)
         smoothed = before + share * (rate - before)
-        slew_s = given.period_slew_s_per_s * dt_s
+        slew_s = bounds.period_slew_s_per_s * dt_s
         change_s = self.wanted_period_s(smoothed) - self.period_s
         period_s = self.period_s + min(max(change_s, -slew_s), slew_s)
         return replace(self, heart_rate_bpm=smoothed, period_s=period_s)
@@ -135,15 +135,15 @@ class Bed:
         return replace(self, amplitude=within_rate(self.amplitude, target, slew, slew, dt_s))
 
     def _lifting(self, signals: Signals, dt_s: float) -> "Bed":
-        given = self.parameters
+        bounds = self.parameters
         if self.amplitude > 0.0 or not signals.is_lying:
             return self
         if self.is_restless:
-            target = given.raised_deg
+            target = bounds.raised_deg
         elif self.is_enabled:
             target = 0.0
         else:
             return self
-        reach = given.backrest_deg_per_s * dt_s
+        reach = bounds.backrest_deg_per_s * dt_s
         change = min(max(target - self.backrest_deg, -reach), reach)
-        return replace(self, backrest_deg=min(max(self.backrest_deg + change, 0.0), given.raised_deg))
+        return replace(self, backrest_deg=min(max(self.backrest_deg + change, 0.0), bounds.raised_deg))

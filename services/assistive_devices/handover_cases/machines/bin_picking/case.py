@@ -17,7 +17,9 @@ from handover.errors import HandoverError
 from handover.messages import message
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.security.service_access import ServiceAccess
+from handover.service_addresses import ASSISTIVE_DEVICES
 from handover_cases.machine import Case, Machine, MachineContext, MachineState, Seen
+from handover_cases.model.body import FREE_BPM, STRAINED_BPM
 from handover_cases.model.sensor import Sensor
 from handover_cases.trial import HEART_RATE_IS_VALID, NOT_IN_PAPER, Trial, TrialFailed
 
@@ -52,7 +54,7 @@ class OperatorMachine(Machine):
 
     def prepare(self, context: MachineContext) -> None:
         self.settings = context.settings
-        self._access = ServiceAccess(self.settings, "assistive-devices")
+        self._access = ServiceAccess(self.settings, ASSISTIVE_DEVICES)
         self._http = BodyReadingHttpClient(ca_files=self.settings.ca_files, max_response_bytes=1024 * 1024)
 
     def start(self) -> None:
@@ -253,8 +255,8 @@ CASE: Final = Case(
     person_settings={
         "restBpm": REST_BPM,
         "maximumBpm": MAXIMUM_BPM,
-        "freeBpm": 90.0,
-        "strainedBpm": 125.0,
+        "freeBpm": FREE_BPM,
+        "strainedBpm": STRAINED_BPM,
         "leastFraction": LEAST,
     },
     services=("task-orchestrator", "trajectory-tool"),

@@ -32,13 +32,7 @@ from handover_cases.machines.treadmill.wording import ModelWording, Words, templ
 from handover_cases.model.command import Command, VelocityCommand
 from handover_cases.model.sensor import Sensor
 from handover_cases.settings import AssistiveSettings
-from handover_cases.trial import (
-    BODY_IS_CALM,
-    HEART_RATE_IS_VALID,
-    LIMIT_FALLS,
-    NOT_IN_PAPER,
-    Trial,
-)
+from handover_cases.trial import BODY_IS_CALM, HEART_RATE_IS_VALID, LIMIT_FALLS, NOT_IN_PAPER, Trial
 from handover_datamodels.times import iso
 
 HEART_RATE_MAX_AGE_S: Final = 5.0
@@ -271,7 +265,7 @@ class TreadmillMachine(Machine):
                 "hasModel": self._model is not None,
                 "zone": {"lowBpm": plan.zone.low_bpm, "highBpm": plan.zone.high_bpm},
                 **with_code("reason", REASONS[self.training.belt.reason]),
-                "interventions": [one.shown() for one in self._interventions],
+                "interventions": [intervention.shown() for intervention in self._interventions],
             }
         }
 
@@ -295,7 +289,7 @@ class TreadmillMachine(Machine):
         said = 0
         while self.training.is_running:
             await trial.until(news, partial(self._has_news, said), PATIENCE_S)
-            for shown in [one for one in self._interventions if one.number > said]:
+            for shown in [intervention for intervention in self._interventions if intervention.number > said]:
                 said = shown.number
                 trial.say(
                     message(
@@ -313,7 +307,9 @@ class TreadmillMachine(Machine):
             await self._lose_strap(trial)
 
     def _has_news(self, said: int) -> bool:
-        return not self.training.is_running or any(one.number > said for one in self._interventions)
+        return not self.training.is_running or any(
+            intervention.number > said for intervention in self._interventions
+        )
 
     def _bpm(self) -> float:
         return 0.0 if self.heart is None else self.heart[0]
@@ -360,13 +356,13 @@ def model_of(settings: AssistiveSettings) -> ModelWording | None:
 
 def _last_of(log: SessionLog) -> list[_Intervention]:
     """Return the interventions of the last session, to show them after a restart."""
-    found = []
+    views = []
     for session in log.sessions()[:1]:
         for row in log.interventions(session.id)[-SHOWN_INTERVENTIONS:]:
             shown = _Intervention(row.number, row.at_us, row.advice, row.reason)
             shown.words = Words(row.text, row.source or "") if row.text else None
-            found.append(shown)
-    return found
+            views.append(shown)
+    return views
 
 
 def _now_us() -> int:

@@ -111,7 +111,7 @@ class Coach:
 
     zone: Zone
     since_s: float
-    given: int = 0
+    decision_count: int = 0
     """How many decisions were made."""
     rates: tuple[tuple[float, float], ...] = ()
     """The last valid heart rates: time in s, bpm."""
@@ -120,26 +120,26 @@ class Coach:
         """Return the coach with one more valid heart rate; what is no rate, or older, is ignored."""
         if not (math.isfinite(bpm) and 20 <= bpm <= 250) or (self.rates and at_s <= self.rates[-1][0]):
             return self
-        kept = tuple(one for one in self.rates if at_s - one[0] <= TREND_S)[-(MAX_RATES - 1) :]
+        kept = tuple(rate for rate in self.rates if at_s - rate[0] <= TREND_S)[-(MAX_RATES - 1) :]
         return replace(self, rates=(*kept, (at_s, bpm)))
 
     def decide(self, now_s: float, *, is_at_limit: bool) -> tuple["Coach", Decision | None]:
         """Return the coach and, when 30 s have passed, the next decision. A pause makes up for none."""
         passed = math.floor((now_s - self.since_s) / ADVICE_EVERY_S)
-        if passed <= self.given:
+        if passed <= self.decision_count:
             return self, None
         advice, reason = self._judged(now_s, is_at_limit=is_at_limit)
-        return replace(self, given=passed), Decision(advice, reason, now_s)
+        return replace(self, decision_count=passed), Decision(advice, reason, now_s)
 
     def _judged(self, now_s: float, *, is_at_limit: bool) -> tuple[Advice, Reason]:
         if not self.rates or now_s - self.rates[-1][0] > FRESH_S:
             return Advice.SLOWER, Reason.NO_SIGNAL
         present = self.rates[-1][1]
         expected = present + LEAD_S * self._trend()
-        found = self.zone.judged(present, expected)
-        if found[0] is Advice.FASTER and is_at_limit:
+        judgement = self.zone.judged(present, expected)
+        if judgement[0] is Advice.FASTER and is_at_limit:
             return Advice.KEEP, Reason.AT_LIMIT
-        return found
+        return judgement
 
     def _trend(self) -> float:
         """Return the slope of the last rates by least squares, in bpm a second, at most half a bpm."""

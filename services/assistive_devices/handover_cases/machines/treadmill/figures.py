@@ -73,7 +73,7 @@ def figures_of(record: Sequence[Moment], decisions: Sequence[Decision], zone: Zo
         if first_s is not None:
             after_s += step_s
             zone_after_s += step_s if is_inside else 0.0
-    counts = [sum(one.advice is advice for one in decisions) for advice in Advice]
+    counts = [sum(decision.advice is advice for decision in decisions) for advice in Advice]
     return Figures(
         duration_s=ended_s - began_s,
         distance_m=distance_m,
@@ -82,9 +82,9 @@ def figures_of(record: Sequence[Moment], decisions: Sequence[Decision], zone: Zo
         first_in_zone_s=first_s,
         valid=valid_s / (ended_s - began_s),
         mean_bpm=bpm_s / valid_s if valid_s else 0.0,
-        highest_mps=max(each.belt_mps for each in record),
+        highest_mps=max(sample.belt_mps for sample in record),
         highest_change=max(changes),
-        furthest_m=max(abs(each.place_m) for each in record),
+        furthest_m=max(abs(sample.place_m) for sample in record),
         at_limit=limit_s / (ended_s - began_s),
         profile_mps=tuple(run_m / run_s for _, (run_s, run_m) in sorted(minutes.items())),
         interventions=len(decisions),

@@ -138,24 +138,24 @@ class SessionLog:
 
     def word(self, session: str, number: int, words: Words) -> None:
         """Add the words of an intervention."""
-        found = (interventions.c.session == session) & (interventions.c.number == number)
+        is_intervention = (interventions.c.session == session) & (interventions.c.number == number)
         values = {"text": str(words.text), "source": words.source, "problem": words.problem[:200]}
         with self._engine.begin() as connection:
-            connection.execute(update(interventions).where(found).values(values))
+            connection.execute(update(interventions).where(is_intervention).values(values))
 
     def end(self, session: str, at_us: int, reason: str, distance_m: float) -> None:
         """End a session; the first end stays."""
-        found = (sessions.c.id == session) & sessions.c.ended_us.is_(None)
+        is_open = (sessions.c.id == session) & sessions.c.ended_us.is_(None)
         values = {"ended_us": at_us, "end_reason": reason, "distance_m": distance_m}
         with self._engine.begin() as connection:
-            connection.execute(update(sessions).where(found).values(values))
+            connection.execute(update(sessions).where(is_open).values(values))
 
     def sessions(self) -> Sequence[SessionRow]:
         """Return the last sessions, the newest first."""
         query = select(sessions).order_by(sessions.c.started_us.desc()).limit(MAX_SESSIONS)
         with self._engine.connect() as connection:
-            found = connection.execute(query).mappings().all()
-        return [SessionRow(**{**row, "intensity": Intensity(row["intensity"])}) for row in found]
+            rows = connection.execute(query).mappings().all()
+        return [SessionRow(**{**row, "intensity": Intensity(row["intensity"])}) for row in rows]
 
     def interventions(self, session: str) -> Sequence[InterventionRow]:
         """Return the interventions of a session in their order."""
@@ -163,10 +163,10 @@ class SessionLog:
             select(interventions).where(interventions.c.session == session).order_by(interventions.c.number)
         )
         with self._engine.connect() as connection:
-            found = connection.execute(query).mappings().all()
+            rows = connection.execute(query).mappings().all()
         return [
             InterventionRow(**{**row, "advice": Advice(row["advice"]), "reason": Reason(row["reason"])})
-            for row in found
+            for row in rows
         ]
 
 

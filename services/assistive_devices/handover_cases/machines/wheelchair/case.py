@@ -8,8 +8,9 @@ from typing import Any, Final
 
 from handover.messages import message
 from handover_cases.machine import Case, Machine, MachineState, Seen
-from handover_cases.machines.wheelchair.controller import Centre, Parameters, Wheelchair
+from handover_cases.machines.wheelchair.controller import Centre, Wheelchair, WheelchairParameters
 from handover_cases.machines.wheelchair.simulation import Chair, Driver
+from handover_cases.model.body import FREE_BPM, STRAINED_BPM
 from handover_cases.model.command import Command, VelocityCommand
 from handover_cases.model.sensor import Sensor
 from handover_cases.trial import (
@@ -21,8 +22,6 @@ from handover_cases.trial import (
     Trial,
 )
 
-FREE_BPM: Final = 90.0
-STRAINED_BPM: Final = 125.0
 PAPER_DURATION_S: Final = 180.0
 SHORT_S: Final = 60.0
 """A trial that is to be shorter leaves out the stop at 125 bpm and the strap."""
@@ -142,7 +141,7 @@ class WheelchairMachine(Machine):
         await trial.calm(CHAIR_DRIVES, lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
         trial.say(message("case.wheelchair.leans", "the person leans forwards and drives along the course"))
         await trial.calm(BODY_IS_CALM, lambda: self.fraction >= 0.99, PATIENCE_S)
-        calm = Parameters().max_speed_mps * 0.75
+        calm = WheelchairParameters().max_speed_mps * 0.75
         fast = message("case.wheelchair.wait.calm_speed", "the speed of a calm body")
         await trial.until(fast, lambda: self.chair.linear_mps >= calm, PATIENCE_S)
         fastest = self.chair.linear_mps
@@ -209,7 +208,7 @@ class WheelchairMachine(Machine):
                 vmax = self.controller.vmax.value
                 worst = max(worst, abs(vmax - vmax_of(rate, maximum)))
                 checked.update(
-                    {bpm: vmax for bpm, known in checked.items() if math.isnan(known) and rate >= bpm}
+                    {bpm: vmax for bpm, measured in checked.items() if math.isnan(measured) and rate >= bpm}
                 )
             return rate is not None and rate >= 118
 

@@ -29,7 +29,7 @@ MAX_DT_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class WheelchairParameters:
     """Limits of the chair, in SI units; lengths of the mat in mm. The paper names none but vmax(HR)."""
 
     max_speed_mps: float = 1.2
@@ -57,7 +57,7 @@ class Centre:
 class Wheelchair:
     """The controller at the time of the last step; `linear` (m/s) and `angular` (rad/s, left) go out."""
 
-    parameters: Parameters = Parameters()
+    parameters: WheelchairParameters = WheelchairParameters()
     is_enabled: bool = False
     linear: float = 0.0
     angular: float = 0.0
@@ -92,20 +92,20 @@ class Wheelchair:
         fraction that is no number counts as 0. vmax rises only while `may_rise`: the heart rate is valid.
         """
         dt_s = min(max(dt_s, 0.0), MAX_DT_S)
-        given = self.parameters
+        bounds = self.parameters
         limit = min(max(fraction, 0.0), 1.0) if math.isfinite(fraction) else 0.0
-        target = given.max_speed_mps * limit
+        target = bounds.max_speed_mps * limit
         if not may_rise and target >= self.vmax.value:
             vmax = Smoothed(self.vmax.value)
         else:
-            vmax = self.vmax.step(target, dt_s, given.limit_time_constant_s)
+            vmax = self.vmax.step(target, dt_s, bounds.limit_time_constant_s)
         ready = replace(self, vmax=vmax)
         if centre is None or not self.is_enabled:
             return ready._stopping(dt_s)
         if not self.is_calibrated:
             return ready._calibrating(centre, dt_s)._stopping(dt_s)
         forward, turn = self._intent(centre)
-        time_constant_s = given.command_time_constant_s
+        time_constant_s = bounds.command_time_constant_s
         ready = replace(
             ready,
             intent=(forward, turn),
@@ -115,51 +115,51 @@ class Wheelchair:
         return ready._driving(limit, dt_s)
 
     def _calibrating(self, centre: Centre, dt_s: float) -> "Wheelchair":
-        known = self.neutral
-        if known is None or math.dist((known.x_mm, known.y_mm), (centre.x_mm, centre.y_mm)) > MAX_SPREAD_MM:
+        rest = self.neutral
+        if rest is None or math.dist((rest.x_mm, rest.y_mm), (centre.x_mm, centre.y_mm)) > MAX_SPREAD_MM:
             return replace(self, neutral=centre, calibrated_s=0.0)
         weight = min(dt_s / CALIBRATION_S, 1.0)
         mean = Centre(
-            known.x_mm + weight * (centre.x_mm - known.x_mm), known.y_mm + weight * (centre.y_mm - known.y_mm)
+            rest.x_mm + weight * (centre.x_mm - rest.x_mm), rest.y_mm + weight * (centre.y_mm - rest.y_mm)
         )
         return replace(self, neutral=mean, calibrated_s=self.calibrated_s + dt_s)
 
     def _intent(self, centre: Centre) -> tuple[float, float]:
         """Return the velocities of the posture: forwards in m/s, to the left in rad/s."""
         assert self.neutral is not None  # noqa: S101 - calibrated
-        given = self.parameters
-        forward = self._share(centre.y_mm - self.neutral.y_mm) * given.max_speed_mps
-        return forward, -self._share(centre.x_mm - self.neutral.x_mm) * given.max_turn_radps
+        bounds = self.parameters
+        forward = self._share(centre.y_mm - self.neutral.y_mm) * bounds.max_speed_mps
+        return forward, -self._share(centre.x_mm - self.neutral.x_mm) * bounds.max_turn_radps
 
     def _share(self, lean_mm: float) -> float:
-        given = self.parameters
-        beyond = max(abs(lean_mm) - given.dead_zone_mm, 0.0) / (given.full_lean_mm - given.dead_zone_mm)
+        bounds = self.parameters
+        beyond = max(abs(lean_mm) - bounds.dead_zone_mm, 0.0) / (bounds.full_lean_mm - bounds.dead_zone_mm)
         return math.copysign(min(beyond, 1.0), lean_mm)
 
     def _driving(self, limit: float, dt_s: float) -> "Wheelchair":
-        given, forward, turn = self.parameters, self.forward.value, self.turn.value
+        bounds, forward, turn = self.parameters, self.forward.value, self.turn.value
         scaled = min(max(forward, -self.vmax.value), self.vmax.value)  # equation 1
-        linear = within_rate(self.linear, scaled, given.acceleration_mps2, given.deceleration_mps2, dt_s)
+        linear = within_rate(self.linear, scaled, bounds.acceleration_mps2, bounds.deceleration_mps2, dt_s)
         if abs(forward) > MIN_MOVING_MPS:
             factor = min(abs(linear) / abs(forward), 1.0) if linear * forward > 0 else 0.0
             turn *= factor
         else:
-            spot = given.max_spot_turn_radps * min(limit, self.vmax.value / given.max_speed_mps)
+            spot = bounds.max_spot_turn_radps * min(limit, self.vmax.value / bounds.max_speed_mps)
             turn = min(max(turn, -spot), spot)
         angular = within_rate(
-            self.angular, turn, given.turn_acceleration_radps2, given.turn_deceleration_radps2, dt_s
+            self.angular, turn, bounds.turn_acceleration_radps2, bounds.turn_deceleration_radps2, dt_s
         )
         return replace(self, linear=linear, angular=angular)
 
     def _stopping(self, dt_s: float) -> "Wheelchair":
-        given = self.parameters
+        bounds = self.parameters
         return replace(
             self,
             intent=(0.0, 0.0),
             forward=AT_REST,
             turn=AT_REST,
-            linear=within_rate(self.linear, 0.0, given.acceleration_mps2, given.deceleration_mps2, dt_s),
+            linear=within_rate(self.linear, 0.0, bounds.acceleration_mps2, bounds.deceleration_mps2, dt_s),
             angular=within_rate(
-                self.angular, 0.0, given.turn_acceleration_radps2, given.turn_deceleration_radps2, dt_s
+                self.angular, 0.0, bounds.turn_acceleration_radps2, bounds.turn_deceleration_radps2, dt_s
             ),
         )

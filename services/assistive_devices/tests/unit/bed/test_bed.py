@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_cases.machines.bed.controller import Bed, Parameters, Signals
+from handover_cases.machines.bed.controller import Bed, BedParameters, Signals
 
 DT_S = 0.05
-GIVEN = Parameters()
+GIVEN = BedParameters()
 CALM = Signals(60.0, 3.0, is_lying=True)
 
 

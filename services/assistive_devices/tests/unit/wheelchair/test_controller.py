@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from handover_body.limits.curve import LimitCurve
 from handover_cases.machines.wheelchair.case import vmax_of
-from handover_cases.machines.wheelchair.controller import Centre, Parameters, Wheelchair
+from handover_cases.machines.wheelchair.controller import Centre, Wheelchair, WheelchairParameters
 from handover_cases.model.smoothing import Smoothed
 
 DT_S = 0.05
-GIVEN = Parameters()
+GIVEN = WheelchairParameters()
 UPRIGHT = Centre(3.0, -20.0)
 
 

@@ -15,15 +15,15 @@ def templates() -> dict[str, DeviceDescription]:
     """Return the templates by name."""
     return {
         path.name.removesuffix(".yaml"): DeviceDescription.model_validate(yaml.safe_load(path.read_text()))
-        for path in sorted(files(__package__).iterdir(), key=lambda one: one.name)
+        for path in sorted(files(__package__).iterdir(), key=lambda path: path.name)
         if path.name.endswith(".yaml")
     }
 
 
 def template(name: str) -> DeviceDescription:
     """Return a template; raise `Problem` 404 with the names that there are."""
-    found = templates().get(name)
-    if found is None:
+    description = templates().get(name)
+    if description is None:
         raise Problem(
             404,
             "No such template",
@@ -34,4 +34,4 @@ def template(name: str) -> DeviceDescription:
                 known=", ".join(templates()),
             ),
         )
-    return found
+    return description

@@ -7,7 +7,7 @@ import orjson
 import pytest
 from sqlalchemy import text
 
-from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
 from handover.database import connect
 from handover_gloves.calibration.drift_persistence import MIN_SAVED_CHANGE
 from tests.kit.databases import default_url

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
 from handover_gloves.calibration.calibration_wizard import (
     CAPTURE_S,
     MAX_CAPTURE_S,
     MAX_UNCHANGED_S,
     SAMPLE_STEPS,
     CalibrationWizard,
-    Phase,
     Step,
+    WizardPhase,
 )
 from handover_gloves.calibration.sensor_diagnostics import find_sensor_faults
 from handover_gloves.recognition.levels import calibrate
@@ -50,7 +50,7 @@ def run_wizard(
 def test_a_fist_and_an_open_hand_take_eight_seconds_at_any_rate(hz: float) -> None:
     made = run_wizard([(AT_REST, 1), (FIST, 4), (OPEN_HAND, 10)], hz)
     done = next(wizard for wizard in made if wizard.is_over)
-    assert done.phase is Phase.DONE
+    assert done.phase is WizardPhase.DONE
     assert done.at_s < 10
     fist, open_hand = done.hand()
     for captured in (fist, open_hand):
@@ -64,14 +64,14 @@ def test_who_is_late_is_waited_for(before_s: float, between_s: float, hz: float,
     """The hand rests, or stays a fist, too long; a fist and an open hand are captured all the same."""
     made = run_wizard([(OPEN_HAND, before_s), (FIST, 4.5 + between_s), (OPEN_HAND, 12)], hz, seed=seed)
     done = made[-1]
-    assert done.phase is Phase.DONE
+    assert done.phase is WizardPhase.DONE
     levels = calibrate(*done.hand()).levels
     assert all(level.span > 40 for level in levels)
 
 
 def test_who_shows_them_the_other_way_round_is_understood() -> None:
     done = run_wizard([(OPEN_HAND, 4.5), (FIST, 10)])[-1]
-    assert done.phase is Phase.DONE
+    assert done.phase is WizardPhase.DONE
     assert all(level.span > 0 for level in calibrate(*done.hand()).levels)
 
 
@@ -89,7 +89,7 @@ def test_a_glove_without_any_working_sensor_comes_to_an_end() -> None:
     while not wizard.is_over:
         at_s += 0.02
         wizard = wizard.after([512.0] * 5, at_s)
-    assert wizard.phase is Phase.DONE
+    assert wizard.phase is WizardPhase.DONE
     assert at_s < 3 + CAPTURE_S + 3 + MAX_UNCHANGED_S + 2
     assert {fault.kind.value for fault in find_sensor_faults(*wizard.hand())} == {"dead"}
 
@@ -102,13 +102,13 @@ def test_a_hand_that_is_never_still_is_given_up() -> None:
         if round(at_s * 20) % 6 == 0:
             levels = [chance.uniform(300, 700) for _ in range(5)]
         wizard = wizard.after(levels, at_s)
-    assert wizard.phase is Phase.GIVEN_UP
+    assert wizard.phase is WizardPhase.GIVEN_UP
     assert at_s == pytest.approx(3 + MAX_CAPTURE_S, abs=1)
 
 
 def test_a_gap_begins_the_second_again() -> None:
     made = run_wizard([(FIST, 3.7)])
-    assert made[-1].phase is Phase.CAPTURE
+    assert made[-1].phase is WizardPhase.CAPTURE
     after = made[-1].after(list(FIST), made[-1].at_s + 5)
     assert not after.window
     assert after.remaining_s == pytest.approx(CAPTURE_S)
@@ -117,7 +117,7 @@ def test_a_gap_begins_the_second_again() -> None:
 def test_a_sample_takes_one_step() -> None:
     victory: Posture = (0.0, 1.0, 1.0, 0.0, 0.0)
     made = run_wizard([(victory, 6)], wizard=CalibrationWizard(SAMPLE_STEPS, countdown_s=1))
-    assert made[-1].phase is Phase.DONE
+    assert made[-1].phase is WizardPhase.DONE
     assert made[-1].step is Step.GESTURE
     assert len(made[-1].captured) == 1
 

@@ -20,7 +20,7 @@ from handover_gloves.calibration.glove_store import GloveStore
 from handover_gloves.configuration.gestures_file import built_in
 from handover_gloves.connection.admission import TokenStore
 from handover_gloves.connection.glove_registry import GloveRegistry
-from handover_gloves.connection.glove_server import MAX_WAITING_FOR_HELLO, GloveServer
+from handover_gloves.connection.glove_server import HELLO_TIMEOUT_S, MAX_WAITING_FOR_HELLO, GloveServer
 from handover_gloves.gloves import connection_state
 from handover_gloves.people.people import People
 from handover_gloves.people.store import PeopleStore
@@ -92,7 +92,7 @@ async def open_site(
     """Open a glove server; settings may be given."""
     async with AsyncExitStack() as stack:
 
-        async def begin(**overrides: Any) -> Site:
+        async def begin(hello_timeout_s: float = HELLO_TIMEOUT_S, **overrides: Any) -> Site:
             settings = ControllerSettings.load(glove_port=free_port(), data_dir=tmp_path, **overrides)
             people = People(built_in(), PeopleStore(database))
             gloves = GloveRegistry(
@@ -104,7 +104,9 @@ async def open_site(
                 listener=listener_log,
                 adopted=lambda _: None,
             )
-            server = await stack.enter_async_context(GloveServer(settings, gloves))
+            server = await stack.enter_async_context(
+                GloveServer(settings, gloves, hello_timeout_s=hello_timeout_s)
+            )
             site = Site(settings, gloves, server)
             stack.push_async_callback(_hang_up, site)
             return site

@@ -16,9 +16,9 @@ from handover.settings import Settings
 from handover_gloves.pictures import hand
 from handover_gloves.pictures.gif import gif_of
 from handover_gloves.pictures.motion import Pose, moments, whole_s
-from handover_gloves.pictures.routes import add_pictures
 from handover_gloves.pictures.svg import svg_of
 from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures, Shape
+from handover_gloves.routes.pictures import add_pictures
 from tests.kit.paths import REPOSITORY
 
 STATES = ["".join(states) for states in itertools.product("012", repeat=5)]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import FIST, OPEN_HAND, Posture, SimulatedHand
 from handover_gloves.calibration.samples import sample_of, with_sample
 from handover_gloves.recognition.finger_states import BENT, BETWEEN, STRAIGHT
 from handover_gloves.recognition.frames import Frame

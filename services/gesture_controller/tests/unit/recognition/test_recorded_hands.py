@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import recorded_hands
-from benchmarks.recorded_hands import (
+from benchmarks.gloves import recorded_hands
+from benchmarks.gloves.recorded_hands import (
     CODES,
     FIST,
     OPEN,

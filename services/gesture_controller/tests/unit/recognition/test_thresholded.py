@@ -10,18 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
+from glove_sdk_bridge.simulation.hand import FIST, OPEN_HAND, Posture, SimulatedHand
 from handover_gloves.recognition.frames import Frame
 from handover_gloves.recognition.gestures import M2O2P_GESTURES, Gestures
 from handover_gloves.recognition.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
 from handover_gloves.recognition.population import BEFOREHAND, Stand
 from handover_gloves.recognition.recognizer import HandContext, Recognition
-from handover_gloves.recognition.thresholded import (
-    GRIP_APART,
-    LEEWAY,
-    STEADY_S,
-    ThresholdRecognizer,
-)
+from handover_gloves.recognition.thresholded import GRIP_APART, LEEWAY, STEADY_S, ThresholdRecognizer
 from handover_gloves.recognition.thresholds import Threshold, Thresholds
 
 RECOGNIZER = ThresholdRecognizer.from_context(

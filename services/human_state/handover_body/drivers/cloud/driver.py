@@ -125,14 +125,16 @@ class CloudDriver(SensorDriver):
             newest_s = self._newest_s.get(info, -np.inf)
             mine = sorted(
                 {
-                    one.at_s: one for one in values if one.info is info and newest_s < one.at_s <= latest_s
+                    reading.at_s: reading
+                    for reading in values
+                    if reading.info is info and newest_s < reading.at_s <= latest_s
                 }.items()
             )
             if not mine:
                 continue
             times_s = np.array([at_s for at_s, _ in mine])
-            column = np.array([[one.value] for _, one in mine], dtype=np.float64)
-            quality = min(one.quality for _, one in mine)
+            column = np.array([[reading.value] for _, reading in mine], dtype=np.float64)
+            quality = min(reading.quality for _, reading in mine)
             self._newest_s[info] = float(times_s[-1])
             sink(
                 Samples(

@@ -61,19 +61,23 @@ class OAuthClient:
         return _json_of(reply, "the service")
 
     async def _renew(self, now_s: float) -> None:
-        one = self._credentials
+        credentials = self._credentials
         grant = {"grant_type": "client_credentials"}
         if self._refresh_token:
             grant = {"grant_type": "refresh_token", "refresh_token": self._refresh_token}
-        if one.scope:
-            grant["scope"] = one.scope
-        secret = f"{quote(one.client_id, safe='')}:{quote(one.client_secret, safe='')}".encode()
+        if credentials.scope:
+            grant["scope"] = credentials.scope
+        secret = (
+            f"{quote(credentials.client_id, safe='')}:{quote(credentials.client_secret, safe='')}".encode()
+        )
         headers = [
             ("Content-Type", "application/x-www-form-urlencoded"),
             ("Accept", "application/json"),
             ("Authorization", f"Basic {base64.b64encode(secret).decode()}"),
         ]
-        reply = await self._http.request("POST", one.token_url, headers, urlencode(grant).encode(), TIMEOUT_S)
+        reply = await self._http.request(
+            "POST", credentials.token_url, headers, urlencode(grant).encode(), TIMEOUT_S
+        )
         if reply.status in {400, 401, 403}:
             raise AccessDenied(f"the token endpoint refuses the credentials (status {reply.status})")
         content = _json_of(reply, "the token endpoint")

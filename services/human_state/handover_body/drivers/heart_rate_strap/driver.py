@@ -41,7 +41,9 @@ class BeatSamples:
         if has_beats:
             times_s = self._clock.times(list(measured.intervals_s), at_s)
             made.append(
-                self._samples(INTERVALS, times_s, [1000 * one for one in measured.intervals_s], contact)
+                self._samples(
+                    INTERVALS, times_s, [1000 * length_s for length_s in measured.intervals_s], contact
+                )
             )
         return made
 

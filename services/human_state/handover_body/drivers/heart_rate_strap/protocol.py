@@ -34,7 +34,7 @@ def parse(data: bytes) -> HeartRateMeasurement:
         raise PacketError(f"{len(rest)} bytes after a heart rate without intervals")
     if len(rest) % 2:
         raise PacketError("an interval between beats is cut")
-    intervals = tuple(one / 1024 for (one,) in struct.iter_unpack("<H", rest))
+    intervals = tuple(count / 1024 for (count,) in struct.iter_unpack("<H", rest))
     return HeartRateMeasurement(heart_rate, intervals, has_contact, energy)
 
 
@@ -47,7 +47,7 @@ def build(measurement: HeartRateMeasurement) -> bytes:
     data = struct.pack("<BH" if is_wide else "<BB", flags, measurement.heart_rate_bpm)
     if measurement.energy_kj is not None:
         data += struct.pack("<H", measurement.energy_kj)
-    return data + b"".join(struct.pack("<H", round(one * 1024)) for one in measurement.intervals_s)
+    return data + b"".join(struct.pack("<H", round(length_s * 1024)) for length_s in measurement.intervals_s)
 
 
 def _uint16(data: bytes, at: int) -> int:

@@ -16,14 +16,7 @@ from pydantic import Field, model_validator
 from handover.distribution import install_command
 from handover.errors import UsageError
 from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 PULL_S: Final = 0.05
 MAX_SAMPLES: Final = 4096
@@ -61,9 +54,9 @@ class LslDriver(SensorDriver):
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
-        one: LslSettings = self.settings
-        method = f"LSL {one.name or one.type or one.source_id}"
-        return (SignalInfo(one.kind, one.unit, one.rate_hz, one.channels, method=method),)
+        settings: LslSettings = self.settings
+        method = f"LSL {settings.name or settings.type or settings.source_id}"
+        return (SignalInfo(settings.kind, settings.unit, settings.rate_hz, settings.channels, method=method),)
 
     async def run(self, sink: Sink) -> None:
         lsl = _pylsl()
@@ -109,16 +102,16 @@ class LslDriver(SensorDriver):
             if value is not None
         }
         (key, value), *others = wanted.items()
-        found = [
+        streams = [
             stream
             for stream in lsl.resolve_byprop(key, value, timeout=settings.search_s)
             if all(getattr(stream, other)() == text for other, text in others)
         ]
-        if not found:
+        if not streams:
             raise LinkLost(
                 f"no LSL stream with {wanted} within {settings.search_s:g} s; is it on this network?"
             )
-        stream = found[0]
+        stream = streams[0]
         if stream.channel_format() == lsl.cf_string:
             raise UsageError(f"the LSL stream {stream.name()} has texts; choose one with numbers")
         if stream.channel_count() != len(settings.channels):
@@ -134,7 +127,10 @@ class LslDriver(SensorDriver):
     async def discover(cls, timeout_s: float) -> list[FoundDevice]:
         lsl = _pylsl()
         streams = await asyncio.to_thread(lsl.resolve_streams, timeout_s)
-        return [FoundDevice(one.source_id() or one.uid(), f"{one.name()} ({one.type()})") for one in streams]
+        return [
+            FoundDevice(stream.source_id() or stream.uid(), f"{stream.name()} ({stream.type()})")
+            for stream in streams
+        ]
 
 
 def _lost_errors(lsl: Any) -> tuple[type[Exception], ...]:

@@ -47,4 +47,4 @@ def parse(data: bytes, range_g: int) -> NDArray[np.float64] | None:
 def build(sample_mps2: NDArray[np.float64], range_g: int) -> bytes:
     """Return the notification of one sample: what a simulated sensor sends."""
     raw = np.clip(np.round(sample_mps2 * 32768 / (GRAVITY * range_g)), -32768, 32767)
-    return struct.pack("<BBhhh", _MODULE, _DATA, *(int(one) for one in raw.ravel()))
+    return struct.pack("<BBhhh", _MODULE, _DATA, *(int(coordinate) for coordinate in raw.ravel()))

@@ -84,7 +84,7 @@ def build(frame: Frame) -> bytes:
     header = _HEADER.pack(frame.measurement, round(frame.end_s * 1e9), 0 if is_ecg else 1)
     if not is_ecg:
         return header + np.round(frame.values * 1000 / GRAVITY).astype("<i2").tobytes()
-    return header + b"".join(int(one).to_bytes(3, "little", signed=True) for one in frame.values[:, 0])
+    return header + b"".join(int(number).to_bytes(3, "little", signed=True) for number in frame.values[:, 0])
 
 
 def _int24(body: bytes) -> NDArray[np.float64]:

@@ -12,14 +12,7 @@ from pydantic import Field
 from handover_body.drivers.base import DriverSettings, SensorDriver, Sink, now_s
 from handover_body.drivers.recording.channels import Meaning
 from handover_body.drivers.recording.tracks import Recording, Track, read
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 
 class ChannelSettings(DriverSettings):
@@ -50,13 +43,13 @@ class RecordingDriver(SensorDriver):
 
     def __init__(self, source: str, settings: RecordingSettings) -> None:
         super().__init__(source, settings)
-        meanings = {name: Meaning(one.kind, one.unit) for name, one in settings.channels.items()}
+        meanings = {name: Meaning(meaning.kind, meaning.unit) for name, meaning in settings.channels.items()}
         self.recording: Recording = read(settings.path, meanings)
         self._tracks = distinct_tracks(self.recording.tracks)
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        return {one.name: one.reason for one in self.recording.left_out}
+        return {track.name: track.reason for track in self.recording.left_out}
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:

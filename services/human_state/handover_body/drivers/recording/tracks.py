@@ -69,7 +69,7 @@ class Track:
             return [(first, end)]
         apart = np.diff(self.times_s[first:end]) * self.info.rate_hz
         cuts = [first, *(first + 1 + np.flatnonzero(np.abs(apart - 1) >= 0.5)), end]
-        return [(int(one), int(two)) for one, two in pairwise(cuts)]
+        return [(int(begin), int(two)) for begin, two in pairwise(cuts)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
         suffix = Path(path.stem).suffix.lower() + suffix
     reader = _READERS.get(suffix)
     if reader is None:
-        known = ", ".join(sorted(_READERS))
-        raise RecordingError(f"{path.name} is no recording that can be read; it must end with one of {known}")
+        kinds = ", ".join(sorted(_READERS))
+        raise RecordingError(f"{path.name} is no recording that can be read; it must end with one of {kinds}")
     if not path.is_file():
         raise RecordingError(f"there is no recording {path}; give the path of a file that exists")
     if (size := path.stat().st_size) > MAX_BYTES:
@@ -112,7 +112,7 @@ def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
             f"{path.name} cannot be read: {type(error).__name__}: {error}; is the file complete?"
         ) from error
     if not recording.tracks:
-        why = "; ".join(f"{one.name}: {one.reason}" for one in recording.left_out)
+        why = "; ".join(f"{omitted.name}: {omitted.reason}" for omitted in recording.left_out)
         raise RecordingError(
             f"{path.name} has no channel whose kind is known; name some in `channels` of the driver, or with "
             f"--channel NAME=KIND[UNIT]{f' ({why})' if why else ''}"[:MAX_TEXT_CHARS]
@@ -153,7 +153,7 @@ def _track(
             raise
         return LeftOut(name, text_of(unknown))
     columns = values.reshape(len(values), -1) * factor
-    channels = (name,) if columns.shape[1] == 1 else tuple(str(one) for one in range(columns.shape[1]))
+    channels = (name,) if columns.shape[1] == 1 else tuple(str(number) for number in range(columns.shape[1]))
     try:
         info = SignalInfo(kind, code, rate_hz, channels, method=f"recorded, {name}")
     except ValueError as error:
@@ -163,8 +163,8 @@ def _track(
     return Track(name, info, columns, **times)
 
 
-def _recording(found: Iterable[Track | LeftOut], began_s: float | None = None) -> Recording:
-    parts = list(found)
+def _recording(contents: Iterable[Track | LeftOut], began_s: float | None = None) -> Recording:
+    parts = list(contents)
     tracks = tuple(part for part in parts if isinstance(part, Track))
     if len(tracks) > MAX_TRACKS:
         raise RecordingError(f"{len(tracks)} signals are too many; name at most {MAX_TRACKS} in `channels`")
@@ -228,7 +228,7 @@ def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Mean
         meanings = {name: Meaning(kind)}
     desc = info.get("desc") or [None]
     channels = ((desc[0] or {}).get("channels") or [{}])[0] or {}
-    units = [one.get("unit", [""])[0] for one in channels.get("channel", [])] if channels else []
+    units = [channel.get("unit", [""])[0] for channel in channels.get("channel", [])] if channels else []
     values = np.asarray(stream["time_series"], dtype=np.float64)
     nominal = float(info["nominal_srate"][0])
     unit = str(units[0]) if units else ""

@@ -68,21 +68,21 @@ class RosTopicSettings(DriverSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _follows_from_the_kind(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or given.get("messages", PACKAGE) == PACKAGE:
-            if isinstance(given, dict) and "unit" not in given:
+    def _follows_from_the_kind(cls, members: Any) -> Any:
+        if not isinstance(members, dict) or members.get("messages", PACKAGE) == PACKAGE:
+            if isinstance(members, dict) and "unit" not in members:
                 raise ValueError("unit is missing: a code of UN/CEFACT Recommendation 20, or an empty text")
-            return given
-        kind = given.get("kind")
-        known = None if kind is None else ros4hc.SIGNALS.get(kind)
-        if known is None:
+            return members
+        kind = members.get("kind")
+        signal = None if kind is None else ros4hc.SIGNALS.get(kind)
+        if signal is None:
             kinds = ", ".join(ros4hc.SIGNALS)
             raise ValueError(f"kind must be one of {kinds} for messages of {ros4hc.PACKAGE}")
-        if given.keys() & {"unit", "channels", "source"}:
+        if members.keys() & {"unit", "channels", "source"}:
             raise ValueError(
                 f"leave out unit, channels and source: the messages of {ros4hc.PACKAGE} have fixed ones"
             )
-        return {**given, "unit": known[0], "channels": known[1]}
+        return {**members, "unit": signal[0], "channels": signal[1]}
 
     @model_validator(mode="after")
     def _gaze_is_for_events(self) -> "RosTopicSettings":
@@ -107,8 +107,16 @@ class RosTopicDriver(SensorDriver):
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
-        one: RosTopicSettings = self.settings
-        return (SignalInfo(one.kind, one.unit, one.rate_hz, one.channels, method=f"ROS {one.topic}"),)
+        settings: RosTopicSettings = self.settings
+        return (
+            SignalInfo(
+                settings.kind,
+                settings.unit,
+                settings.rate_hz,
+                settings.channels,
+                method=f"ROS {settings.topic}",
+            ),
+        )
 
     @classmethod
     async def discover(cls, timeout_s: float, domain: int = 0) -> list[FoundDevice]:

@@ -18,14 +18,7 @@ from handover_body.drivers.base import (
     now_s,
 )
 from handover_body.drivers.seeed_radar.protocol import FrameReader, read
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 METHOD: Final = "radar 60 GHz"
 WAVE_POINTS: Final = ("0", "1", "2", "3", "4")
@@ -110,7 +103,9 @@ class RadarDriver(SensorDriver):
         except ImportError as error:  # a platform without a list of ports
             raise UsageError(f"serial ports cannot be listed here: {error}") from error
         ports = await asyncio.to_thread(comports)
-        return [FoundDevice(one.device, one.description) for one in ports if (one.vid, one.pid) in USB_IDS]
+        return [
+            FoundDevice(port.device, port.description) for port in ports if (port.vid, port.pid) in USB_IDS
+        ]
 
 
 def _read(port: "object") -> bytes:

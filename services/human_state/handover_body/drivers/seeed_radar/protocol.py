@@ -35,14 +35,14 @@ class FrameReader:
         """Take the next bytes; return the frames that they complete."""
         buffer, frames, at = self._buffer + data, list[RadarFrame](), 0
         while True:
-            found = buffer.find(HEADER, at)
-            if found < 0:
+            start = buffer.find(HEADER, at)
+            if start < 0:
                 keep = 1 if buffer.endswith(HEADER[:1]) and len(buffer) > at else 0
                 self.skipped += len(buffer) - keep - at
                 at = len(buffer) - keep
                 break
-            self.skipped += found - at
-            at = found
+            self.skipped += start - at
+            at = start
             if len(buffer) - at < 6:
                 break
             length = int.from_bytes(buffer[at + 4 : at + 6], "big")
@@ -98,7 +98,7 @@ def read(frame: RadarFrame) -> Reading | None:  # noqa: PLR0911 - one for each c
             return Reading("heart", (float(_byte(frame)),)) if _byte(frame) else None
         case (0x81, 0x05) | (0x85, 0x05):
             name = "breathingWave" if frame.control == 0x81 else "heartWave"
-            return Reading(name, tuple(one - 128.0 for one in frame.data)) if frame.data else None
+            return Reading(name, tuple(octet - 128.0 for octet in frame.data)) if frame.data else None
     return None
 
 

@@ -19,14 +19,7 @@ from handover_body.drivers.base import DriverSettings, FoundDevice, LinkLost, Se
 from handover_body.drivers.simulated.person import Posture, SimulatedPerson
 from handover_body.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave
 from handover_body.model.cardiovascular import Physiology
-from handover_body.model.signals import (
-    ClockKind,
-    LinkState,
-    Samples,
-    SensorReport,
-    SignalInfo,
-    SignalKind,
-)
+from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 EVENTS_SILENCE_S = 120.0
 """A sensor of nothing but events, such as blinks, may be silent for so long."""
@@ -114,11 +107,11 @@ class SimulatedSettings(DriverSettings):
 
     @model_validator(mode="after")
     def _signals_are_known(self) -> "SimulatedSettings":
-        known = (*WAVES, *EVENTS)
-        unknown = [kind for kind in self.signals if kind not in known]
+        kinds = (*WAVES, *EVENTS)
+        unknown = [kind for kind in self.signals if kind not in kinds]
         if unknown or not self.signals:
             raise ValueError(
-                f"{', '.join(unknown) or 'no signal'} cannot be simulated; choose from {', '.join(known)}"
+                f"{', '.join(unknown) or 'no signal'} cannot be simulated; choose from {', '.join(kinds)}"
             )
         return self
 
@@ -190,8 +183,8 @@ class SimulatedDriver(SensorDriver):
             self._began_s = now_s() if self.settings.start_s is None else self.settings.start_s
         return self._began_s
 
-    def simulate(self, given: Any) -> None:
-        acts, person = Acts.model_validate(given), self.person
+    def simulate(self, changes: Any) -> None:
+        acts, person = Acts.model_validate(changes), self.person
         if acts.contact is not None:
             self._is_worn = acts.contact
         if "walking_mps" in acts.model_fields_set:
@@ -279,18 +272,18 @@ class _EventTrack:
 
     def until(self, person: SimulatedPerson, end_s: float, began_s: float) -> Samples | None:
         """Return what has ended before `end_s` of simulated time; None for nothing, and in a gap."""
-        found = self._events(person, self._next_s, end_s)
-        given = self._settings.faults
-        faults = [fault for fault in given if fault.is_on(self._next_s, self.info.kind)]
+        events = self._events(person, self._next_s, end_s)
+        active = self._settings.faults
+        faults = [fault for fault in active if fault.is_on(self._next_s, self.info.kind)]
         self._next_s = end_s
-        if not found or any(fault.kind == "gap" for fault in faults):
+        if not events or any(fault.kind == "gap" for fault in faults):
             return None
-        rows = np.array(found)
+        rows = np.array(events)
         values = _with_faults(rows[:, 1:], self.info, faults, self._random, self._last)
         self._last = values[-1]
         times_s = rows[:, 0] + sum(
             fault.size
-            for fault in given
+            for fault in active
             if fault.kind == "clockJump" and fault.at_s <= end_s and fault.signal in (None, self.info.kind)
         )
         clock = ClockKind.RECORDING

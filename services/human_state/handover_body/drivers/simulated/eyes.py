@@ -80,12 +80,14 @@ class SimulatedEyes:
     def gaze_at(self, times_s: Floats) -> Floats:
         """Return the gaze in degrees, one row a time."""
         gaze = np.zeros((len(times_s), 2))
-        for one in self.movements:
-            during = (times_s >= one.begin_s) & (times_s < one.end_s)
+        for movement in self.movements:
+            during = (times_s >= movement.begin_s) & (times_s < movement.end_s)
             if during.any():
-                share = (times_s[during] - one.begin_s) / (one.end_s - one.begin_s)
+                share = (times_s[during] - movement.begin_s) / (movement.end_s - movement.begin_s)
                 way = (1 - np.cos(math.pi * share)) / 2  # begins and ends without velocity
-                gaze[during] = np.array(one.start) + np.outer(way, np.subtract(one.end, one.start))
+                gaze[during] = np.array(movement.start) + np.outer(
+                    way, np.subtract(movement.end, movement.start)
+                )
         return gaze
 
     def lids_at(self, times_s: Floats) -> Floats:

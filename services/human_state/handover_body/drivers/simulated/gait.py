@@ -80,14 +80,14 @@ def strides(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple
     speed_mps = person.gait_mps
     stance = STANCE + STANCE_PER_MPS * (speed_mps - USUAL_MPS)
     shares = (stance, 2 * stance - 1, 0.0)
-    found: list[tuple[float, ...]] = []
+    walked: list[tuple[float, ...]] = []
     for end in ends[ends > 0]:
         began_s, ended_s = person.gait_times_s(STRIDE_RAD * np.array([end - 1, end]))
         lasted_s = float(ended_s - began_s)
         if lasted_s <= MAX_STRIDE_S:
             step_m = speed_mps * lasted_s / 2
-            found.append((float(ended_s), speed_mps, 120 / lasted_s, step_m, lasted_s, *shares))
-    return found
+            walked.append((float(ended_s), speed_mps, 120 / lasted_s, step_m, lasted_s, *shares))
+    return walked
 
 
 def _stride(person: SimulatedPerson, times_s: Floats) -> Floats:

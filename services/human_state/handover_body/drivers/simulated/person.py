@@ -133,9 +133,9 @@ class SimulatedPerson:
 
     def breath_at(self, times_s: "np.ndarray") -> "np.ndarray":
         """Return the chest's expansion, -1 to 1, at `times_s` of the last `KEEP_S` or the next second."""
-        known = np.array(self._breaths)
-        phase = np.interp(times_s, known[:, 0], known[:, 1])
-        depth = np.interp(times_s, known[:, 0], known[:, 2])
+        breaths = np.array(self._breaths)
+        phase = np.interp(times_s, breaths[:, 0], breaths[:, 1])
+        depth = np.interp(times_s, breaths[:, 0], breaths[:, 2])
         wave: np.ndarray = depth * np.sin(phase)
         return wave
 
@@ -161,14 +161,14 @@ class SimulatedPerson:
 
     def gait_at(self, times_s: "np.ndarray") -> "np.ndarray":
         """Return the phase of the gait in rad, a step each turn: continuous, whatever the speed does."""
-        known = np.array(self._gait)
-        phase: np.ndarray = np.interp(times_s, known[:, 0], known[:, 1])
+        strides = np.array(self._gait)
+        phase: np.ndarray = np.interp(times_s, strides[:, 0], strides[:, 1])
         return phase
 
     def gait_times_s(self, phases: "np.ndarray") -> "np.ndarray":
         """Return when the gait had these phases, in the last `KEEP_S`."""
-        known = np.array(self._gait)
-        times_s: np.ndarray = np.interp(phases, known[:, 1], known[:, 0])
+        strides = np.array(self._gait)
+        times_s: np.ndarray = np.interp(phases, strides[:, 1], strides[:, 0])
         return times_s
 
     def _step(self) -> None:

@@ -202,17 +202,27 @@ def blinks(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[
 
 def fixations(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
     """Return the end of each fixation that ends in a time, its duration, and the gaze."""
-    ended = [one for one in person.eyes.movements if begin_s <= one.end_s < end_s]
-    return [(one.end_s, one.end_s - one.begin_s, *one.end) for one in ended if not one.amplitude_deg]
+    ended = [eye_movement for eye_movement in person.eyes.movements if begin_s <= eye_movement.end_s < end_s]
+    return [
+        (eye_movement.end_s, eye_movement.end_s - eye_movement.begin_s, *eye_movement.end)
+        for eye_movement in ended
+        if not eye_movement.amplitude_deg
+    ]
 
 
 def saccades(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
     """Return the end of each saccade that ends in a time, duration, gaze at its end, size, peak velocity."""
-    ended = [one for one in person.eyes.movements if begin_s <= one.end_s < end_s]
+    ended = [eye_movement for eye_movement in person.eyes.movements if begin_s <= eye_movement.end_s < end_s]
     return [
-        (one.end_s, one.end_s - one.begin_s, *one.end, one.amplitude_deg, one.peak_deg_s)
-        for one in ended
-        if one.amplitude_deg
+        (
+            eye_movement.end_s,
+            eye_movement.end_s - eye_movement.begin_s,
+            *eye_movement.end,
+            eye_movement.amplitude_deg,
+            eye_movement.peak_deg_s,
+        )
+        for eye_movement in ended
+        if eye_movement.amplitude_deg
     ]
 
 

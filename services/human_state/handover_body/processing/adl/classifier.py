@@ -83,9 +83,9 @@ def load_model(path: Path = DEFAULT_MODEL) -> Any:
             f"{path} holds {', '.join(unknown)}, which is not trusted; use standard scikit-learn parts"
         )
     model = skops.io.load(path, trusted=[])
-    known = [str(name) for name in getattr(model, "classes_", ())]
-    if not known or not set(known) <= set(CLASSES):
-        raise UnusableModel(f"{path} predicts {known}; the classes are {', '.join(CLASSES)}")
+    classes = [str(name) for name in getattr(model, "classes_", ())]
+    if not classes or not set(classes) <= set(CLASSES):
+        raise UnusableModel(f"{path} predicts {classes}; the classes are {', '.join(CLASSES)}")
     return model
 
 

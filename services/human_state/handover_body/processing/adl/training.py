@@ -17,13 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from handover_body.processing.adl.classifier import (
-    CLASSES,
-    MAT_CELLS,
-    WINDOW_S,
-    WORKING_HZ,
-    features_of,
-)
+from handover_body.processing.adl.classifier import CLASSES, MAT_CELLS, WINDOW_S, WORKING_HZ, features_of
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +50,7 @@ def simulated_activity(name: str, person: int, seconds: float) -> Floats:
     gravity, frequency_hz, size, share, (right, forwards, shift_hz), load = MODELS[name]
     t = np.arange(round(seconds * WORKING_HZ)) / WORKING_HZ
     direction = np.array(gravity) + random.normal(0, 0.12, 3)
-    found = np.tile(9.80665 * direction / np.linalg.norm(direction), (len(t), 1))
+    acceleration = np.tile(9.80665 * direction / np.linalg.norm(direction), (len(t), 1))
     frequency_hz *= random.uniform(0.8, 1.25)
     phase = 2 * np.pi * frequency_hz * t + np.cumsum(random.normal(0, 0.05, len(t)))
     on = np.interp(
@@ -64,14 +58,16 @@ def simulated_activity(name: str, person: int, seconds: float) -> Floats:
     )
     axes = random.normal(0, 1, (2, 3))
     wave = np.outer(np.sin(phase), axes[0]) + 0.4 * np.outer(np.sin(2 * phase + 1), axes[1])
-    found += size * random.uniform(0.7, 1.4) / 1.3 * on[:, None] * wave + random.normal(0, 0.06, found.shape)
+    acceleration += size * random.uniform(0.7, 1.4) / 1.3 * on[:, None] * wave + random.normal(
+        0, 0.06, acceleration.shape
+    )
     rows, columns = np.mgrid[0:3, 0:4]
     sway = np.sin(2 * np.pi * shift_hz * random.uniform(0.8, 1.25) * t + random.uniform(0, 6))
     x = (columns.ravel() - 1.5)[None, :] - (1.5 * right * sway + random.normal(0, 0.1))[:, None]
     y = (rows.ravel() - 1.0)[None, :] + (1.5 * forwards * sway + random.normal(0, 0.1))[:, None]
     weight = random.uniform(0.7, 1.3) * (1 - (1 - load) * (0.5 + 0.5 * sway))
     mat = 1000 * weight[:, None] * np.exp(-(x**2 / 2.2 + y**2 / 1.5)) * random.uniform(0.85, 1.15, MAT_CELLS)
-    return np.hstack((found, np.maximum(mat + random.normal(0, 6, mat.shape), 0)))
+    return np.hstack((acceleration, np.maximum(mat + random.normal(0, 6, mat.shape), 0)))
 
 
 def windows_of(recording: Floats) -> Floats:
@@ -135,17 +131,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--people", type=int, default=30)
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        recordings = list(recordings_in(given.data) if given.data else simulated_recordings(given.people))
+        recordings = list(
+            recordings_in(options.data) if options.data else simulated_recordings(options.people)
+        )
         model, accuracy, count = train(recordings)
     except ValueError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    skops.io.dump(model, given.out)
-    kind = "recorded" if given.data else "simulated"
+    skops.io.dump(model, options.out)
+    kind = "recorded" if options.data else "simulated"
     sys.stdout.write(
-        f"{given.out}: {100 * accuracy:.1f} % of {count} windows of {kind} people it has not seen\n"
+        f"{options.out}: {100 * accuracy:.1f} % of {count} windows of {kind} people it has not seen\n"
     )
     return 0
 

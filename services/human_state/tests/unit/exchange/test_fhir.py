@@ -13,7 +13,7 @@ pytest.importorskip("fhir.resources", reason="the extra [human-state] is not ins
 from fhir.resources.bundle import Bundle
 from fhir.resources.observation import Observation
 
-from handover_body.exchange import fhir
+from handover_body.exchange import fhir, fhir_codes
 from handover_body.formats.errors import ExchangeError
 from handover_body.formats.json_messages import Marker
 from handover_body.model.features import Feature, FeatureName, Status
@@ -50,30 +50,30 @@ def test_a_feature_comes_back_from_a_valid_observation(one: Feature) -> None:
 @pytest.mark.parametrize(
     ("name", "method", "expected"),
     [
-        (FeatureName.HEART_RATE, "ecg", {(fhir.LOINC, "8867-4"), (fhir.MDC, "147842")}),
-        (FeatureName.HEART_RATE, "ppg", {(fhir.LOINC, "8867-4"), (fhir.MDC, "149530")}),
-        (FeatureName.HEART_RATE, "radar", {(fhir.LOINC, "8867-4")}),
-        (FeatureName.HEART_RATE, "ecg, ppg", {(fhir.LOINC, "8867-4")}),
-        (FeatureName.BREATHING_RATE, "radar", {(fhir.LOINC, "9279-1"), (fhir.MDC, "151562")}),
+        (FeatureName.HEART_RATE, "ecg", {(fhir_codes.LOINC, "8867-4"), (fhir_codes.MDC, "147842")}),
+        (FeatureName.HEART_RATE, "ppg", {(fhir_codes.LOINC, "8867-4"), (fhir_codes.MDC, "149530")}),
+        (FeatureName.HEART_RATE, "radar", {(fhir_codes.LOINC, "8867-4")}),
+        (FeatureName.HEART_RATE, "ecg, ppg", {(fhir_codes.LOINC, "8867-4")}),
+        (FeatureName.BREATHING_RATE, "radar", {(fhir_codes.LOINC, "9279-1"), (fhir_codes.MDC, "151562")}),
         (
             FeatureName.SPO2,
             "ppg",
-            {(fhir.LOINC, "2708-6"), (fhir.LOINC, "59408-5"), (fhir.MDC, "150456")},
+            {(fhir_codes.LOINC, "2708-6"), (fhir_codes.LOINC, "59408-5"), (fhir_codes.MDC, "150456")},
         ),
-        (FeatureName.HRV_SDNN, "ecg", {(fhir.LOINC, "80404-7")}),
+        (FeatureName.HRV_SDNN, "ecg", {(fhir_codes.LOINC, "80404-7")}),
         (FeatureName.HRV_RMSSD, "ecg", set()),
-        (FeatureName.SKIN_TEMPERATURE, "", {(fhir.MDC, "150388")}),
+        (FeatureName.SKIN_TEMPERATURE, "", {(fhir_codes.MDC, "150388")}),
     ],
 )
 def test_codes_say_what_was_measured(name: FeatureName, method: str, expected: set[tuple[str, str]]) -> None:
     found = codes(fhir.observation_of(replace(RATE, name=name, method=method), "p-1"))
-    assert found == expected | {(fhir.LOCAL, name.value)}
+    assert found == expected | {(fhir_codes.LOCAL, name.value)}
 
 
 def test_the_subject_is_a_pseudonym_and_nothing_else() -> None:
     assert fhir.observation_of(RATE, "p-1")["subject"] == {
         "type": "Patient",
-        "identifier": {"system": fhir.PSEUDONYM, "value": "p-1"},
+        "identifier": {"system": fhir_codes.PSEUDONYM, "value": "p-1"},
     }
 
 
@@ -81,9 +81,9 @@ def test_the_observation_of_another_system_raises_no_limit() -> None:
     theirs = {
         "resourceType": "Observation",
         "status": "final",
-        "code": {"coding": [{"system": fhir.MDC, "code": "149530"}]},
+        "code": {"coding": [{"system": fhir_codes.MDC, "code": "149530"}]},
         "effectiveDateTime": "2026-03-02T09:12:04+01:00",
-        "valueQuantity": {"value": 48, "code": "{beat}/min", "system": fhir.UCUM},
+        "valueQuantity": {"value": 48, "code": "{beat}/min", "system": fhir_codes.UCUM},
     }
     found = fhir.feature_of(theirs)
     assert (found.name, found.value, found.status, found.quality) == (
@@ -98,7 +98,7 @@ def test_the_observation_of_another_system_raises_no_limit() -> None:
 @pytest.mark.parametrize(
     ("change", "reported"),
     [
-        ({"code": {"coding": [{"system": fhir.LOINC, "code": "1-1"}]}}, "http://loinc.org 1-1"),
+        ({"code": {"coding": [{"system": fhir_codes.LOINC, "code": "1-1"}]}}, "http://loinc.org 1-1"),
         ({"valueQuantity": {"value": 1.5, "code": "Hz"}}, "must be in /min"),
         ({"valueQuantity": None}, "no valueQuantity"),
         ({"effectiveDateTime": None}, "no effective time"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.jerk_reference import optimal_duration_s
+from benchmarks.robots.jerk_reference import optimal_duration_s
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.trajectory import Limits, duration_s
 from handover_robots.planning import retiming, timing

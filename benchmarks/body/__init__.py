@@ -1,0 +1,1 @@
+"""Body signals and the limits that follow from them."""

@@ -1,0 +1,1 @@
+"""Motion of robots: planning, limits, control by people, drivers."""

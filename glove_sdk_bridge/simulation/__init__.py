@@ -1,0 +1,1 @@
+"""A simulated person with a glove, who answers the Tasks on the screen of the controller."""

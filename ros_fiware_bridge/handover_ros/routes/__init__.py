@@ -1,0 +1,1 @@
+"""REST and WebSockets of the ROS bridge."""

@@ -1,0 +1,1 @@
+"""Channels, routes, and which messages about an Alert are due."""

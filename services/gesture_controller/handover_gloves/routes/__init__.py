@@ -1,0 +1,1 @@
+"""REST of the gesture controller, by subject."""
