@@ -8,6 +8,8 @@ from importlib.metadata import version as version_of
 from typing import Final
 
 DISTRIBUTION: Final = "handover-cell"
+KIT: Final = "handover-kit"
+"""A part of every installation; all distributions have one version."""
 
 
 def install_command(*extras: str) -> str:
@@ -16,5 +18,5 @@ def install_command(*extras: str) -> str:
 
 
 def version() -> str:
-    """Return the version of the distribution; raise `PackageNotFoundError` where it is not installed."""
-    return version_of(DISTRIBUTION)
+    """Return the version of all distributions; raise `PackageNotFoundError` where none is installed."""
+    return version_of(KIT)

@@ -18,7 +18,6 @@ from handover.command_line.waiting import wait_for_secrets, wait_for_security
 from handover.distribution import version
 from handover.errors import HandoverError, Problem, UsageError
 from handover.extensions import SERVICES
-from handover.service_addresses import OWN_SERVICES
 from handover.services import all_services, service_named
 from handover.serving.supervisor import run_watched
 from handover.settings import origins
@@ -64,7 +63,7 @@ def handover(
 
 @app.command()
 def run(
-    service: Annotated[str, typer.Argument(help=", ".join(OWN_SERVICES))],
+    service: Annotated[str, typer.Argument(help="The name of an installed service, such as context-broker.")],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     watch: Annotated[
         bool,
