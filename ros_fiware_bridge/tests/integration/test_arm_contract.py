@@ -121,7 +121,7 @@ class StandingStill:
         if self._waits == 1:
             self._loop.call_soon_threadsafe(self._stand_still)
             self._stands.wait()
-            seconds = 0.6
+            seconds = 0.3
         elif self._waits > 1:
             self._goes_on.set()
         time.sleep(seconds)
