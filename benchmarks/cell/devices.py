@@ -78,7 +78,7 @@ async def connected(url: str, port: int, count: int) -> list[Device]:
     at_once = asyncio.Semaphore(20)
     async with httpx.AsyncClient(base_url=url, timeout=60, trust_env=False) as http:
 
-        async def one(number: int) -> Device:
+        async def register(number: int) -> Device:
             name = f"d-{number}"
             async with at_once:
                 made = await http.post("/devices", json={"name": name, "description": DESCRIPTION})
@@ -87,7 +87,7 @@ async def connected(url: str, port: int, count: int) -> list[Device]:
                 await device.is_greeted.wait()
                 return device
 
-        return await asyncio.gather(*(one(number) for number in range(count)))
+        return await asyncio.gather(*(register(number) for number in range(count)))
 
 
 async def at_1_hz(devices: list[Device], seconds: float) -> None:

@@ -162,15 +162,15 @@ def _through_fields(names: list[str], written: str) -> Getter:
     if len(names) == 1:
         (only,) = names
 
-        def one(message: Any) -> Any:
+        def at_field(message: Any) -> Any:
             try:
                 return message[only]
             except (KeyError, TypeError, IndexError):
                 raise MissingValue(f"the message has no {written}") from None
 
-        return one
+        return at_field
 
-    def several(message: Any) -> Any:
+    def at_fields(message: Any) -> Any:
         try:
             for name in names:
                 message = message[name]
@@ -178,7 +178,7 @@ def _through_fields(names: list[str], written: str) -> Getter:
             raise MissingValue(f"the message has no {written}") from None
         return message
 
-    return several
+    return at_fields
 
 
 _Place: TypeAlias = tuple[Any, Any]

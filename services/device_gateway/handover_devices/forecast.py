@@ -122,11 +122,11 @@ def _smoothed(values: Values, alpha: float, beta: float) -> tuple[float, float, 
 
 def _rolling_errors(values: Values, horizon: int, origins: int, model: Model) -> Values:
     """Return the absolute errors, an array of origins x horizon."""
-    steps_ahead = []
+    errors = []
     for back in range(origins):
         end = values.size - horizon - back
-        steps_ahead.append(np.abs(model(values[:end], horizon) - values[end : end + horizon]))
-    return np.array(steps_ahead)
+        errors.append(np.abs(model(values[:end], horizon) - values[end : end + horizon]))
+    return np.array(errors)
 
 
 def _interpolated(values: Values) -> Values:

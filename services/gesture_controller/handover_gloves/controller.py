@@ -184,8 +184,8 @@ class GestureController(Performer):
     def _busy_glove(self, glove: Glove, spec: PromptSpec) -> Glove | None:
         """Return a glove that the prompt needs and that still has another prompt."""
         partner = self.registry.known.partner_of(glove) if spec.hands == "both" else None
-        needed = (side for side in (glove, partner) if side is not None)
-        return next((side for side in needed if side.responder.prompt is not None), None)
+        needed = (worn for worn in (glove, partner) if worn is not None)
+        return next((worn for worn in needed if worn.responder.prompt is not None), None)
 
     def _join_hands(self, glove: Glove) -> None:
         """Let the other hand take part in a two-hand prompt, as soon as its glove is known and free."""

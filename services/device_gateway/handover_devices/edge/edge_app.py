@@ -125,14 +125,14 @@ class EdgeState:
                 "connectedDevices": view["connectedDevices"],
                 "roundTripMs": view["roundTripMs"],
             }
-            names = {
+            known_values = {
                 name: value
                 for name, value in values.items()
                 if own is not None and name in own.values and value is not None
             }
-            if names and not self._gateway.writer.is_full:
+            if known_values and not self._gateway.writer.is_full:
                 now_s = time.time()
-                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": names}).decode()
+                body = orjson.dumps({"type": "telemetry", "t": now_s, "values": known_values}).decode()
                 row = RelayRow(self._uplink.name, int(now_s * 1e6), body)
                 await asyncio.shield(self._gateway.writer.add(relays=[row]))
 

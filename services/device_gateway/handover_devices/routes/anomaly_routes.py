@@ -99,7 +99,7 @@ def add_anomaly_routes(
     def view(name: str, rule: Rule) -> RuleView:
         return {"name": name, "source": "file" if name in in_file else "rest", "rule": rule}
 
-    def known(name: str) -> Rule:
+    def rule_named(name: str) -> Rule:
         rule = monitor.rules.get(name)
         if rule is None:
             raise Problem(
@@ -132,7 +132,7 @@ def add_anomaly_routes(
     @app.get("/rules/{name}", tags=["anomalies"], dependencies=[can_read])
     async def rule(name: str) -> RuleView:
         """Return a rule."""
-        return view(name, known(name))
+        return view(name, rule_named(name))
 
     @app.put("/rules/{name}", tags=["anomalies"], dependencies=can_write)
     @max_body(MAX_RULE_BYTES)
@@ -170,7 +170,7 @@ def add_anomaly_routes(
     async def remove(name: str) -> None:
         """Delete a rule; its Alerts are cleared."""
         require_writable(name)
-        known(name)
+        rule_named(name)
         await gateway.writer.call(lambda connection: anomaly_store.save_rule(connection, name, None, 0))
         monitor.set_rule(name, None)
 

@@ -151,7 +151,7 @@ class AccuracyTestRunner:
         await in_database(self._store.add, test)
         self._start(RunningTest(test, glove, Progress()))
         log.info("accuracy test begins", test=test.id, glove=glove.name, trials=len(plan.asked))
-        return await self.one(test.id)
+        return await self.find(test.id)
 
     async def resume(self, test_id: str) -> TestState:
         """Resume after a break or an interruption; raise `Problem` 409 if the test does not wait."""
@@ -184,7 +184,7 @@ class AccuracyTestRunner:
         await self._save_phase(test_id, Phase.REST, "")
         running.progress = running.progress.resumed()
         self._start(running)
-        return await self.one(test_id)
+        return await self.find(test_id)
 
     async def stop(self, test_id: str) -> TestState:
         """Stop a test; its trials are kept and reported. A finished test stays unchanged."""
@@ -195,7 +195,7 @@ class AccuracyTestRunner:
             self._release(running)
         if not test.phase.is_over:
             await self._save_phase(test_id, Phase.STOPPED, "")
-        return await self.one(test_id)
+        return await self.find(test_id)
 
     async def delete(self, test_id: str) -> None:
         """Delete a test with its trials; raise `Problem` 404 if there is none."""
@@ -210,7 +210,7 @@ class AccuracyTestRunner:
         """Return all tests, the latest first."""
         return [self._summary(test) for test in await asyncio.to_thread(self._store.tests)]
 
-    async def one(self, test_id: str) -> TestState:
+    async def find(self, test_id: str) -> TestState:
         """Return a test and, while it runs, its view; raise `Problem` 404 if there is none."""
         test = await self._stored(test_id)
         running = self._running.get(test_id)

@@ -73,7 +73,7 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
     @app.get("/tests/{test}", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)])
     async def one(test: str) -> TestState:
         """Return a test; `live` is its view while it runs."""
-        return await runner.one(test)
+        return await runner.find(test)
 
     @app.post(
         "/tests/{test}/continue",
@@ -107,7 +107,7 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
     async def report(test: str) -> TestReport:
         """Return Table 3, the confusion matrix and the times of the trials so far."""
         stored, trials = await runner.trials(test)
-        return {"test": await runner.one(test), **report_of(stored.plan, [trial for trial, _ in trials])}
+        return {"test": await runner.find(test), **report_of(stored.plan, [trial for trial, _ in trials])}
 
     @app.get(
         "/tests/{test}/trials.json", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)]
@@ -138,7 +138,7 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
 def _of_glove(runner: AccuracyTestRunner) -> ResourceOf:
     async def resource(connection: HTTPConnection) -> str:
         try:
-            test = await runner.one(str(connection.path_params["test"]))
+            test = await runner.find(str(connection.path_params["test"]))
         except Problem:
             return ANY_RESOURCE
         return guard_of(connection).settings.entity_id("Device", test["glove"])

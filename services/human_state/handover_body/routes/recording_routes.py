@@ -33,7 +33,7 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
     recording_service.mount(app)
     _add_files(app, people, recording_service)
 
-    def found(person: str, recording: str) -> RecordingRow:
+    def recording_of(person: str, recording: str) -> RecordingRow:
         return recordings.recording(recording, people.person(person).pseudonym)
 
     def view(row: RecordingRow) -> RecordingView:
@@ -56,7 +56,7 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
     async def stop(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> RecordingView:
         """End a recording and close its file; the response has its SHA-256."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
-        return view(await recordings.stop(found(person, recording)))
+        return view(await recordings.stop(recording_of(person, recording)))
 
     @app.post("/people/{person}/recordings/{recording}/markers", tags=["recordings"], status_code=204)
     async def mark(
@@ -65,21 +65,21 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
         """Mark a time in a recording that runs: now, or `at`."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         at_s = time.time() if body.at is None else body.at.timestamp()
-        recordings.mark(found(person, recording), Marker(at_s, body.name, body.text))
+        recordings.mark(recording_of(person, recording), Marker(at_s, body.name, body.text))
         return Response(status_code=204)
 
     @app.delete("/people/{person}/recordings/{recording}", tags=["recordings"], status_code=204)
     async def delete(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Delete a recording with its file; one that runs is ended."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
-        await recordings.delete(found(person, recording))
+        await recordings.delete(recording_of(person, recording))
         return Response(status_code=204)
 
 
 def _add_files(app: FastAPI, people: People, recording_service: RecordingService) -> None:
     recordings, entities = recording_service.recordings, recording_service.entities
 
-    def found(person: str, recording: str) -> RecordingRow:
+    def recording_of(person: str, recording: str) -> RecordingRow:
         return recordings.recording(recording, people.person(person).pseudonym)
 
     @app.get(
@@ -93,7 +93,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
     ) -> StreamingResponse:
         """Return the decrypted MCAP file, with its SHA-256 in `Repr-Digest` (RFC 9530)."""
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        row = _ended(found(person, recording))
+        row = _ended(recording_of(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
         pieces = recordings.archive.read(row.id)
@@ -120,7 +120,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
     async def bundle(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return values and waveforms as an HL7 FHIR R5 Bundle, with SHA-256; 413 for a long recording."""
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        row = _ended(found(person, recording))
+        row = _ended(recording_of(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
         content = await recording_service.export.bundle(row, entities.id_of(row.id), time.time())
@@ -140,7 +140,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
     async def xdf(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Return signals, values and markers as XDF 1.0, with its SHA-256; 413 for a long recording."""
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        row = _ended(found(person, recording))
+        row = _ended(recording_of(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
         content = await recording_service.export.xdf(row)

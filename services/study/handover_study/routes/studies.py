@@ -84,7 +84,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     @app.get("/sessions/{session}", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def one(session: str) -> SessionWithAnswers:
         """Return a session with its step and its answers."""
-        present = await sessions.one(session)
+        present = await sessions.find(session)
         answers = {step: dict(answer.content) for step, answer in present.answers.items()}
         return {**view_of(present), "answers": answers}
 

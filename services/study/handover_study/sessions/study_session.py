@@ -52,7 +52,7 @@ class StudySessions:
         Repeating the same answer changes nothing; another answer raises `Problem` 409.
         """
         async with self._answering:
-            session = await self.one(session_id)
+            session = await self.find(session_id)
             content = checked(step, body)
             present = session.answers.get(step)
             if present is not None:
@@ -75,14 +75,14 @@ class StudySessions:
             answer = StepAnswer(content, session.language, session.last_at, iso(datetime.now(UTC)))
             lot = random.random()  # noqa: S311 - a random order, no secret
             await in_database(self._store.answer, session, step, answer, lot)
-            moved = await self.one(session_id)
+            moved = await self.find(session_id)
             await self._conditions.update(moved)
             return moved
 
     async def delete(self, session_id: str) -> None:
         """Delete a session beyond recovery; raises `Problem` 404."""
         async with self._answering:
-            await self.one(session_id)
+            await self.find(session_id)
             await in_database(self._store.delete, session_id)
             await self._conditions.remove(session_id)
 
@@ -94,7 +94,7 @@ class StudySessions:
                 await self.delete(session_id)
         return len(theirs)
 
-    async def one(self, session_id: str) -> Session:
+    async def find(self, session_id: str) -> Session:
         """Return a session; raises `Problem` 404."""
         session = await in_database(self._store.session, session_id)
         if session is None:
