@@ -147,7 +147,7 @@ def add_invitation_routes(app: FastAPI, directory: Directory) -> None:
         """Make a one-time link with which a person chooses name and password."""
         name = None if body.name is None else users.checked_name(body.name)
         grants = tuple(checked_grant(grant.role, grant.resource) for grant in body.grants)
-        return await _new_link(directory, caller, links.INVITATION, name=name, given=grants)
+        return await _new_link(directory, caller, links.INVITATION, name=name, grants=grants)
 
     @app.delete("/invitations/{link}", status_code=204, tags=["people"])
     async def withdraw(caller: Admin, link: str) -> None:
