@@ -47,7 +47,10 @@ class Person:
         """Wait for the Task of an activity, and return its id."""
 
         def shown() -> str | None:
-            task = next((one for one in self.tasks() if one["id"].endswith(f"-{element}-{visit}")), None)
+            task = next(
+                (candidate for candidate in self.tasks() if candidate["id"].endswith(f"-{element}-{visit}")),
+                None,
+            )
             return task["id"] if task and task["status"] not in {"completed", "failed"} else None
 
         return wait_for(shown, 60, f"{element} {visit} is not waited for")
@@ -118,8 +121,8 @@ def test_a_person_confirms_repeats_and_adjusts_the_views_before_a_part_is_picked
     person.answers("confirm_grip")
     person.answers("confirm_placed")
     person.sees_it_end()
-    asked = [person.asked_of(one["id"]) for one in person.tasks() if "-scan-" in one["id"]]
-    assert [(one["view"], one["offset"]) for one in asked] == [
+    asked = [person.asked_of(task["id"]) for task in person.tasks() if "-scan-" in task["id"]]
+    assert [(parameters["view"], parameters["offset"]) for parameters in asked] == [
         (0, [0, 0, 0]),
         (0, [0, 0, 0]),
         (0, [0.02, -0.01, 0.03]),

@@ -103,11 +103,11 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
 def test_the_scene_is_changed_by_rest(cell: Cell) -> None:
     cell.run("context_broker", "trajectory_tool")
     url = f"{cell.url('trajectory_tool')}/cell"
-    known = httpx.get(f"{url}/scene", timeout=120)
-    scene = known.json()
+    answer = httpx.get(f"{url}/scene", timeout=120)
+    scene = answer.json()
     assert scene["revision"] == 0
     scene["zones"] = {"walkway": {"kind": "reducedSpeed", "box": [1, 1, 2], "position": [1, 1, 1]}}
-    headers = {"If-Match": known.headers["ETag"]}
+    headers = {"If-Match": answer.headers["ETag"]}
     changed = httpx.put(f"{url}/scene", json=scene, headers=headers, timeout=120)
     assert changed.status_code == 200, changed.text
     assert changed.json()["revision"] == 1
@@ -120,7 +120,7 @@ def test_the_scene_is_changed_by_rest(cell: Cell) -> None:
     assert cell_view["scene"] == {"digest": changed.json()["digest"], "revision": 1}
     assert [robot["id"] for robot in cell_view["robots"]] == ["ur10-1"]
     shapes = httpx.get(f"{url}/scene", timeout=120).json()["shapes"]
-    assert [(one["name"], one["kind"]) for one in shapes] == [("walkway", "reducedSpeed")]
+    assert [(shape["name"], shape["kind"]) for shape in shapes] == [("walkway", "reducedSpeed")]
     entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
 
     def is_in_the_broker() -> bool:

@@ -36,8 +36,8 @@ def test_a_pick_where_no_part_is_ends_in_an_incident_that_says_so(cell: Cell) ->
         process = orchestrator.post("/processes", json=body).raise_for_status().json()["id"]
 
         def incident() -> dict[str, Any] | None:
-            found = orchestrator.get(f"/processes/{process}").json().get("incidents")
-            return dict(found[0]) if found else None
+            incidents = orchestrator.get(f"/processes/{process}").json().get("incidents")
+            return dict(incidents[0]) if incidents else None
 
         seen = wait_for(incident, 90, "the failed pick is no incident")
         assert seen["element"] == "pick"

@@ -68,8 +68,8 @@ class Tool:
         """Send messages, and return the answer of each."""
         with self.stream(path) as stream:
             answers = []
-            for each in messages:
-                stream.send(each if isinstance(each, str) else json.dumps(each))
+            for message in messages:
+                stream.send(message if isinstance(message, str) else json.dumps(message))
                 answers.append(json.loads(stream.recv(60)))
             return answers
 
@@ -86,19 +86,19 @@ def limit(fraction: float, **more: Any) -> dict[str, Any]:
 
 
 def test_without_sources_nothing_is_limited(tool: Tool) -> None:
-    found = tool.limits()
-    assert found["pace"] == 1.0
-    assert found["rule"] is None
-    assert "not a safety-rated function" in found["notice"]
-    assert found["safetyStatus"] is None
+    view = tool.limits()
+    assert view["pace"] == 1.0
+    assert view["rule"] is None
+    assert "not a safety-rated function" in view["notice"]
+    assert view["safetyStatus"] is None
 
 
 def test_a_reported_limit_lowers_the_pace_and_names_its_source(tool: Tool) -> None:
     (answer,) = tool.send("robots/ur10-1/speed_limits", limit(0.6))
     assert answer["accepted"]
-    found = tool.limits()
-    assert (found["pace"], found["rule"], found["reason"]) == (0.6, "heart", "heart rate 120")
-    assert found["limitSources"] == ["heart"]
+    view = tool.limits()
+    assert (view["pace"], view["rule"], view["reason"]) == (0.6, "heart", "heart rate 120")
+    assert view["limitSources"] == ["heart"]
 
 
 def test_bad_messages_are_answered_and_change_nothing(tool: Tool) -> None:
@@ -114,8 +114,8 @@ def test_bad_messages_are_answered_and_change_nothing(tool: Tool) -> None:
         limit(1.0) | {"fraction": "1"},
         "x" * 20_000,
     )
-    assert [each["accepted"] for each in answers] == [True, *[False] * 7]
-    assert all(each["reason"] for each in answers[1:])
+    assert [answer["accepted"] for answer in answers] == [True, *[False] * 7]
+    assert all(answer["reason"] for answer in answers[1:])
     assert tool.limits()["pace"] == 0.5
 
 
@@ -166,10 +166,10 @@ def test_a_source_is_required_after_a_restart_until_it_is_removed_with_a_reason(
 def test_people_near_the_robot_stop_it(tool: Tool) -> None:
     report = {"source": "lidar", "stamp": time.time(), "people": [{"id": "p1", "x": 0.3, "y": 0.0}]}
     tool.send("robots/ur10-1/people", report)
-    found = tool.limits()
-    assert found["pace"] == 0.0
-    assert found["rule"] == "separation"
-    assert found["separation"]["distance"] < 0.5
+    view = tool.limits()
+    assert view["pace"] == 0.0
+    assert view["rule"] == "separation"
+    assert view["separation"]["distance"] < 0.5
 
 
 def test_scans_and_depth_images_of_people_stop_the_robot(tool: Tool) -> None:
@@ -185,9 +185,9 @@ def test_scans_and_depth_images_of_people_stop_the_robot(tool: Tool) -> None:
         (answer,) = tool.send(f"cell/{stream}", measured.model_dump(mode="json", by_alias=True))
         assert answer["accepted"], answer
         assert tool.limits()["separation"]["distance"] < 0.5
-    found = tool.limits()
-    assert found["peopleSensors"] == ["lidar-1", "camera-1"]
-    assert (found["pace"], found["rule"]) == (0.0, "separation")
+    view = tool.limits()
+    assert view["peopleSensors"] == ["lidar-1", "camera-1"]
+    assert (view["pace"], view["rule"]) == (0.0, "separation")
     (answer,) = tool.send("cell/scans", {"source": "lidar-1", "stamp": time.time()})
     assert not answer["accepted"]
 
@@ -196,7 +196,7 @@ def test_reduced_mode_and_the_validated_speed_limit_the_tool(tool: Tool) -> None
     mode = tool.request("PUT", "/robots/ur10-1/limits/mode", {"name": "Aino", "mode": "reduced"}).json()
     assert mode["mode"] == "reduced"
     assert {"rule": "mode", "maxSpeed": 0.25} in [
-        {"rule": each["rule"], "maxSpeed": each["maxSpeed"]} for each in mode["rules"]
+        {"rule": rule["rule"], "maxSpeed": rule["maxSpeed"]} for rule in mode["rules"]
     ]
     safe = {
         "name": "Aino",
@@ -204,9 +204,9 @@ def test_reduced_mode_and_the_validated_speed_limit_the_tool(tool: Tool) -> None
         "speedMps": 0.2,
         "validatedAt": "2026-03-02T00:00:00Z",
     }
-    found = tool.request("PUT", "/robots/ur10-1/limits/safe-speed", safe).json()
-    assert found["reason"] == "gripper, validated on 2026-03-02"
-    assert found["safeSpeeds"] == [
+    view = tool.request("PUT", "/robots/ur10-1/limits/safe-speed", safe).json()
+    assert view["reason"] == "gripper, validated on 2026-03-02"
+    assert view["safeSpeeds"] == [
         {"endEffector": "gripper", "speedMps": 0.2, "validatedAt": "2026-03-02T00:00:00Z"}
     ]
     for fault in ({"speedMps": -1}, {"validatedAt": "2999-01-01T00:00:00Z"}):
@@ -272,8 +272,8 @@ def test_the_validated_speed_of_the_mounted_end_effector_holds(
     store.put("ur10-1", RobotRecord(safe_speeds=SPEEDS))
     stored = LimitStore(store.path)
     limits = RobotLimits("ur10-1", UR10, lambda: UR10.home, stored, end_effector=mounted)
-    (found,) = limits.allowed()
-    assert (found.rule, found.max_speed_mps, found.reason) == ("endEffector", max_mps, reason)
+    (allowed,) = limits.allowed()
+    assert (allowed.rule, allowed.max_speed_mps, allowed.reason) == ("endEffector", max_mps, reason)
 
 
 def test_a_validated_speed_of_an_earlier_release_holds(tmp_path: Path) -> None:

@@ -48,10 +48,10 @@ NEAR = (ROBOT.home[0] + 0.1, *ROBOT.home[1:])
 
 def a_world(pace: float | None, *, scene: Scene | None = None, **models: RobotModel) -> SharedWorld:
     """Return a world, by default with one arm and without bins."""
-    known, scene = models or {NAME: ROBOT}, scene or Scene(name="empty")
-    world = build(known, scene, Parts.needed(scene))
-    simulation = Simulation(world, {name: model.home for name, model in known.items()})
-    return SharedWorld(PacedSimulation(simulation, pace), known, scene, Parts(simulation, scene, 174))
+    robots, scene = models or {NAME: ROBOT}, scene or Scene(name="empty")
+    world = build(robots, scene, Parts.needed(scene))
+    simulation = Simulation(world, {name: model.home for name, model in robots.items()})
+    return SharedWorld(PacedSimulation(simulation, pace), robots, scene, Parts(simulation, scene, 174))
 
 
 class TestPhysicsRobot(RobotContract):
@@ -227,8 +227,8 @@ async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: P
     async with second.cell:
         assert second.robot.is_holding
         assert second.unit.held == seen["part"]
-        found = [second.robot.simulation.part_pose(part) for part in second.parts.in_bin("bin-1")]
-        assert max(one.distance_m(other) for one, other in zip(found, lying, strict=True)) < 1e-4
+        poses = [second.robot.simulation.part_pose(part) for part in second.parts.in_bin("bin-1")]
+        assert max(pose.distance_m(other) for pose, other in zip(poses, lying, strict=True)) < 1e-4
         placed = await second.do("place", location="fixture-1")
         assert placed["part"] == seen["part"]
 
@@ -243,13 +243,13 @@ async def test_a_part_is_put_into_a_fixture_that_was_moved_while_the_robot_held_
         before = [first.robot.simulation.part_pose(part) for part in lying]
         scene = first.cell.scene.model_dump(mode="json")
         fixture = scene["fixtures"]["fixture-1"]
-        for one in (fixture["body"], *fixture["nests"]):
-            one["position"][0] += 0.06
+        for spot in (fixture["body"], *fixture["nests"]):
+            spot["position"][0] += 0.06
         await first.cell.change_scene(scene)
         assert first.robot.simulation.time_s == time_s
         assert first.robot.is_holding
         after = [first.robot.simulation.part_pose(part) for part in lying]
-        assert max(one.distance_m(other) for one, other in zip(before, after, strict=True)) < 1e-9
+        assert max(pose.distance_m(other) for pose, other in zip(before, after, strict=True)) < 1e-9
         placed = await first.do("place", location="fixture-1")
         assert placed["pose"]["position"][0] > -0.56
         (part,) = first.parts.in_fixture("fixture-1")
@@ -282,17 +282,17 @@ async def test_a_fixed_camera_is_calibrated_by_balls_while_the_robot_rests(tmp_p
         with pytest.raises(TaskFailed, match="sees 2 balls, and 3 are needed"):
             await first.do("calibrateCamera", camera="above", targets=["ball-1", "ball-2"])
         joints = first.unit.joints
-        found = await first.do("calibrateCamera", camera="above")
+        result = await first.do("calibrateCamera", camera="above")
         assert first.unit.joints == pytest.approx(joints, abs=1e-6)
-    assert found["balls"] == 4
-    assert found["residualMm"] < 1.5
-    assert 0.5 < found["movedMm"] < 4.0
+    assert result["balls"] == 4
+    assert result["residualMm"] < 1.5
+    assert 0.5 < result["movedMm"] < 4.0
     second = PhysicsCell(tmp_path)
     cameras = second.robot.vision.cameras  # type: ignore[union-attr]
-    known, true = cameras.calibrated("above").frame, cameras["above"].mount.frame
-    assert math.dist(known.position, true.position) < 0.003
+    calibrated, true = cameras.calibrated("above").frame, cameras["above"].mount.frame
+    assert math.dist(calibrated.position, true.position) < 0.003
     point = Frame(NO_TURN, (0.0, 0.0, 1.1))
-    assert math.dist((known @ point).position, (true @ point).position) < 0.001
+    assert math.dist((calibrated @ point).position, (true @ point).position) < 0.001
 
 
 @pytest.mark.nightly
@@ -399,8 +399,8 @@ async def moves_of_two_arms() -> tuple[SharedWorld, bytes, int]:
 
 
 async def test_two_arms_move_at_once_in_one_world_with_the_same_result_each_time() -> None:
-    (world, one, both), (_, other, _) = await moves_of_two_arms(), await moves_of_two_arms()
-    assert one == other
+    (world, first, both), (_, second, _) = await moves_of_two_arms(), await moves_of_two_arms()
+    assert first == second
     assert both > 200
     assert world.simulation.arms["left"].positions[0] == pytest.approx(ROBOT.home[0] + 0.4, abs=0.005)
     assert world.simulation.arms["right"].positions[0] == pytest.approx(panda.ROBOT.home[0] + 0.4, abs=0.005)

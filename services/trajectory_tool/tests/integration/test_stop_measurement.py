@@ -11,10 +11,10 @@ async def test_the_stop_of_a_robot_is_measured(tmp_path: Path) -> None:
     settings = TrajectorySettings.load(data_dir=tmp_path)
     async with RobotCell(settings) as cell:
         unit = cell.only
-        found = await measure_stop(unit, (unit.home[0] + 3.0, *unit.home[1:]), 0.4)
-    assert found.speed_mps > 0.05
-    assert 0 <= found.delay_s <= found.duration_s
-    assert found.distance_m > 0.0
+        stop = await measure_stop(unit, (unit.home[0] + 3.0, *unit.home[1:]), 0.4)
+    assert stop.speed_mps > 0.05
+    assert 0 <= stop.delay_s <= stop.duration_s
+    assert stop.distance_m > 0.0
 
 
 def test_the_deceleration_leads_to_the_measured_way() -> None:

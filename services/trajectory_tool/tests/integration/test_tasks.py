@@ -42,7 +42,7 @@ class Shop:
     async def ask(self, operation: str, definition: str = "work", **parameters: Any) -> str:
         """Create a Task and return its id; without `operation` its definition says what to do."""
         task_id = f"urn:ngsi-ld:Task:demo:{operation or definition}-{next(self._numbers)}"
-        given = {"operation": operation, **parameters} if operation else parameters
+        work_parameters = {"operation": operation, **parameters} if operation else parameters
         await self.broker.create(
             Task.from_ngsild(
                 {
@@ -51,7 +51,7 @@ class Shop:
                     "isDefinedBy": f"urn:ngsi-ld:TaskDefinition:demo:{definition}",
                     "status": {"type": "Property", "value": "pending", "observedAt": _now()},
                     "involves": {"type": "Property", "value": [{"type": "Relationship", "object": ROBOT}]},
-                    "workParameters": {"type": "Property", "value": given},
+                    "workParameters": {"type": "Property", "value": work_parameters},
                 }
             )
         )
@@ -261,7 +261,7 @@ async def test_the_subscription_of_a_robot_that_was_removed_is_deleted_and_no_ot
 
     async def ids() -> set[str]:
         listed = await shop.broker.subscriptions()
-        return {str(each["id"]).removeprefix("urn:ngsi-ld:Subscription:demo:") for each in listed}
+        return {str(entity["id"]).removeprefix("urn:ngsi-ld:Subscription:demo:") for entity in listed}
 
     async def is_gone() -> bool:
         return "trajectory-tool-gone-tasks" not in await ids()

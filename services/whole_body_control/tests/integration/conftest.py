@@ -38,8 +38,8 @@ class HumanoidCell:
 
     def cycle(self) -> dict[str, Any]:
         """Return what is known of the control process."""
-        found: dict[str, Any] = self.http.get("/cycle").json()
-        return found
+        view: dict[str, Any] = self.http.get("/cycle").json()
+        return view
 
     def post(self, path: str, body: Any = None, status: int = 200) -> Any:
         """Post, and return the answer with this status."""

@@ -101,8 +101,8 @@ class Heart:
         limit: dict[str, Any] = self._humanoid.state()["limit"]
         return not limit["needsReset"] and limit["rule"].startswith("body-") and limit["factor"] > fraction
 
-    def _put(self, path: str, given: Any) -> None:
-        self._body.put(path, json=given).raise_for_status()
+    def _put(self, path: str, body: Any) -> None:
+        self._body.put(path, json=body).raise_for_status()
 
 
 @contextmanager
@@ -111,7 +111,7 @@ def heart_at(humanoid: HumanoidCell) -> Iterator[Heart]:
     humanoid.cell.run("human_state")
     with httpx.Client(base_url=humanoid.cell.url("human_state"), trust_env=False, timeout=60) as body:
         yield Heart(humanoid, body)
-    sources = [one["source"] for one in humanoid.http.get("/limits").json()]
+    sources = [limit["source"] for limit in humanoid.http.get("/limits").json()]
     humanoid.cell.kill("human_state")
 
     def is_free() -> bool:  # what was received before the end may still be read, and bring a source back

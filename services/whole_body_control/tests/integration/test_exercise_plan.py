@@ -62,29 +62,29 @@ def run_plan(
         with patient:
             wait_for(running.is_over, 4 * WITHIN_S, "both exercises end")
         assert running.status() == "completed"
-    found = sessions_of(humanoid, parameters["person"])
-    assert [one["endedBy"] for one in found] == ["goal", "goal"]
-    assert all(one["task"] for one in found)
-    return found
+    sessions = sessions_of(humanoid, parameters["person"])
+    assert [session["endedBy"] for session in sessions] == ["goal", "goal"]
+    assert all(session["task"] for session in sessions)
+    return sessions
 
 
 def sessions_of(humanoid: HumanoidCell, person: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = humanoid.http.get("/sessions", params={"person": person}).json()
-    return found[::-1]
+    sessions: list[dict[str, Any]] = humanoid.http.get("/sessions", params={"person": person}).json()
+    return sessions[::-1]
 
 
 @pytest.mark.nightly
 def test_a_juggling_plan_runs_as_a_process(humanoid: HumanoidCell) -> None:
     parameters = {"person": "bert", "warmUpThrows": 1, "throws": 1}
     sessions = run_plan(humanoid, "juggling-exercise", parameters, catching_patient(humanoid))
-    assert [one["throws"] for one in sessions] == [1, 1]
+    assert [session["throws"] for session in sessions] == [1, 1]
 
 
 @pytest.mark.nightly
 def test_a_walking_plan_runs_as_a_process_and_the_robot_is_led(humanoid: HumanoidCell) -> None:
     parameters = {"person": "clara", "warmUpSeconds": 5, "seconds": 10}
     sessions = run_plan(humanoid, "walking-exercise", parameters, leading_patient(humanoid))
-    assert [one["application"] for one in sessions] == ["walking", "walking"]
+    assert [session["application"] for session in sessions] == ["walking", "walking"]
     assert sessions[1]["distanceM"] > 0.1
     report = humanoid.http.get(f"/sessions/{sessions[1]['id']}/report").json()
     assert 3 < report["highestForceN"] < 15

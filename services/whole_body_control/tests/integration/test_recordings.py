@@ -13,8 +13,8 @@ from tests.kit.waiting import wait_for
 
 
 def _one(humanoid: HumanoidCell, recording: str) -> dict[str, Any]:
-    found: list[dict[str, Any]] = humanoid.http.get("/recordings").json()
-    return next(each for each in found if each["id"] == recording)
+    recordings: list[dict[str, Any]] = humanoid.http.get("/recordings").json()
+    return next(listed for listed in recordings if listed["id"] == recording)
 
 
 def _start(humanoid: HumanoidCell, label: str = "") -> dict[str, Any]:
@@ -44,9 +44,9 @@ def test_what_the_cycle_did_is_recorded_downloaded_and_replayed(humanoid: Humano
     assert (set(topics), len(topics)) == ({"/state", "/wish", "/live"}, ended["messages"])
 
     replay = humanoid.http.get(f"{this}/frames").json()
-    documents = [each["document"] for each in replay["frames"]]
-    assert all(each["phase"] == "standing" and len(each["joints"]) == 29 for each in documents)
-    times = [each["t"] for each in replay["frames"]]
+    documents = [frame["document"] for frame in replay["frames"]]
+    assert all(document["phase"] == "standing" and len(document["joints"]) == 29 for document in documents)
+    times = [frame["t"] for frame in replay["frames"]]
     assert times == sorted(times)
     assert 0 <= times[0] <= times[-1] <= replay["durationS"]
     middle = replay["durationS"] / 2
@@ -75,11 +75,11 @@ def test_a_recording_is_complete_after_the_service_was_killed_and_old_ones_make_
     humanoid.cell.kill(SERVICE)
     (folder / "R-0123456789abcdef.mcap").touch()  # its deletion was interrupted
     humanoid.start()
-    found = _one(humanoid, made["id"])
-    assert (found["state"], found["endReason"]) == ("ended", "interrupted")
-    assert found["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    listed = _one(humanoid, made["id"])
+    assert (listed["state"], listed["endReason"]) == ("ended", "interrupted")
+    assert listed["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert humanoid.http.get(f"/recordings/{made['id']}/frames").json()["frames"]
-    assert [each.name for each in folder.iterdir()] == [path.name]
+    assert [file.name for file in folder.iterdir()] == [path.name]
     humanoid.cell.extra["HANDOVER_HUMANOID_RECORDING_MINUTES"] = "0.01"
     humanoid.cell.extra["HANDOVER_HUMANOID_RECORDING_DAYS"] = "0.000001"
     humanoid.cell.restart(SERVICE)

@@ -17,8 +17,8 @@ from tests.kit.waiting import wait_for
 @pytest.mark.nightly
 def test_the_model_is_shown_by_chains_and_drawn_by_its_urdf(humanoid: HumanoidCell) -> None:
     models = humanoid.http.get("/humanoids").json()
-    model = next(each for each in models if each["model"] == "coman")
-    assert all(each["problem"] or each["joints"] > 20 for each in models)
+    model = next(described for described in models if described["model"] == "coman")
+    assert all(described["problem"] or described["joints"] > 20 for described in models)
     assert (model["model"], model["name"], model["drivers"]) == ("coman", "coman-1", ["simulated"])
     shown = humanoid.http.get("/model").json()
     arm = next(chain for chain in shown["chains"] if chain["name"] == "right_arm")
@@ -31,7 +31,7 @@ def test_the_model_is_shown_by_chains_and_drawn_by_its_urdf(humanoid: HumanoidCe
 def test_the_live_state_follows_the_clock_of_the_robot(humanoid: HumanoidCell) -> None:
     with connect(socket_url(humanoid, "/live"), proxy=None) as socket:
         documents = [orjson.loads(socket.recv(timeout=WITHIN_S)) for _ in range(5)]
-    assert [one["phase"] for one in documents] == ["standing"] * 5
+    assert [document["phase"] for document in documents] == ["standing"] * 5
     assert documents[-1]["t"] > documents[0]["t"]
     assert documents[0]["base"][2] > 0.4
     shares = [documents[0]["feet"][side]["share"] for side in ("left", "right")]
@@ -59,8 +59,8 @@ def test_gains_of_chains_are_changed_within_their_limits_stored_and_reset(humano
     humanoid.start()
 
     def chain(name: str) -> dict[str, Any]:
-        found: list[dict[str, Any]] = humanoid.http.get("/gains").json()
-        return next(each for each in found if each["chain"] == name)
+        gains: list[dict[str, Any]] = humanoid.http.get("/gains").json()
+        return next(of_chain for of_chain in gains if of_chain["chain"] == name)
 
     def applied() -> tuple[float, float]:
         shares = humanoid.state()["gains"]["left_arm"]
@@ -85,7 +85,7 @@ def test_gains_of_chains_are_changed_within_their_limits_stored_and_reset(humano
     humanoid.start()
     assert chain("left_arm")["stiffness"] == most
     wait_for(lambda: applied() == (most, 0.8), WITHIN_S, "the joints have the gains")
-    actions = [each["action"] for each in humanoid.http.get("/audit").json()]
+    actions = [record["action"] for record in humanoid.http.get("/audit").json()]
     assert any("gains" in action.lower() for action in actions), actions
     assert humanoid.http.delete("/gains").status_code == 200
     wait_for(lambda: applied() == (1.0, 1.0), WITHIN_S, "the gains of the model")
@@ -139,8 +139,8 @@ def test_inputs_that_are_invalid_or_of_another_role_are_refused_with_a_reason(hu
 
         def answer(message: object) -> dict[str, object]:
             socket.send(orjson.dumps(message).decode())
-            found: dict[str, object] = orjson.loads(socket.recv(timeout=WITHIN_S))
-            return found
+            document: dict[str, object] = orjson.loads(socket.recv(timeout=WITHIN_S))
+            return document
 
         assert answer({"kind": "pose", "t": 12.5, "tracking": "ok"}) == {"kind": "echo", "t": 12.5}
         assert "does not send" in str(answer({"kind": "wish", "held": True})["reason"])

@@ -84,7 +84,7 @@ def has_ball(humanoid: HumanoidCell, phase: str) -> bool:
 
 def has_ended(humanoid: HumanoidCell, session: str) -> bool:
     """Return whether a session has reached its goal; on a slow machine it pauses for silence meanwhile."""
-    found: dict[str, Any] = humanoid.http.get(f"/sessions/{session}").json()
-    if (found["live"] or {}).get("state") == "paused":
+    view: dict[str, Any] = humanoid.http.get(f"/sessions/{session}").json()
+    if (view["live"] or {}).get("state") == "paused":
         humanoid.http.post(f"/sessions/{session}/resume")
-    return bool(found["endedBy"] == "goal")
+    return bool(view["endedBy"] == "goal")

@@ -20,11 +20,11 @@ def colours(file: Path) -> int:
 
 @pytest.mark.nightly
 def test_throws_and_the_times_of_the_solver_are_drawn(tmp_path: Path) -> None:
-    found = draw_throws(COMAN, tmp_path / "throws.png", throws=1)
-    assert len(found.errors_mm) == len(COMAN.grips)
-    assert found.errors_mm.max() < 100
-    assert len(found.solve_us) > 200
-    assert found.solve_us.min() > 0
+    figure = draw_throws(COMAN, tmp_path / "throws.png", throws=1)
+    assert len(figure.errors_mm) == len(COMAN.grips)
+    assert figure.errors_mm.max() < 100
+    assert len(figure.solve_us) > 200
+    assert figure.solve_us.min() > 0
     assert colours(tmp_path / "throws.png") > 20
 
 

@@ -45,8 +45,8 @@ def new_robot(controller: RunningController, context: RobotContext) -> NewRobot:
 
     @asynccontextmanager
     async def make(*, wait: bool = True, **options: Any) -> AsyncIterator[UniversalRobot]:
-        known = replace(context, options=controller.options(**options))
-        async with UniversalRobot.from_context(known) as robot:
+        complete = replace(context, options=controller.options(**options))
+        async with UniversalRobot.from_context(complete) as robot:
             if wait:
                 await until(lambda: robot.exchange.report().is_connected, why="no report of the controller")
             yield robot

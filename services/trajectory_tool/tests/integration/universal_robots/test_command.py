@@ -35,10 +35,10 @@ async def test_the_command_serves_a_driver_and_lines_of_input_are_acts_at_the_ar
         async with asyncio.timeout(scaled(20)):
             started = await process.stdout.readline()
         assert started.decode().startswith(f"simulated controller on {HOST}: RTDE {ports['rtde']}")
-        known = replace(
+        complete = replace(
             context, options={"host": HOST, **{f"{name}_port": port for name, port in ports.items()}}
         )
-        async with UniversalRobot.from_context(known) as robot:
+        async with UniversalRobot.from_context(complete) as robot:
             await until(lambda: robot.exchange.report().is_connected)
             process.stdin.write(b"push 0.25 0 0 0 0 0\n")
             async with asyncio.timeout(scaled(20)):

@@ -23,4 +23,4 @@ class TestUniversalRobot(RobotContract):
 
     @pytest.fixture
     def move_by_hand(self, controller: RunningController) -> Callable[[Joints], None]:
-        return lambda displacements: controller.do(lambda each: each.move_by_hand(displacements))
+        return lambda displacements: controller.do(lambda simulated: simulated.move_by_hand(displacements))

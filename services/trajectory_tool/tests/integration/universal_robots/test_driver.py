@@ -43,7 +43,7 @@ async def in_motion(robot: UniversalRobot) -> None:
 
 
 async def at_rest(controller: RunningController) -> None:
-    await until(lambda: controller.do(lambda each: each.is_at_rest), why="the arm does not stop")
+    await until(lambda: controller.do(lambda simulated: simulated.is_at_rest), why="the arm does not stop")
 
 
 async def interrupted(robot: UniversalRobot, controller: RunningController, by: Any) -> str:
@@ -60,11 +60,11 @@ async def interrupted(robot: UniversalRobot, controller: RunningController, by: 
 async def test_a_protective_stop_is_named_and_only_a_person_ends_it(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
-    why = await interrupted(robot, controller, lambda each: each.protective_stop("collision"))
+    why = await interrupted(robot, controller, lambda simulated: simulated.protective_stop("collision"))
     assert "protective stop; remove the cause, then unlock the arm at the teach pendant" in why
     with pytest.raises(RobotFault, match="protective stop"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.PROTECTIVE_STOP
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.PROTECTIVE_STOP
     controller.do(SimulatedController.clear_stop)
     await until(lambda: robot.exchange.report().safety_status == UrSafetyStatus.NORMAL)
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
@@ -74,16 +74,16 @@ async def test_a_protective_stop_is_named_and_only_a_person_ends_it(
 async def test_an_arm_of_another_model_does_not_move_until_it_is_named(
     new_robot: NewRobot, controller: RunningController
 ) -> None:
-    controller.do(lambda each: setattr(each, "model", "UR5"))
+    controller.do(lambda simulated: setattr(simulated, "model", "UR5"))
     async with new_robot() as robot:
         with pytest.raises(
             RobotFault, match="its arm is a UR5, and motions of ur10-1 are planned for a UR10"
         ):
             await robot.move(AWAY, 1.0, lambda: 1.0)
-        assert controller.do(lambda each: each.programs_started) == 0
-        controller.do(lambda each: setattr(each, "model", "UR10"))
+        assert controller.do(lambda simulated: simulated.programs_started) == 0
+        controller.do(lambda simulated: setattr(simulated, "model", "UR10"))
         assert await robot.move(AWAY, 1.0, lambda: 1.0)
-    controller.do(lambda each: setattr(each, "model", "UR10e, calibrated"))
+    controller.do(lambda simulated: setattr(simulated, "model", "UR10e, calibrated"))
     async with new_robot(controller_model="any") as robot:
         assert await robot.move(HOME, 1.0, lambda: 1.0)
 
@@ -97,14 +97,18 @@ async def test_an_emergency_stop_is_named_and_the_arm_stays_off(
     await until(lambda: robot.exchange.report().safety_status == UrSafetyStatus.NORMAL)
     with pytest.raises(RobotFault, match="powered off; power it on at the teach pendant"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
-    assert controller.do(lambda each: each.robot_mode) is RobotMode.POWER_OFF
+    assert controller.do(lambda simulated: simulated.robot_mode) is RobotMode.POWER_OFF
 
 
 async def test_safety_functions_inputs_and_force_of_the_controller_are_shown_and_nothing_resets_them(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
-    def set_inputs(each: SimulatedController) -> None:
-        each.digital_inputs, each.tcp_force_n, each.speed_slider = 0b101, (0.0, 30.0, 40.0), 0.5
+    def set_inputs(simulated: SimulatedController) -> None:
+        simulated.digital_inputs, simulated.tcp_force_n, simulated.speed_slider = (
+            0b101,
+            (0.0, 30.0, 40.0),
+            0.5,
+        )
 
     controller.do(set_inputs)
     await until(lambda: robot.digital_inputs() == 0b101)
@@ -112,7 +116,7 @@ async def test_safety_functions_inputs_and_force_of_the_controller_are_shown_and
     status = robot.safety_status()
     assert (status.emergency_stop, status.protective_stop, status.safeguard_stop) == (False, False, False)
     assert (status.mode, status.speed, status.detail) == ("RUNNING, NORMAL", 0.5, "")
-    controller.do(lambda each: each.protective_stop("collision"))
+    controller.do(lambda simulated: simulated.protective_stop("collision"))
     await until(lambda: robot.safety_status().protective_stop)
     assert "unlock the arm at the teach pendant" in robot.safety_status().detail
     controller.do(SimulatedController.clear_stop)
@@ -121,7 +125,7 @@ async def test_safety_functions_inputs_and_force_of_the_controller_are_shown_and
     controller.do(SimulatedController.release_safeguard)
     controller.do(SimulatedController.emergency_stop)
     await until(lambda: robot.safety_status().emergency_stop)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.ROBOT_EMERGENCY_STOP
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.ROBOT_EMERGENCY_STOP
 
 
 async def test_without_reports_the_inputs_and_the_force_are_unknown(new_robot: NewRobot) -> None:
@@ -139,11 +143,11 @@ async def test_the_arm_does_not_continue_by_itself_after_a_safeguard_stop(
 ) -> None:
     why = await interrupted(robot, controller, SimulatedController.safeguard_stop)
     assert "leave the safeguarded space and reset the safeguard" in why
-    rest = controller.do(lambda each: tuple(each.positions))
-    cycles = controller.do(lambda each: each.time_s)
+    rest = controller.do(lambda simulated: tuple(simulated.positions))
+    cycles = controller.do(lambda simulated: simulated.time_s)
     controller.do(SimulatedController.release_safeguard)
-    await until(lambda: controller.do(lambda each: each.time_s) > cycles + 0.3)
-    assert controller.do(lambda each: tuple(each.positions)) == pytest.approx(rest)
+    await until(lambda: controller.do(lambda simulated: simulated.time_s) > cycles + 0.3)
+    assert controller.do(lambda simulated: tuple(simulated.positions)) == pytest.approx(rest)
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
@@ -158,7 +162,7 @@ async def test_the_arm_does_not_continue_by_itself_after_a_safeguard_stop(
 async def test_a_motion_needs_a_running_arm(
     robot: UniversalRobot, controller: RunningController, mode: RobotMode, why: str
 ) -> None:
-    controller.do(lambda each: setattr(each, "robot_mode", mode))
+    controller.do(lambda simulated: setattr(simulated, "robot_mode", mode))
     await until(lambda: robot.exchange.report().robot_mode == mode)
     with pytest.raises(RobotFault, match=why):
         await robot.move(AWAY, 1.0, lambda: 1.0)
@@ -166,7 +170,7 @@ async def test_a_motion_needs_a_running_arm(
 
 @pytest.mark.nightly
 async def test_local_control_is_named(robot: UniversalRobot, controller: RunningController) -> None:
-    controller.do(lambda each: setattr(each, "in_remote_control", False))
+    controller.do(lambda simulated: setattr(simulated, "in_remote_control", False))
     with pytest.raises(RobotFault, match="local control; select remote control"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
 
@@ -175,18 +179,20 @@ async def test_local_control_is_named(robot: UniversalRobot, controller: Running
 async def test_the_speed_slider_slows_the_motion(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
-    controller.do(lambda each: setattr(each, "speed_slider", 0.3))
+    controller.do(lambda simulated: setattr(simulated, "speed_slider", 0.3))
     await until(lambda: robot.exchange.report().speed_slider == pytest.approx(0.3))
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.peak_speed_rad_s) <= 0.3 * ROBOT.limits.velocity[0] + 0.02
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+    assert (
+        controller.do(lambda simulated: simulated.peak_speed_rad_s) <= 0.3 * ROBOT.limits.velocity[0] + 0.02
+    )
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL
 
 
 async def test_a_speed_slider_at_zero_is_a_fault(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
-    controller.do(lambda each: setattr(each, "speed_slider", 0.0))
+    controller.do(lambda simulated: setattr(simulated, "speed_slider", 0.0))
     await until(lambda: robot.exchange.report().speed_slider == 0.0)
     with pytest.raises(RobotFault, match="speed slider of the controller is at 0 %"):
         await robot.move(AWAY, 1.0, lambda: 1.0)
@@ -268,9 +274,9 @@ async def test_what_is_shown_of_a_controller_agrees_with_its_fault(
         controller.do(lambda simulated: setattr(simulated, "version", (3, 9, 1, 1)))
         controller.do(lambda _: controller.simulator.rtde.drop_clients())
         await until(lambda: "3.9.1.1" in str(shown(robot)["reason"]))
-        found = shown(robot)
-        assert not found["connected"]
-        assert "127.0.0.1 is not connected: the controller has the software 3.9.1.1" in found["fault"]
+        view = shown(robot)
+        assert not view["connected"]
+        assert "127.0.0.1 is not connected: the controller has the software 3.9.1.1" in view["fault"]
         with pytest.raises(RobotFault, match=r"the driver needs PolyScope 5\.4 or newer"):
             await robot.move(AWAY, 1.0, lambda: 1.0)
 
@@ -294,7 +300,7 @@ async def test_late_packages_of_the_controller_do_not_disturb_a_motion(
     controller.do(lambda _: setattr(controller.simulator.rtde, "output_delay_s", 0.008))
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -308,7 +314,7 @@ async def test_the_arm_stops_when_the_exchange_process_dies(
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
         await at_rest(controller)
-        assert controller.do(lambda each: each.positions[0]) < FAR[0]
+        assert controller.do(lambda simulated: simulated.positions[0]) < FAR[0]
         with pytest.raises(RobotFault):
             await moving
         await until(lambda: robot.exchange.pid != pid and robot.exchange.report().is_connected)
@@ -332,7 +338,7 @@ async def test_the_arm_stops_when_no_setpoints_arrive_and_the_motion_can_be_cont
         assert not await robot.move(FAR, 0.5, stall_once)
         assert stalled.is_set()
         await at_rest(controller)
-        assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+        assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL
         assert 0.28 < robot.state().positions[0] < FAR[0]
         while not await robot.move(AWAY, 1.0, lambda: 1.0):
             pass  # a busy machine may delay the setpoints again
@@ -353,14 +359,17 @@ async def test_two_motions_at_once_are_refused_without_disturbing_the_first(
 async def test_the_payload_is_set_by_the_program(new_robot: NewRobot, controller: RunningController) -> None:
     async with new_robot(payload_kg=1.2, payload_centre_m=(0.0, 0.01, 0.06)) as robot:
         assert await robot.move((0.1, *HOME[1:]), 1.0, lambda: 1.0)
-    assert controller.do(lambda each: (each.payload_kg, each.payload_centre_m)) == (1.2, (0.0, 0.01, 0.06))
+    assert controller.do(lambda simulated: (simulated.payload_kg, simulated.payload_centre_m)) == (
+        1.2,
+        (0.0, 0.01, 0.06),
+    )
 
 
 async def test_the_program_ends_with_the_tool(new_robot: NewRobot, controller: RunningController) -> None:
     async with new_robot() as robot:
         assert await robot.move((0.1, *HOME[1:]), 1.0, lambda: 1.0)
-        assert controller.do(lambda each: each.runtime) is RuntimeState.PLAYING
-    await until(lambda: controller.do(lambda each: each.runtime) is RuntimeState.STOPPED)
+        assert controller.do(lambda simulated: simulated.runtime) is RuntimeState.PLAYING
+    await until(lambda: controller.do(lambda simulated: simulated.runtime) is RuntimeState.STOPPED)
 
 
 async def test_a_stop_of_category_1_removes_the_power(
@@ -370,7 +379,7 @@ async def test_a_stop_of_category_1_removes_the_power(
     await in_motion(robot)
     await robot.stop(1)
     assert not await moving
-    assert controller.do(lambda each: each.robot_mode) is RobotMode.POWER_OFF
+    assert controller.do(lambda simulated: simulated.robot_mode) is RobotMode.POWER_OFF
 
 
 # Grippers
@@ -381,13 +390,13 @@ async def test_a_gripper_at_the_tool_outputs_reports_what_it_holds(
 ) -> None:
     async with new_robot(gripper="tool_io", tool_output=1, tool_input=0) as robot:
         assert not await robot.close_gripper()
-        assert controller.do(lambda each: each.digital_outputs) == 1 << 17
-        controller.do(lambda each: setattr(each, "digital_inputs", 1 << 16))
+        assert controller.do(lambda simulated: simulated.digital_outputs) == 1 << 17
+        controller.do(lambda simulated: setattr(simulated, "digital_inputs", 1 << 16))
         await until(lambda: robot.exchange.report().digital_inputs == 1 << 16)
         assert await robot.close_gripper()
         assert robot.gripper_closed
         await robot.open_gripper()
-        assert controller.do(lambda each: each.digital_outputs) == 0
+        assert controller.do(lambda simulated: simulated.digital_outputs) == 0
         assert not robot.gripper_closed
 
 

@@ -68,15 +68,15 @@ async def test_a_process_moves_the_arm(shop: Shop, controller: RunningController
         moved = [0.0]
 
         async def is_completed() -> Any:
-            moved[0] = max(moved[0], controller.do(lambda each: each.positions[0]))
+            moved[0] = max(moved[0], controller.do(lambda simulated: simulated.positions[0]))
             shown = (await api.get(f"/processes/{process}")).json()
             assert shown["status"] != "failed", shown
             return shown["status"] == "completed"
 
         await until(is_completed, 60.0, "the process does not end")
     assert moved[0] == pytest.approx(0.6, abs=0.02)
-    assert controller.do(lambda each: tuple(each.positions)) == pytest.approx(HOME, abs=0.005)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+    assert controller.do(lambda simulated: tuple(simulated.positions)) == pytest.approx(HOME, abs=0.005)
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -87,10 +87,10 @@ async def test_a_paused_task_continues_after_the_arm_was_moved_by_hand(
     await shop.in_motion()
     await shop.wish(task, "paused")
     await shop.comes_to(task, TaskStatus.PAUSED)
-    controller.do(lambda each: each.move_by_hand((0.1, 0.1, -0.1, 0.0, 0.0, 0.2)))
+    controller.do(lambda simulated: simulated.move_by_hand((0.1, 0.1, -0.1, 0.0, 0.0, 0.2)))
     await shop.wish(task, "inProgress")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL
 
 
 @pytest.mark.nightly
@@ -99,7 +99,7 @@ async def test_a_task_fails_with_the_state_of_the_controller(
 ) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     await shop.in_motion()
-    controller.do(lambda each: each.protective_stop("collision"))
+    controller.do(lambda simulated: simulated.protective_stop("collision"))
     failed = await shop.comes_to(task, TaskStatus.FAILED)
     assert "protective stop; remove the cause, then unlock the arm" in failed["reason"]
     async with httpx.AsyncClient(base_url=shop.cell.url("trajectory_tool"), timeout=120) as api:
@@ -115,13 +115,13 @@ async def test_the_arm_stops_when_the_tool_is_killed_and_continues_when_it_is_ba
     task = await shop.ask("moveTo", joints=AWAY, speed=0.3)
     await shop.in_motion()
     shop.cell.kill("trajectory_tool")
-    await until(lambda: controller.do(lambda each: each.is_at_rest), why="the arm does not stop")
-    await until(lambda: controller.do(lambda each: each.runtime) is RuntimeState.STOPPED)
-    rest = controller.do(lambda each: each.positions[0])
+    await until(lambda: controller.do(lambda simulated: simulated.is_at_rest), why="the arm does not stop")
+    await until(lambda: controller.do(lambda simulated: simulated.runtime) is RuntimeState.STOPPED)
+    rest = controller.do(lambda simulated: simulated.positions[0])
     assert 0 < rest < AWAY[0]
-    before_s = controller.do(lambda each: each.time_s)
-    await until(lambda: controller.do(lambda each: each.time_s) > before_s + 0.2)
-    assert controller.do(lambda each: each.positions[0]) == rest
+    before_s = controller.do(lambda simulated: simulated.time_s)
+    await until(lambda: controller.do(lambda simulated: simulated.time_s) > before_s + 0.2)
+    assert controller.do(lambda simulated: simulated.positions[0]) == rest
     shop.cell.start("trajectory_tool")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is UrSafetyStatus.NORMAL
+    assert controller.do(lambda simulated: simulated.safety) is UrSafetyStatus.NORMAL

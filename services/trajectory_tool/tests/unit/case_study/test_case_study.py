@@ -54,8 +54,8 @@ def test_the_table_has_the_paper_beside_what_was_measured(tmp_path: Path) -> Non
     assert written["measured"]["autonomous"]["apple"] == {"trials": 2, "success": 0.5, "meanTimeS": 10.0}
 
 
-def view(**given: object) -> View:
-    shown = {"goal_distance_m": None, "holds": None, "needs_release": False, **given}
+def view(**attributes: object) -> View:
+    shown = {"goal_distance_m": None, "holds": None, "needs_release": False, **attributes}
     return View(Frame(NO_TURN, (0.0, 0.0, 0.0)), **shown)  # type: ignore[arg-type]
 
 

@@ -116,9 +116,9 @@ async def test_robots_that_move_at_the_same_time_never_meet(
             assert not touches(left, right, joints, others)
 
 
-def touches(one: RobotUnit, other: RobotUnit, joints: Any, others: Any) -> bool:
+def touches(unit: RobotUnit, other: RobotUnit, joints: Any, others: Any) -> bool:
     volume = tuple(occupied("other", Arm(other.model), others, (), 0.0))
-    return not Collisions(Arm(one.model), World(volume)).is_free(np.array(joints))
+    return not Collisions(Arm(unit.model), World(volume)).is_free(np.array(joints))
 
 
 @needs_planning
@@ -128,8 +128,8 @@ async def test_a_swept_volume_contains_the_links_at_every_time(cell_of: Any) -> 
     plan = await unit.planning.plan(lambda planner: planner.to_joints(unit.home, target))
     arm = Arm(unit.model)
     copies: dict[str, list[Obstacle]] = {}
-    for one in swept("left", arm, plan.trajectory, (), 0.03):
-        copies.setdefault(one.name, []).append(one)
+    for volume in swept("left", arm, plan.trajectory, (), 0.03):
+        copies.setdefault(volume.name, []).append(volume)
     for joints in plan.trajectory.positions(0.005):
         for link in occupied("left", arm, tuple(joints), (), 0.0):
             assert any(is_inside(link, copy) for copy in copies[link.name]), link.name

@@ -63,8 +63,8 @@ def test_a_damaged_memory_is_refused_with_the_way_out(file: MemoryFile, text: st
 
 
 def test_a_memory_with_fewer_joints_than_names_is_damaged(file: MemoryFile) -> None:
-    one = replace(MEMORY.robots["ur10-1"], joints=(0.1, 0.2))
-    file.save(replace(MEMORY, robots={"ur10-1": one}))
+    robot = replace(MEMORY.robots["ur10-1"], joints=(0.1, 0.2))
+    file.save(replace(MEMORY, robots={"ur10-1": robot}))
     with pytest.raises(UsageError, match="is damaged"):
         file.load(SCENE.digest, ROBOTS)
 
@@ -72,10 +72,10 @@ def test_a_memory_with_fewer_joints_than_names_is_damaged(file: MemoryFile) -> N
 def test_the_memory_of_a_robot_with_other_joints_or_another_name_is_ignored(file: MemoryFile) -> None:
     file.save(MEMORY)
     for robots in ({"ur10-1": ("rail", *ROBOT.joint_names)}, {"ur10-2": ROBOT.joint_names}):
-        known = file.load(SCENE.digest, robots)
-        assert known is not None
-        assert known.contents == MEMORY.contents
-        assert known.robots == {}
+        memory = file.load(SCENE.digest, robots)
+        assert memory is not None
+        assert memory.contents == MEMORY.contents
+        assert memory.robots == {}
 
 
 def test_a_memory_that_cannot_be_read_is_named(file: MemoryFile) -> None:

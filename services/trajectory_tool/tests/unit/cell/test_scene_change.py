@@ -95,9 +95,9 @@ async def test_parts_follow_the_bins_and_fixtures(settings: TrajectorySettings) 
     moved = {**bin_1, "parts": bin_1["parts"][:2]}
     await cell.change_scene(written(cell, bins={"bin-1": bin_1, "bin-2": moved}))
     assert len(cell.contents.in_place("bin-1")) == 6
-    assert [one.part for one in cell.contents.in_place("bin-2")] == ["part-7", "part-8"]
+    assert [lying.part for lying in cell.contents.in_place("bin-2")] == ["part-7", "part-8"]
     await cell.change_scene(written(cell, bins={"bin-2": moved}))
-    assert {one.place for one in cell.contents.lying} == {"bin-2"}
+    assert {lying.place for lying in cell.contents.lying} == {"bin-2"}
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ async def test_each_thing_is_drawn_and_written(settings: TrajectorySettings) -> 
             zones={"walkway": {**sphere, "kind": "reducedSpeed"}, "gap": {**sphere, "kind": "keepOut"}},
         )
     )
-    drawn = {one["name"]: one["kind"] for one in drawn_shapes(cell.scene)}
+    drawn = {shape["name"]: shape["kind"] for shape in drawn_shapes(cell.scene)}
     assert drawn == {
         "crate": "obstacle",
         "fence": "fence",

@@ -132,13 +132,13 @@ def test_the_rotation_between_two_poses_is_the_shorter_way(angle: float, axis: l
     length = math.hypot(*axis)
     if length < 1e-3:
         return
-    x, y, z = (each / length for each in axis)
+    x, y, z = (part / length for part in axis)
     half = angle / 2
     turned = Pose(
         (0.0, 0.0, 0.0), (x * math.sin(half), y * math.sin(half), z * math.sin(half), math.cos(half))
     )
-    found = rotation_vector(Pose((0.0, 0.0, 0.0), UNIT), turned)
-    assert found == pytest.approx([angle * x, angle * y, angle * z], abs=1e-6)
+    vector = rotation_vector(Pose((0.0, 0.0, 0.0), UNIT), turned)
+    assert vector == pytest.approx([angle * x, angle * y, angle * z], abs=1e-6)
 
 
 def test_the_autonomous_motion_leads_to_its_goal_and_ends_there() -> None:
@@ -226,11 +226,11 @@ def test_joints_stay_within_their_speeds_and_the_tool_keeps_its_direction(
 ) -> None:
     model = ROBOTS.load("ur10")
     jacobian = np.array([(*linear, *angular) for linear, angular in model.jacobian(tuple(joints))]).T
-    limits = [0.3 * one for one in model.limits.velocity]
-    found = joint_velocities(jacobian, twist, limits)
-    assert np.all(np.abs(found) <= np.array(limits) + 1e-9)
+    limits = [0.3 * limit for limit in model.limits.velocity]
+    velocities = joint_velocities(jacobian, twist, limits)
+    assert np.all(np.abs(velocities) <= np.array(limits) + 1e-9)
     if np.linalg.svd(jacobian, compute_uv=False)[-1] > 0.08 and np.linalg.norm(twist) > 1e-3:
-        moved = jacobian @ found
+        moved = jacobian @ velocities
         cosine = float(moved @ twist) / (np.linalg.norm(moved) * np.linalg.norm(twist))
         assert cosine > 0.999
 
@@ -246,10 +246,10 @@ def test_the_short_way_to_joint_velocities_is_that_of_the_singular_values(
         joints = tuple(
             float(
                 chance.uniform(
-                    -2.5 if one.lower is None else one.lower, 2.5 if one.upper is None else one.upper
+                    -2.5 if joint.lower is None else joint.lower, 2.5 if joint.upper is None else joint.upper
                 )
             )
-            for one in model.joints
+            for joint in model.joints
         )
         jacobian = kinematics.jacobian(joints)
         in_python = np.array([(*linear, *angular) for linear, angular in model.jacobian(joints)]).T

@@ -47,19 +47,19 @@ class Person:
         while True:
             if not self.is_silent:
                 self._seq += 1
-                given = {"seq": self._seq, **self.given}
+                members = {"seq": self._seq, **self.given}
                 if self.state.get("needsRelease") and not self.is_stuck:
-                    given["held"] = False
-                await self.socket.send(orjson.dumps(given).decode())
+                    members["held"] = False
+                await self.socket.send(orjson.dumps(members).decode())
             await asyncio.sleep(0.02)
 
     async def receive(self) -> None:
         async for text in self.socket:
-            found = orjson.loads(text)
-            if found["type"] == "state":
-                self.state = found
-            elif found["type"] == "error":
-                self.errors.append(found["reason"])
+            received = orjson.loads(text)
+            if received["type"] == "state":
+                self.state = received
+            elif received["type"] == "error":
+                self.errors.append(received["reason"])
 
     @property
     def height_m(self) -> float:
@@ -69,11 +69,11 @@ class Person:
     def is_at_rest(self) -> bool:
         return not any(self.state["joints"]["velocity"])
 
-    async def hold(self, **given: Any) -> None:
+    async def hold(self, **members: Any) -> None:
         """Press the control and move; a release comes before, as the dead-man function requires."""
         self.given = {"held": False}
         await until(lambda: bool(self.state))
-        self.given = {"held": True, **given}
+        self.given = {"held": True, **members}
 
 
 async def until(condition: Callable[[], bool], bound_s: float = 60.0) -> None:

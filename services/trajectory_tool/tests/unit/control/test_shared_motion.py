@@ -24,10 +24,10 @@ class Hand:
     """A person whose inputs are a function of the time since the begin, 50 a second; None sends nothing."""
 
     def __init__(
-        self, worker: Worker, session: ControlSession, given: Callable[[float], dict[str, Any] | None]
+        self, worker: Worker, session: ControlSession, inputs: Callable[[float], dict[str, Any] | None]
     ) -> None:
         self.seen: list[tuple[float, Joints]] = []
-        self._time, self._session, self._given = worker.time, session, given
+        self._time, self._session, self._given = worker.time, session, inputs
         self._unit = worker.unit
         self._began_s = self._sent_s = worker.time.time_s
         self._seq = 0
@@ -39,10 +39,10 @@ class Hand:
         if now_s - self._sent_s < EVERY_S - 1e-6:
             return
         self._sent_s = now_s
-        given = self._given(now_s - self._began_s) if now_s < self._ends_s else {"held": False}
-        if given is not None:
+        members = self._given(now_s - self._began_s) if now_s < self._ends_s else {"held": False}
+        if members is not None:
             self._seq += 1
-            self._session.receive(HumanInput(seq=self._seq, **given))
+            self._session.receive(HumanInput(seq=self._seq, **members))
 
     async def act(self, duration_s: float) -> None:
         """Send for a time; the robot moves as the inputs say, and then comes to rest."""
@@ -59,19 +59,19 @@ class Hand:
 
     def joints_at(self, time_s: float) -> Joints:
         """Return the commanded joints at a time."""
-        return min(self.seen, key=lambda each: abs(each[0] - time_s))[1]
+        return min(self.seen, key=lambda seen: abs(seen[0] - time_s))[1]
 
 
 def session_of(worker: Worker) -> ControlSession:
     return ControlSession(worker.unit, (), now=lambda: worker.time.time_s)
 
 
-def held(**given: Any) -> dict[str, Any]:
-    return {"held": True, **given}
+def held(**members: Any) -> dict[str, Any]:
+    return {"held": True, **members}
 
 
-def after_a_release(given: Callable[[float], dict[str, Any] | None]) -> Callable[[float], Any]:
-    return lambda now_s: {"held": False} if now_s < 3 * EVERY_S else given(now_s)
+def after_a_release(inputs: Callable[[float], dict[str, Any] | None]) -> Callable[[float], Any]:
+    return lambda now_s: {"held": False} if now_s < 3 * EVERY_S else inputs(now_s)
 
 
 @pytest.mark.parametrize("mix", [0.0, 0.3, 1.0])
@@ -113,7 +113,7 @@ async def test_a_person_who_steers_away_from_the_goal_is_never_overridden(
     worker: Worker, *, asked: float, is_arbitrated: bool
 ) -> None:
     for direction in ((0.0, 0.0, 1.0), (0.5, 0.1, 1.0)):
-        x, y, z = (0.15 * each / math.hypot(*direction) for each in direction)
+        x, y, z = (0.15 * part / math.hypot(*direction) for part in direction)
 
         def to_the_goal_then_away(now_s: float, away: Vector = (x, y, z)) -> dict[str, Any]:
             linear = (0.0, 0.0, 0.0) if now_s < 7.0 else away

@@ -33,7 +33,7 @@ def test_a_goal_ends_at_rest_at_its_target_after_the_time_planned(speed: float, 
     assert len(made) <= MAX_POINTS <= MAX_MESSAGE_POINTS
     assert made[-1].positions == AWAY
     assert made[-1].velocities == (0.0,) * 6
-    times_s = [one.time_s for one in made]
+    times_s = [point.time_s for point in made]
     assert times_s == sorted(set(times_s))
     assert times_s[0] > 0
     assert times_s[-1] == pytest.approx((len(planned) - 1) * CYCLE_S - late_s)
@@ -41,13 +41,14 @@ def test_a_goal_ends_at_rest_at_its_target_after_the_time_planned(speed: float, 
 
 def test_a_goal_that_is_late_has_the_same_points_at_the_same_times() -> None:
     planned = setpoints(1.0)
-    punctual = {round(one.time_s, 4): one.positions for one in points(planned, CYCLE_S)}
+    punctual = {round(point.time_s, 4): point.positions for point in points(planned, CYCLE_S)}
     late = {
-        round(one.time_s + 2 * CYCLE_S, 4): one.positions for one in points(planned, CYCLE_S, 2 * CYCLE_S)
+        round(point.time_s + 2 * CYCLE_S, 4): point.positions
+        for point in points(planned, CYCLE_S, 2 * CYCLE_S)
     }
     at_both = [time_s for time_s in late if time_s in punctual]
     assert all(late[time_s] == punctual[time_s] for time_s in at_both)
-    every = {round(number * CYCLE_S, 4): one.positions for number, one in enumerate(planned)}
+    every = {round(number * CYCLE_S, 4): setpoint.positions for number, setpoint in enumerate(planned)}
     assert all(every[time_s] == pytest.approx(here, abs=1e-6) for time_s, here in late.items())
 
 

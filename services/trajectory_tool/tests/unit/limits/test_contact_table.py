@@ -53,10 +53,10 @@ def cell_with(
 
 
 def test_the_force_of_the_two_body_model_is_the_limit() -> None:
-    found = speed_mps(entry(), "hand", BodyRegion.model_validate(HAND))
+    speed = speed_mps(entry(), "hand", BodyRegion.model_validate(HAND))
     reduced_kg = 1 / (1 / 10 + 1 / 0.6)
-    assert found == pytest.approx(1.36, abs=0.01)
-    assert reduced_kg * found**2 / 2 == pytest.approx(280**2 / (2 * 75e3)), "the energy of the spring"
+    assert speed == pytest.approx(1.36, abs=0.01)
+    assert reduced_kg * speed**2 / 2 == pytest.approx(280**2 / (2 * 75e3)), "the energy of the spring"
     clamped = speed_mps(entry(may_clamp=True), "hand", BodyRegion.model_validate(HAND))
     assert clamped == pytest.approx(140 / math.sqrt(10 * 75e3))
 
@@ -100,8 +100,8 @@ def test_a_contact_table_never_raises_a_limit(store: LimitStore, mps: float, vel
     without = RobotLimits("ur10-1", UR10, lambda: UR10.home, store)
     limits = RobotLimits("ur10-1", UR10, lambda: UR10.home, store, contact_speed=permitted)
     moving = Setpoint(UR10.home, tuple(velocities), (0.0,) * 6)
-    for each in (without, limits):
-        each.begin_motion(lambda _: moving, 0.1)
+    for robot_limits in (without, limits):
+        robot_limits.begin_motion(lambda _: moving, 0.1)
     assert limits.pace() <= without.pace()
     assert limits.tool_limit_mps() <= without.tool_limit_mps()
     assert limits.pace() * limits.peak_mps <= mps * (1 + 1e-9)
@@ -161,7 +161,7 @@ async def test_contacts_limit_motions_only_where_people_may_be(
     async with made:
         unit = made.only
         await Work("task", "moveTo", unit, Freely(), 1.0).go((1.5, *unit.joints[1:]))
-        slowest = min(unit.speed.allowed(), key=lambda each: each.fraction)
+        slowest = min(unit.speed.allowed(), key=lambda rule: rule.fraction)
         assert (slowest.rule, slowest.fraction < 0.9) == ("contact", is_slow)
         assert unit.speed.tool_limit_mps() == math.inf
         (bench,) = unit.speed.zones

@@ -28,7 +28,7 @@ from handover_robots.robots import ROBOTS
 CYCLE_S = 0.001
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 UR10 = ROBOTS.load("ur10")
-RANGES = [(each.lower, each.upper) for each in UR10.joints]
+RANGES = [(joint.lower, joint.upper) for joint in UR10.joints]
 
 
 def limiter_of(*guards: object) -> JointLimiter:
@@ -38,17 +38,17 @@ def limiter_of(*guards: object) -> JointLimiter:
 def require_limits(setpoints: list[Setpoint], exact: float = 1 + 1e-6) -> None:
     """Require the limits of each setpoint, and those of the change from one to the next."""
     limits = UR10.limits
-    for one in setpoints:
+    for setpoint in setpoints:
         for number, (lower, upper) in enumerate(RANGES):
-            assert lower is None or one.positions[number] >= lower - 1e-6
-            assert upper is None or one.positions[number] <= upper + 1e-6
-            assert abs(one.velocities[number]) <= limits.velocity[number] * exact
-            assert abs(one.accelerations[number]) <= limits.acceleration[number] * exact
-    for one, following in pairwise(setpoints):
+            assert lower is None or setpoint.positions[number] >= lower - 1e-6
+            assert upper is None or setpoint.positions[number] <= upper + 1e-6
+            assert abs(setpoint.velocities[number]) <= limits.velocity[number] * exact
+            assert abs(setpoint.accelerations[number]) <= limits.acceleration[number] * exact
+    for setpoint, following in pairwise(setpoints):
         for limit, before, after in (
-            (limits.velocity, one.positions, following.positions),
-            (limits.acceleration, one.velocities, following.velocities),
-            (limits.jerk, one.accelerations, following.accelerations),
+            (limits.velocity, setpoint.positions, following.positions),
+            (limits.acceleration, setpoint.velocities, following.velocities),
+            (limits.jerk, setpoint.accelerations, following.accelerations),
         ):
             for most, a, b in zip(limit, before, after, strict=True):
                 assert abs(b - a) <= most * CYCLE_S * exact + 1e-9
@@ -74,33 +74,38 @@ def jogged(limiter: JointLimiter, chance: random.Random, seconds: float) -> list
     now_s, ends_s, changes_s, pace = 5.0, 5.0 + seconds, 0.0, 1.0
     jog = Jog(UR10.home, lambda: command[0], lambda: now_s >= ends_s, limiter)
     limiter.start(UR10.home, now_s)
-    found = []
+    setpoints = []
     while True:
         if now_s >= changes_s:
             command[0], changes_s = random_velocity(chance), now_s + chance.uniform(0.001, 0.8)
             pace = chance.choice([1.0, 1.0, 0.5, 0.02])
-        found.append(limiter.limit(jog.at(now_s, pace=pace), now_s))
+        setpoints.append(limiter.limit(jog.at(now_s, pace=pace), now_s))
         if jog.is_over(now_s):
-            return found
+            return setpoints
         now_s += CYCLE_S
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_jogging_never_violates_a_limit(seed: int) -> None:
-    found = jogged(limiter_of(), random.Random(seed), 4.0)
-    require_limits(found)
-    assert found[-1].is_at_rest
-    assert max(abs(a - b) for a, b in zip(found[-1].positions, UR10.home, strict=True)) > 0.01
+    setpoints = jogged(limiter_of(), random.Random(seed), 4.0)
+    require_limits(setpoints)
+    assert setpoints[-1].is_at_rest
+    assert max(abs(a - b) for a, b in zip(setpoints[-1].positions, UR10.home, strict=True)) > 0.01
 
 
 def test_a_joint_whose_brake_motion_ends_at_rest_but_for_rounding_can_stop() -> None:
     accelerations = (15.0, -7.5, -10.0, 12.5, -15.0, 20.0, 20.0)
     limits = Limits(
-        (2.0,) * 7, tuple(map(abs, accelerations)), tuple(500 * abs(one) for one in accelerations)
+        (2.0,) * 7,
+        tuple(map(abs, accelerations)),
+        tuple(500 * abs(acceleration) for acceleration in accelerations),
     )
     limiter = JointLimiter(limits)
-    velocities = tuple(-math.copysign(one * one / 2 / (500 * abs(one)), one) for one in accelerations)
-    rounded = tuple(one + math.copysign(4.4e-15, one) for one in velocities)
+    velocities = tuple(
+        -math.copysign(acceleration * acceleration / 2 / (500 * abs(acceleration)), acceleration)
+        for acceleration in accelerations
+    )
+    rounded = tuple(velocity + math.copysign(4.4e-15, velocity) for velocity in velocities)
     limiter.resume(Setpoint((0.0,) * 7, rounded, accelerations), 0.0)
     assert limiter.step((0.0,) * 7, 0.1).velocities == (0.0,) * 7
     assert limiter.brake(0.2).velocities == (0.0,) * 7
@@ -132,23 +137,23 @@ def test_the_box_of_a_way_to_rest_has_the_whole_way(seed: int) -> None:
 def test_a_joint_that_is_jogged_to_its_end_stops_there() -> None:
     limiter = limiter_of()
     limiter.start(UR10.home, 0.0)
-    found = []
+    setpoints = []
     for cycle in range(8000):
         now_s = cycle * CYCLE_S
-        found.append(limiter.limit(limiter.step((0.0, 0.0, 3.0, 0.0, 0.0, 0.0), now_s), now_s))
-    require_limits(found)
+        setpoints.append(limiter.limit(limiter.step((0.0, 0.0, 3.0, 0.0, 0.0, 0.0), now_s), now_s))
+    require_limits(setpoints)
     upper = RANGES[2][1]
     assert upper is not None
-    assert upper - 0.05 < found[-1].positions[2] <= upper + 1e-6
-    assert abs(found[-1].velocities[2]) < 0.05
+    assert upper - 0.05 < setpoints[-1].positions[2] <= upper + 1e-6
+    assert abs(setpoints[-1].velocities[2]) < 0.05
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_tool_is_slow_in_reduced_mode(seed: int) -> None:
     limiter = limiter_of(ToolSpeedGuard(UR10, lambda: 0.25))
-    found = jogged(limiter, random.Random(seed), 1.5)
-    require_limits(found)
-    assert 0.02 < max(tool_speed_mps(UR10, each) for each in found) <= 0.25
+    setpoints = jogged(limiter, random.Random(seed), 1.5)
+    require_limits(setpoints)
+    assert 0.02 < max(tool_speed_mps(UR10, setpoint) for setpoint in setpoints) <= 0.25
 
 
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -165,10 +170,10 @@ def test_jogging_never_touches_the_table_or_the_robot(seed: int) -> None:
             Obstacle("wall", Box((0.05, 3.0, 2.0)), Pose((-0.9, 0.0, 1.0), UPRIGHT)),
         ),
     )
-    found = jogged(limiter_of(CollisionGuard(UR10, lambda: world)), random.Random(seed), 3.0)
-    require_limits(found)
+    setpoints = jogged(limiter_of(CollisionGuard(UR10, lambda: world)), random.Random(seed), 3.0)
+    require_limits(setpoints)
     collisions = Collisions(Arm(UR10), world)
-    assert all(collisions.is_free(np.array(each.positions)) for each in found)
+    assert all(collisions.is_free(np.array(setpoint.positions)) for setpoint in setpoints)
 
 
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -195,13 +200,13 @@ def test_a_motion_with_random_paces_and_a_stop_never_violates_a_limit(seed: int)
     limiter.start(UR10.home, 0.0)
     course = Course(UR10.home, target, cruise, UR10.limits, 0.0)
     stops_s, now_s, changes_s, pace = chance.uniform(0.2, 4.0), 0.0, 0.0, 1.0
-    found = []
-    while not found or not course.is_over(now_s):
+    setpoints = []
+    while not setpoints or not course.is_over(now_s):
         if now_s >= changes_s:
             pace, changes_s = chance.uniform(0.05, 1.0), now_s + chance.uniform(0.001, 0.5)
-        found.append(limiter.limit(course.at(now_s, pace=0.0 if now_s > stops_s else pace), now_s))
+        setpoints.append(limiter.limit(course.at(now_s, pace=0.0 if now_s > stops_s else pace), now_s))
         now_s += CYCLE_S
-    require_limits(found, exact=1.001)
+    require_limits(setpoints, exact=1.001)
 
 
 @pytest.mark.parametrize(
@@ -218,14 +223,14 @@ def test_a_setpoint_beyond_a_limit_is_a_fault_and_the_joints_brake(setpoint: Set
     limiter = limiter_of()
     limiter.start(UR10.home, 0.0)
     course = Course(UR10.home, (1.0, *UR10.home[1:]), UR10.limits, UR10.limits, 0.0)
-    found = [limiter.limit(course.at(cycle * CYCLE_S), cycle * CYCLE_S) for cycle in range(300)]
+    setpoints = [limiter.limit(course.at(cycle * CYCLE_S), cycle * CYCLE_S) for cycle in range(300)]
     with pytest.raises(RobotFault, match="joint 1"):
         limiter.limit(setpoint, 0.3)
     now_s = 0.3
-    while not found[-1].is_at_rest:
-        found.append(limiter.brake(now_s))
+    while not setpoints[-1].is_at_rest:
+        setpoints.append(limiter.brake(now_s))
         now_s += CYCLE_S
-    require_limits(found)
+    require_limits(setpoints)
     assert now_s < 1.0
 
 
@@ -236,16 +241,18 @@ def efforts_of(setpoints: list[Setpoint], payload_kg: float) -> Any:
     from handover_robots.planning.torques import Torques
 
     torques = Torques(Arm(UR10), payload_kg)
-    return np.array([torques.of(*map(np.array, each.derivatives)) / torques.limits for each in setpoints])
+    return np.array(
+        [torques.of(*map(np.array, setpoint.derivatives)) / torques.limits for setpoint in setpoints]
+    )
 
 
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 @pytest.mark.parametrize("seed", range(4))
 def test_jogging_with_a_heavy_part_exceeds_no_torque(seed: int) -> None:
     guard = TorqueGuard(UR10, lambda: World(payload_kg=8.0))
-    found = jogged(limiter_of(guard), random.Random(seed), 2.0)
-    require_limits(found)
-    assert 0.5 < abs(efforts_of(found, 8.0)).max() <= 1.0
+    setpoints = jogged(limiter_of(guard), random.Random(seed), 2.0)
+    require_limits(setpoints)
+    assert 0.5 < abs(efforts_of(setpoints, 8.0)).max() <= 1.0
 
 
 @pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -267,18 +274,18 @@ def test_a_motion_that_is_too_fast_for_its_payload_is_a_fault_that_names_the_joi
 def test_a_robot_without_inertia_is_not_stopped_for_its_torque(caplog: pytest.LogCaptureFixture) -> None:
     model = replace(UR10, urdf=re.sub(r"<inertial>.*</inertial>", "", UR10.urdf))
     limiter = limiter_of(TorqueGuard(model, lambda: World(payload_kg=500.0)))
-    found = jogged(limiter, random.Random(1), 0.5)
-    assert not found[len(found) // 2].is_at_rest
+    setpoints = jogged(limiter, random.Random(1), 0.5)
+    assert not setpoints[len(setpoints) // 2].is_at_rest
     assert "torque not checked" in caplog.text
 
 
 @pytest.mark.parametrize("name", ["ur10", "ur5e", "panda"])
 def test_every_joint_of_every_robot_can_be_jogged_from_home(name: str) -> None:
     model = ROBOTS.load(name)
-    limiter = JointLimiter(model.limits, [(each.lower, each.upper) for each in model.joints])
+    limiter = JointLimiter(model.limits, [(joint.lower, joint.upper) for joint in model.joints])
     for number in range(len(model.joints)):
         limiter.start(model.home, 0.0)
-        velocity = tuple(0.1 * (each == number) for each in range(len(model.joints)))
+        velocity = tuple(0.1 * (joint == number) for joint in range(len(model.joints)))
         for cycle in range(1, 201):
             reached = limiter.step(velocity, 0.002 * cycle)
             limiter.limit(reached, 0.002 * cycle)

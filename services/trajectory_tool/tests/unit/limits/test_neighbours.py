@@ -43,7 +43,7 @@ class Pair:
             self.robots.add(
                 name, model, lambda number=number: self.joints[number], lambda number=number: PART[number:]
             )
-            ranges = [(one.lower, one.upper) for one in model.joints]
+            ranges = [(joint.lower, joint.upper) for joint in model.joints]
             self.limiters.append(JointLimiter(model.limits, ranges, [NeighbourGuard(name, self.robots)]))
 
     def distance_m(self) -> float:
@@ -54,8 +54,12 @@ class Pair:
 
         self.arms = self.arms or [Arm(model) for model in self.models]
         other = tuple(occupied("other", self.arms[1], self.joints[1], (), 0.0))
-        found = Collisions(self.arms[0], World(other, PART)).distances(np.array(self.joints[0]))
-        return min(one.distance_m for one in found if {one.first[:5], one.second[:5]} & {"other"})
+        clearances = Collisions(self.arms[0], World(other, PART)).distances(np.array(self.joints[0]))
+        return min(
+            clearance.distance_m
+            for clearance in clearances
+            if {clearance.first[:5], clearance.second[:5]} & {"other"}
+        )
 
     def run(self, commands: list[Joints], seconds: float, chance: random.Random | None = None) -> list[float]:
         """Move both; return the distances of some cycles. `chance` delays the cycles of one of them."""
@@ -114,7 +118,7 @@ def test_robots_that_cannot_reach_each_other_are_not_compared() -> None:
     pair = Pair(5.0, (INWARDS, INWARDS))
     for limiter in pair.limiters:
         limiter.start(INWARDS, 0.0)
-    assert [one.neighbours for one in pair.robots._robots.values()] == [(), ()]
+    assert [robot.neighbours for robot in pair.robots._robots.values()] == [(), ()]
 
 
 def test_capsules_contain_the_links() -> None:
@@ -128,8 +132,8 @@ def test_capsules_contain_the_links() -> None:
         capsules = LinkCapsules(model)
         arm = capsules._arm
         for _ in range(20):
-            lower = np.array([max(one.lower or -3.0, -3.0) for one in model.joints])
-            upper = np.array([min(one.upper or 3.0, 3.0) for one in model.joints])
+            lower = np.array([max(joint.lower or -3.0, -3.0) for joint in model.joints])
+            upper = np.array([min(joint.upper or 3.0, 3.0) for joint in model.joints])
             middle = chance.uniform(lower, upper)
             half = chance.uniform(0.0, 0.1, len(lower))
             starts, ends, radii = capsules.within(middle - half, middle + half)

@@ -82,10 +82,12 @@ class Recorded:
             await self.robot.servo(velocity, lambda: self.robot.clock.now_s() >= ends_s, lambda: 1.0)
 
     def speeds(self, within: Callable[[Setpoint], bool] = lambda _: True) -> list[float]:
-        return [tool_speed_mps(self.unit.model, each) for each in self.setpoints[::5] if within(each)]
+        return [
+            tool_speed_mps(self.unit.model, setpoint) for setpoint in self.setpoints[::5] if within(setpoint)
+        ]
 
     def is_in(self, zone: Zone) -> Callable[[Setpoint], bool]:
-        return lambda each: zone.contains(self.unit.model.tool_pose(each.positions).position)
+        return lambda setpoint: zone.contains(self.unit.model.tool_pose(setpoint.positions).position)
 
 
 @PLANNED

@@ -14,8 +14,8 @@ def test_the_page_and_the_tool_name_the_joints_alike() -> None:
     assert tuple(KNOWN["joint_names"]) == ROBOT.joint_names
 
 
-@pytest.mark.parametrize("known", KNOWN["poses"], ids=lambda known: known["name"])
-def test_the_page_has_the_tip_where_the_tool_has_it(known: dict[str, list[float]]) -> None:
-    pose = ROBOT.tool_pose(tuple(known["joints"]))
-    assert pose.position == pytest.approx(known["position"], abs=2e-6)
-    assert pose.orientation == pytest.approx(known["orientation"], abs=2e-6)
+@pytest.mark.parametrize("example", KNOWN["poses"], ids=lambda example: example["name"])
+def test_the_page_has_the_tip_where_the_tool_has_it(example: dict[str, list[float]]) -> None:
+    pose = ROBOT.tool_pose(tuple(example["joints"]))
+    assert pose.position == pytest.approx(example["position"], abs=2e-6)
+    assert pose.orientation == pytest.approx(example["orientation"], abs=2e-6)

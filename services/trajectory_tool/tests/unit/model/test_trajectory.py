@@ -43,12 +43,12 @@ def require_limits(course: Course, limits: Limits, until_s: float = math.inf) ->
     for setpoint in setpoints:
         assert within(setpoint.velocities, limits.velocity)
         assert within(setpoint.accelerations, limits.acceleration)
-    for one, following in itertools.pairwise(setpoints):
+    for before, following in itertools.pairwise(setpoints):
         # What changes between two cycles can have changed no faster than its own derivative allows.
         for derivative, values, others in (
-            (limits.velocity, one.positions, following.positions),
-            (limits.acceleration, one.velocities, following.velocities),
-            (limits.jerk, one.accelerations, following.accelerations),
+            (limits.velocity, before.positions, following.positions),
+            (limits.acceleration, before.velocities, following.velocities),
+            (limits.jerk, before.accelerations, following.accelerations),
         ):
             changes = tuple((b - a) / CYCLE_S for a, b in zip(values, others, strict=True))
             assert within(tuple(change - math.copysign(1e-6, change) for change in changes), derivative)

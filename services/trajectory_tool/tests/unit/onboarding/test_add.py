@@ -87,15 +87,15 @@ def added(tmp_path: Path) -> Any:
     return add
 
 
-def texts(found: Added) -> str:
-    return "\n".join(f"{one.level} {one.about}: {one.text}" for one in found.findings)
+def texts(result: Added) -> str:
+    return "\n".join(f"{finding.level} {finding.about}: {finding.text}" for finding in result.findings)
 
 
 def test_an_added_robot_is_found_by_name_and_moves(added: Any, tmp_path: Path) -> None:
-    found = added(arm())
-    assert found.model.joint_names == ("j1", "j2", "j3", "j4", "j5", "j6")
+    result = added(arm())
+    assert result.model.joint_names == ("j1", "j2", "j3", "j4", "j5", "j6")
     model = load_robot("arm-1", tmp_path, tmp_path)
-    assert model.revision == found.model.revision
+    assert model.revision == result.model.revision
     plan = Planner(model).to_joints(model.home, (0.5, 0.4, 0.3, 0.2, 0.5, 0.1))
     assert plan.trajectory.duration_s > 0
     settings = TrajectorySettings.load(data_dir=tmp_path, robot_model="arm-1")
@@ -109,8 +109,8 @@ def test_neighbours_in_the_tree_and_pairs_that_never_touch_are_not_checked(added
 
 
 def test_the_pairs_of_a_known_robot_are_found_again(tmp_path: Path) -> None:
-    found = add_robot(str(UR5E), "mine", tmp_path, tip="tip", samples=2000)
-    assert checked_pairs(found.model) == checked_pairs(ur5e.ROBOT)
+    result = add_robot(str(UR5E), "mine", tmp_path, tip="tip", samples=2000)
+    assert checked_pairs(result.model) == checked_pairs(ur5e.ROBOT)
 
 
 def checked_pairs(model: Any) -> set[tuple[str, str]]:
@@ -335,7 +335,7 @@ def test_a_mesh_with_an_implausible_or_unknown_unit_is_refused(
 
 def stl(points: Any) -> bytes:
     triangles = [points[number : number + 3] for number in range(0, len(points) - 2, 3)]
-    body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(one), 0) for one in triangles)
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(triangle), 0) for triangle in triangles)
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + body
 
 
@@ -348,9 +348,9 @@ def test_meshes_of_a_ros_package_become_capsules_that_contain_them(
     points = random.normal(size=(300, 3)) * (0.01, 0.01, 0.08)
     (share / "link.stl").write_bytes(stl(points))
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros"))
-    found = added(arm(l3=link("l3", mesh("package://arm_description/link.stl"))))
-    assert "info l3: convex hulls in capsules and boxes replace its meshes" in texts(found)
-    assert "mesh" not in found.model.urdf
+    result = added(arm(l3=link("l3", mesh("package://arm_description/link.stl"))))
+    assert "info l3: convex hulls in capsules and boxes replace its meshes" in texts(result)
+    assert "mesh" not in result.model.urdf
 
 
 def contains(shape: Fitted, points: Any) -> Any:
@@ -451,9 +451,9 @@ def test_the_home_position_has_the_tool_down_near_the_middle_of_the_joints(name:
 
 
 def test_the_home_position_is_named_with_the_reason(added: Any) -> None:
-    found = added(arm())
-    assert "info home: [" in texts(found)
-    assert "the tool points down there" in texts(found)
+    result = added(arm())
+    assert "info home: [" in texts(result)
+    assert "the tool points down there" in texts(result)
     beside = joint("j1", "l0", "l1", axis="0 0 1") + joint("j2", "l1", "l2", axis="0 0 1")
     upright = added(robot(link("l0"), link("l1"), link("l2"), beside), replaces=True)
     assert "no such position with the tool down is free" in texts(upright)

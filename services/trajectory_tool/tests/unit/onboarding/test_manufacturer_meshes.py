@@ -63,15 +63,15 @@ def reframed(urdf: str, seed: int) -> str:
     """
     random = np.random.default_rng(seed)
     root = etree.fromstring(urdf.encode())
-    above = {one.find("child").get("link"): one for one in root.findall("joint")}
+    above = {moving.find("child").get("link"): moving for moving in root.findall("joint")}
     moved = {}
-    for one in root.findall("link"):
+    for body in root.findall("link"):
         turn = pin.SE3.Random()
         turn.translation = random.uniform(-0.2, 0.2, 3)
-        if one.get("name") in above:
-            axis = np.array([float(part) for part in above[one.get("name")].find("axis").get("xyz").split()])
+        if body.get("name") in above:
+            axis = np.array([float(part) for part in above[body.get("name")].find("axis").get("xyz").split()])
             turn.translation = random.uniform(-0.1, 0.1) * axis
-        moved[one.get("name")] = turn
+        moved[body.get("name")] = turn
 
     def place(element: Any, by: Any) -> None:
         origin = element.find("origin")
@@ -83,21 +83,21 @@ def reframed(urdf: str, seed: int) -> str:
         origin.set("xyz", " ".join(map(repr, placed.translation.tolist())))
         origin.set("rpy", " ".join(map(repr, pin.rpy.matrixToRpy(placed.rotation).tolist())))
 
-    for one in root.findall("link"):
-        own = moved[one.get("name")]
-        for shape in one.findall("collision"):
+    for body in root.findall("link"):
+        own = moved[body.get("name")]
+        for shape in body.findall("collision"):
             place(shape, lambda at, own=own: own.inverse() * at)
-        one.remove(one.find("inertial"))
-        one.set("name", f"other_{one.get('name')}")
-    for one in root.findall("joint"):
-        parent, child = (one.find(end) for end in ("parent", "child"))
+        body.remove(body.find("inertial"))
+        body.set("name", f"other_{body.get('name')}")
+    for moving in root.findall("joint"):
+        parent, child = (moving.find(end) for end in ("parent", "child"))
         before, after = moved[parent.get("link")], moved[child.get("link")]
-        place(one, lambda at, before=before, after=after: before.inverse() * at * after)
-        axis = np.array([float(part) for part in one.find("axis").get("xyz").split()])
-        one.find("axis").set("xyz", " ".join(map(repr, (after.rotation.T @ axis).tolist())))
+        place(moving, lambda at, before=before, after=after: before.inverse() * at * after)
+        axis = np.array([float(part) for part in moving.find("axis").get("xyz").split()])
+        moving.find("axis").set("xyz", " ".join(map(repr, (after.rotation.T @ axis).tolist())))
         for end in (parent, child):
             end.set("link", f"other_{end.get('link')}")
-        one.set("name", f"left_{one.get('name')}")
+        moving.set("name", f"left_{moving.get('name')}")
     return str(etree.tostring(root, encoding="unicode"))
 
 
@@ -118,8 +118,8 @@ def boxes(length: str) -> str:
 
 def _complete(urdf: str) -> Any:
     root = etree.fromstring(urdf)
-    for one in root.findall("link"):
-        one.replace(one.find("inertial"), etree.fromstring(COMPLETE))
+    for element in root.findall("link"):
+        element.replace(element.find("inertial"), etree.fromstring(COMPLETE))
     return root
 
 
@@ -129,8 +129,10 @@ def test_links_are_found_by_kinematics_where_names_and_frames_differ(tmp_path: P
     pin.seed(seed)
     (tmp_path / "other.urdf").write_text(reframed(boxes("0.25"), seed))
     report = measure_shapes(model, str(tmp_path / "other.urdf"), 20, 1)
-    assert {one.link: one.robot_link for one in report.links} == {f"other_l{n}": f"l{n}" for n in range(7)}
-    assert {one.outside_mm for one in report.links} == {0.0}
+    assert {measured.link: measured.robot_link for measured in report.links} == {
+        f"other_l{n}": f"l{n}" for n in range(7)
+    }
+    assert {measured.outside_mm for measured in report.links} == {0.0}
     assert report.unmapped == {}
     assert report.comparison.falsely_refused == report.comparison.falsely_allowed == 0.0
 
@@ -140,7 +142,7 @@ def test_what_is_outside_is_measured_where_frames_differ(tmp_path: Path) -> None
     pin.seed(1)
     (tmp_path / "other.urdf").write_text(reframed(boxes("0.28"), 1))
     report = measure_shapes(model, str(tmp_path / "other.urdf"), 300, 1)
-    assert [one.outside_mm for one in report.links] == pytest.approx([15.0] * 7, abs=0.01)
+    assert [measured.outside_mm for measured in report.links] == pytest.approx([15.0] * 7, abs=0.01)
     assert report.comparison.falsely_allowed > 0
 
 
@@ -150,14 +152,14 @@ def test_joints_with_other_names_are_found_between_those_with_the_same(
 ) -> None:
     model = plain_model(tmp_path, boxes("0.25"))
     root = etree.fromstring(boxes("0.28"))
-    for one in root.findall("joint"):
-        if one.get("name") in renamed:
-            one.set("name", f"axis {one.get('name')[1:]} of the maker")
+    for element in root.findall("joint"):
+        if element.get("name") in renamed:
+            element.set("name", f"axis {element.get('name')[1:]} of the maker")
     for text in (link("hand", BOX.format("0.05")), joint("grip", "l6", "hand")):
         root.append(etree.fromstring(text))
     (tmp_path / "other.urdf").write_text(etree.tostring(root, encoding="unicode"))
     report = measure_shapes(model, str(tmp_path / "other.urdf"), 10, 1)
-    assert {one.link: one.outside_mm for one in report.links} == pytest.approx(
+    assert {measured.link: measured.outside_mm for measured in report.links} == pytest.approx(
         {f"l{number}": 15.0 for number in range(7)}, abs=0.01
     )
     assert set(report.unmapped) == {"hand"}
@@ -188,15 +190,17 @@ def test_the_command_prints_the_shares_of_all_pairs(tmp_path: Path) -> None:
     file = with_meshes(tmp_path / "given")
     add_robot(str(file), "bent", tmp_path, samples=300)
     asked = ["robot", "shapes", str(tmp_path / "bent"), "--meshes", str(file), "--configurations", "200"]
-    found = CliRunner().invoke(app, [*asked, "--json"])
-    assert found.exit_code == 0, found.output
-    report = json.loads(found.stdout)
-    assert {one["link"]: one["outside_mm"] for one in report["links"]} == {f"l{n}": 0.0 for n in range(7)}
+    result = CliRunner().invoke(app, [*asked, "--json"])
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert {measured["link"]: measured["outside_mm"] for measured in report["links"]} == {
+        f"l{n}": 0.0 for n in range(7)
+    }
     assert report["falsely_refused"] <= MAX_FALSELY_REFUSED
     assert report["falsely_allowed"] == 0
     assert report["pairs"]
     assert all(
-        {"first", "second", "falsely_refused", "falsely_allowed"} <= set(one) for one in report["pairs"]
+        {"first", "second", "falsely_refused", "falsely_allowed"} <= set(pair) for pair in report["pairs"]
     )
     assert "self-collision in 200 uniform positions (seed 1)" in CliRunner().invoke(app, asked).stdout
 
@@ -206,7 +210,7 @@ def test_a_collision_that_the_srdf_hides_is_counted_as_falsely_allowed(tmp_path:
     model = add_robot(str(file), "bent", tmp_path, samples=300).model
     hiding = replace(model, disabled_pairs=model.disabled_pairs | {frozenset(("l1", "l4"))})
     report = measure_shapes(hiding, str(file), 300, 1).comparison
-    (hidden,) = (one for one in report.pairs if (one.first, one.second) == ("l1", "l4"))
+    (hidden,) = (pair for pair in report.pairs if (pair.first, pair.second) == ("l1", "l4"))
     assert hidden.falsely_allowed == hidden.touching > 0
 
 
@@ -224,11 +228,11 @@ def test_an_srdf_beside_the_urdf_is_read_and_what_its_pairs_hide_is_reported(tmp
         )
         + "</robot>"
     )
-    found = add_robot(str(file), "bent", tmp_path, samples=300)
-    said = "\n".join(f"{one.level} {one.about}: {one.text}" for one in found.findings)
-    assert frozenset(("l1", "l4")) in found.model.disabled_pairs
-    assert found.model.poses["ready"] == pytest.approx((0, 0.6, 0.6, 0, 0.6, 0))
-    assert set(found.model.poses) == {"home", "ready"}
+    bent = add_robot(str(file), "bent", tmp_path, samples=300)
+    said = "\n".join(f"{finding.level} {finding.about}: {finding.text}" for finding in bent.findings)
+    assert frozenset(("l1", "l4")) in bent.model.disabled_pairs
+    assert bent.model.poses["ready"] == pytest.approx((0, 0.6, 0.6, 0, 0.6, 0))
+    assert set(bent.model.poses) == {"home", "ready"}
     assert (
         "arm.srdf is read: 1 pairs of links that need no check, 3 positions; the URDF has no link now" in said
     )
@@ -236,7 +240,7 @@ def test_an_srdf_beside_the_urdf_is_read_and_what_its_pairs_hide_is_reported(tmp
     assert 'its position "crossed" is left out: l' in said
     assert "warning l1, l4: their meshes touch in " in said
     assert "the SRDF disables the pair" in said
-    assert found.comparison.falsely_allowed == 0
+    assert bent.comparison.falsely_allowed == 0
     with pytest.raises(UsageError, match=r"the SRDF .*other\.srdf cannot be read"):
         add_robot(str(file), "bent", tmp_path, srdf=tmp_path / "other.srdf", replaces=True)
 
@@ -280,10 +284,10 @@ def test_the_arm_of_a_manufacturer_reaches_its_joint_goals(tmp_path: Path, name:
         )
     added = add_robot(str(file), name, tmp_path)
     assert added.comparison.configurations == 1000
-    assert all(one.falsely_refused <= MAX_FALSELY_REFUSED for one in added.comparison.pairs)
+    assert all(pair.falsely_refused <= MAX_FALSELY_REFUSED for pair in added.comparison.pairs)
     assert added.comparison.falsely_allowed == 0
     report = measure_shapes(added.model, str(file), 300, 3)
-    assert {one.outside_mm for one in report.links} == {0.0}
+    assert {measured.outside_mm for measured in report.links} == {0.0}
     planner = Planner(added.model)
     meshes = MeshPairs(planner.arm, read_surfaces(etree.parse(file).getroot(), file, []))
     for seed in (1, 2, 3):

@@ -85,10 +85,10 @@ def test_a_person_who_walks_keeps_the_id(name: str) -> None:
 def test_two_people_have_different_ids_while_they_pass_each_other() -> None:
     seen = Seen("ceiling-1")
     first = seen.at((-0.8, -1.0), (1.4, -1.0)).people
-    assert len({each.id for each in first}) == 2
+    assert len({person.id for person in first}) == 2
     for step in range(1, 22):
         report = seen.at((-0.8 + 0.1 * step, -1.0), (1.4 - 0.1 * step, -1.0))
-        assert {each.id for each in first} <= {each.id for each in report.people}
+        assert {person.id for person in first} <= {person.id for person in report.people}
 
 
 def test_the_robot_is_no_person() -> None:
@@ -114,8 +114,8 @@ def test_a_person_behind_the_column_vanishes_and_counts() -> None:
     monitor, distance = Separation([], SeparationRule(), seen.now_s), distance_from([(0.0, 0.0)], 0.1)
 
     def report(*people: tuple[float, float]) -> float:
-        found = seen.at(*people)
-        monitor.receive(found, seen.now_s, seen.now_s, distance, 1.0)
+        seen_people = seen.at(*people)
+        monitor.receive(seen_people, seen.now_s, seen.now_s, distance, 1.0)
         return monitor.state(seen.now_s, distance, 1.0).allowed.fraction
 
     assert report((0.2, 1.8)) > 0
@@ -175,16 +175,16 @@ def test_rays_end_at_the_nearest_shape() -> None:
         ]
     )
     rays = np.vstack([np.eye(3), -np.eye(3)])
-    found = world.ranges_m(np.zeros(3), rays, 10.0)
-    assert found[:3] == pytest.approx([2.5, 3.5, 5.0], abs=0.005)
-    assert np.isnan(found[3:]).all()
+    ranges_m = world.ranges_m(np.zeros(3), rays, 10.0)
+    assert ranges_m[:3] == pytest.approx([2.5, 3.5, 5.0], abs=0.005)
+    assert np.isnan(ranges_m[3:]).all()
 
 
 def test_points_that_are_near_each_other_are_one_cluster() -> None:
     points = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.05], [2.0, 2.0], [2.05, 2.0], [5.0, 5.0]])
-    found = sorted(clusters(points, 2), key=lambda each: each.middle)
-    assert [each.middle[0] for each in found] == pytest.approx([0.1, 2.025])
-    assert found[0].radius_m == pytest.approx(math.hypot(0.1, 0.025))
+    sorted_clusters = sorted(clusters(points, 2), key=lambda cluster: cluster.middle)
+    assert [cluster.middle[0] for cluster in sorted_clusters] == pytest.approx([0.1, 2.025])
+    assert sorted_clusters[0].radius_m == pytest.approx(math.hypot(0.1, 0.025))
 
 
 @pytest.fixture

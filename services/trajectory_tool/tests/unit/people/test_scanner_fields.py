@@ -46,4 +46,4 @@ async def test_nothing_is_reported_while_the_inputs_are_unknown() -> None:
 
     with pytest.raises(asyncio.CancelledError):
         await read_fields(SafetyScanner(protective_input=0), inputs, receive)
-    assert [each.protective_field for each in reports] == [False]
+    assert [report.protective_field for report in reports] == [False]

@@ -27,20 +27,20 @@ def seen_by(mount: CameraMount, noise_m: float, count: int = 12) -> list[SeenBal
     return seen
 
 
-def difference(one: Frame, other: Frame) -> tuple[float, float]:
+def difference(first: Frame, second: Frame) -> tuple[float, float]:
     """Return the distance in m and the angle in degrees between two frames."""
-    change = one.inverse() @ other
+    change = first.inverse() @ second
     trace = sum(change.rotation[axis][axis] for axis in range(3))
     return math.hypot(*change.position), math.degrees(math.acos(max(-1.0, min((trace - 1) / 2, 1.0))))
 
 
 def test_a_mount_that_is_off_by_a_centimetre_and_three_degrees_is_found() -> None:
     mount = misaligned(HAND_MOUNT, 3, 0.01, 3.0)
-    found = in_hand(seen_by(mount, 0.0002), HAND_MOUNT.frame)
-    distance_m, angle_deg = difference(found.mount, mount.frame)
+    calibration = in_hand(seen_by(mount, 0.0002), HAND_MOUNT.frame)
+    distance_m, angle_deg = difference(calibration.mount, mount.frame)
     assert distance_m < 0.001
     assert angle_deg < 0.2
-    assert found.residual_m < 0.001
+    assert calibration.residual_m < 0.001
 
 
 def test_too_few_images_are_refused_with_their_number() -> None:
@@ -49,9 +49,9 @@ def test_too_few_images_are_refused_with_their_number() -> None:
 
 
 def test_images_from_one_direction_are_refused() -> None:
-    one = seen_by(HAND_MOUNT, 0.0, 1)
+    sample = seen_by(HAND_MOUNT, 0.0, 1)
     with pytest.raises(NotCalibrated, match="tilt the camera"):
-        in_hand(one * 6, HAND_MOUNT.frame)
+        in_hand(sample * 6, HAND_MOUNT.frame)
 
 
 def test_a_ball_that_was_moved_between_the_images_is_noticed() -> None:
@@ -79,9 +79,9 @@ def test_a_ball_is_found_in_a_noisy_depth_image() -> None:
         depth = (along - np.sqrt(along**2 - squared * (middle @ middle - radius**2))) / squared
     depth += np.random.default_rng(1).normal(0, 0.0005, depth.shape)
     image = DepthImage(depth, intrinsics, Frame(NO_TURN, (0.0, 0.0, 0.0)))
-    found = find_ball(image, (0.03, -0.02, 0.41), radius)
-    assert found is not None
-    assert math.dist(found, middle.tolist()) < 0.001
+    ball = find_ball(image, (0.03, -0.02, 0.41), radius)
+    assert ball is not None
+    assert math.dist(ball, middle.tolist()) < 0.001
     assert find_ball(image, (0.3, 0.3, 0.8), radius) is None
 
 
@@ -96,9 +96,9 @@ def test_a_ball_near_a_table_is_found(seed: int) -> None:
         ball = (along - np.sqrt(along**2 - squared * (middle @ middle - radius**2))) / squared
     depth = np.fmin(ball, table_m) + random.normal(0, 0.0005, ball.shape)
     x, y, z = (middle + random.normal(0, 0.006, 3)).tolist()
-    found = find_ball(DepthImage(depth, intrinsics, Frame(NO_TURN, (0.0, 0.0, 0.0))), (x, y, z), radius)
-    assert found is not None
-    assert math.dist(found, middle.tolist()) < 0.001
+    place = find_ball(DepthImage(depth, intrinsics, Frame(NO_TURN, (0.0, 0.0, 0.0))), (x, y, z), radius)
+    assert place is not None
+    assert math.dist(place, middle.tolist()) < 0.001
 
 
 def test_a_ball_behind_something_is_not_seen() -> None:

@@ -44,13 +44,13 @@ def test_an_object_lies_where_the_camera_finds_it(name: str) -> None:
     ]
     walls = scene.bins["tray"].walls
     assert walls is not None
-    found = find_things(camera.image(), inside_of(walls), fingers)
-    assert found
-    x, y, _ = found[0].pose.position
+    things = find_things(camera.image(), inside_of(walls), fingers)
+    assert things
+    x, y, _ = things[0].pose.position
     assert min(math.dist((x, y), at[:2]) for at, _ in masses) < 0.04
     if not OBJECTS[name].is_cloth:
-        assert len(found) == 1
-        assert min(found[0].size[:2]) < fingers.opening
+        assert len(things) == 1
+        assert min(things[0].size[:2]) < fingers.opening
     state = simulation.saved()
     simulation.step_for(0.1)
     assert simulation.restore(state)

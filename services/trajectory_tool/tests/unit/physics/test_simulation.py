@@ -129,7 +129,7 @@ def test_an_arm_without_new_commands_stops(simulation: Simulation) -> None:
 
 
 def test_parts_that_are_dropped_lie_still_in_the_bin_and_the_same_with_the_same_seed(scene: Scene) -> None:
-    found = []
+    poses = []
     for seed in (7, 7, 8):
         simulation = Simulation(build({NAME: ROBOT}, scene, Parts.needed(scene)), {NAME: ROBOT.home})
         parts = Parts(simulation, scene, seed)
@@ -137,9 +137,9 @@ def test_parts_that_are_dropped_lie_still_in_the_bin_and_the_same_with_the_same_
         lying = parts.in_bin("bin-1")
         assert len(lying) == len(scene.bins["bin-1"].parts)
         assert max(map(simulation.part_speed_mps, lying)) < 0.005
-        found.append([simulation.part_pose(part) for part in lying])
-    assert found[0] == found[1]
-    assert found[0] != found[2]
+        poses.append([simulation.part_pose(part) for part in lying])
+    assert poses[0] == poses[1]
+    assert poses[0] != poses[2]
 
 
 def test_a_stirred_bin_keeps_its_parts_in_other_places(scene: Scene) -> None:
@@ -196,6 +196,6 @@ def test_a_changed_scene_continues_with_the_same_result_each_time(scene: Scene) 
         simulation.run(simulation.settling())
         return simulation.saved(), simulation.part_pose(0)
 
-    (one, lies), (other, _) = run(), run()
-    assert (one["state"] == other["state"]).all()
+    (first, lies), (second, _) = run(), run()
+    assert (first["state"] == second["state"]).all()
     assert lies.position[2] == pytest.approx(0.322, abs=0.002), "it fell onto the shelf"

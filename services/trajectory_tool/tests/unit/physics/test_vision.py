@@ -50,9 +50,9 @@ def look(scene: Scene, *poses: Pose) -> tuple[list[SeenPart], GraspFinder]:
     return find_parts(image, inside, size), GraspFinder(image, inside, fingers_of(ROBOT))
 
 
-def first(found: tuple[Grasp, ...] | Message) -> Grasp:
-    assert not isinstance(found, Message), found
-    return found[0]
+def first(grasps: tuple[Grasp, ...] | Message) -> Grasp:
+    assert not isinstance(grasps, Message), grasps
+    return grasps[0]
 
 
 def test_the_fingers_are_read_from_the_urdf(fingers: Fingers) -> None:
@@ -62,12 +62,12 @@ def test_the_fingers_are_read_from_the_urdf(fingers: Fingers) -> None:
 
 
 def test_fingers_that_close_along_y_and_end_beyond_the_tip_have_a_frame_of_their_own() -> None:
-    found = fingers_of(ROBOTS.load("panda"))
-    assert found.opening == pytest.approx(0.08, abs=2e-4)
-    assert found.length == pytest.approx(0.0542, abs=3e-4)
-    assert found.thickness < 0.021, "of the end; it is thicker at the hand"
-    assert found.frame.position == pytest.approx((0.0, 0.0, 0.0095), abs=1e-4)
-    assert [row[0] for row in found.frame.rotation] == [0.0, 1.0, 0.0], "x of the fingers is y of the tip"
+    of_panda = fingers_of(ROBOTS.load("panda"))
+    assert of_panda.opening == pytest.approx(0.08, abs=2e-4)
+    assert of_panda.length == pytest.approx(0.0542, abs=3e-4)
+    assert of_panda.thickness < 0.021, "of the end; it is thicker at the hand"
+    assert of_panda.frame.position == pytest.approx((0.0, 0.0, 0.0095), abs=1e-4)
+    assert [row[0] for row in of_panda.frame.rotation] == [0.0, 1.0, 0.0], "x of the fingers is y of the tip"
 
 
 def test_every_robot_with_a_gripper_can_be_simulated(scene: Scene) -> None:

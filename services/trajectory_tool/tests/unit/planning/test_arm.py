@@ -90,7 +90,7 @@ def test_no_point_of_the_arm_moves_farther_than_its_bound(arm: Arm) -> None:
 
     def corners(joints: Any) -> list[Any]:
         pin.updateGeometryPlacements(arm.pin_model, arm.data, arm.geometry, data, joints)
-        found = []
+        reached = []
         for item, placed in zip(items, data.oMg, strict=True):
             box = item.geometry
             box.computeLocalAABB()
@@ -101,24 +101,24 @@ def test_no_point_of_the_arm_moves_farther_than_its_bound(arm: Arm) -> None:
                 for axis in range(3)
                 for side in (0, 1)
             ]
-            found.append(np.array([placed.act(middle) for middle in middles]))
-        return found
+            reached.append(np.array([placed.act(middle) for middle in middles]))
+        return reached
 
     for joints in samples(arm, 200):
         step = random.uniform(-0.05, 0.05, arm.n)
         before, after = corners(joints), corners(joints + step)
-        for number, (one, other) in enumerate(zip(before, after, strict=True)):
-            moved = float(np.linalg.norm(one - other, axis=1).max())
+        for number, (placement, other) in enumerate(zip(before, after, strict=True)):
+            moved = float(np.linalg.norm(placement - other, axis=1).max())
             assert moved <= float(reaches[number] @ np.abs(step)) + 1e-9
 
 
 def test_equivalents_are_the_same_pose_within_the_limits(arm: Arm) -> None:
     for joints in samples(arm, 5):
-        found = arm.equivalents(joints)
-        assert any(np.allclose(one, joints) for one in found)
-        for one in found:
-            assert arm.is_within(one)
-            assert arm.tool(one).isApprox(arm.tool(joints), 1e-9)
+        solutions = arm.equivalents(joints)
+        assert any(np.allclose(solution, joints) for solution in solutions)
+        for solution in solutions:
+            assert arm.is_within(solution)
+            assert arm.tool(solution).isApprox(arm.tool(joints), 1e-9)
 
 
 def test_the_masses_and_inertias_are_physical(arm: Arm) -> None:

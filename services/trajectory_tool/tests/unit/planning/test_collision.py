@@ -44,7 +44,7 @@ def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) 
     collisions = Collisions(arm, cell)
     free = 0
     for joints in samples(arm, 300):
-        closest_m = min(one.distance_m for one in collisions.distances(joints))
+        closest_m = min(distance.distance_m for distance in collisions.distances(joints))
         for margin_m in (0.0, 0.01, 0.04):
             if abs(closest_m - margin_m) > 1e-4:
                 assert collisions.is_free(joints, margin_m) == (closest_m > margin_m)
@@ -53,7 +53,9 @@ def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) 
 
 
 places = st.tuples(*(st.floats(-0.9, 0.9) for _ in range(3)))
-turns = st.tuples(*(st.floats(-1.0, 1.0) for _ in range(4))).map(np.array).filter(lambda one: one @ one > 0.1)
+turns = (
+    st.tuples(*(st.floats(-1.0, 1.0) for _ in range(4))).map(np.array).filter(lambda turn: turn @ turn > 0.1)
+)
 poses = st.builds(lambda place, turn: Pose(place, tuple(turn / np.linalg.norm(turn))), places, turns)
 lengths = st.floats(0.01, 0.5)
 shapes = st.one_of(
@@ -74,7 +76,7 @@ def test_the_closest_pair_is_that_of_all_distances(
 ) -> None:
     collisions = Collisions(arm, World(tuple(world), tuple(carried)))
     for joints in samples(arm, 5, seed):
-        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        expected_m = min(distance.distance_m for distance in collisions.distances(joints))
         assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
 
 
@@ -84,13 +86,13 @@ def test_the_distances_below_a_horizon_are_exact(
 ) -> None:
     collisions = Collisions(arm, World(tuple(world), tuple(carried)))
     for joints in samples(arm, 5):
-        expected = [one for one in collisions.distances(joints) if one.distance_m < horizon_m]
-        found = collisions.within(joints, horizon_m)
-        assert sorted((one.first, one.second) for one in found) == sorted(
-            (one.first, one.second) for one in expected
+        expected = [distance for distance in collisions.distances(joints) if distance.distance_m < horizon_m]
+        clearances = collisions.within(joints, horizon_m)
+        assert sorted((clearance.first, clearance.second) for clearance in clearances) == sorted(
+            (clearance.first, clearance.second) for clearance in expected
         )
-        assert sorted(one.distance_m for one in found) == pytest.approx(
-            sorted(one.distance_m for one in expected), abs=GJK_TOLERANCE_M
+        assert sorted(clearance.distance_m for clearance in clearances) == pytest.approx(
+            sorted(clearance.distance_m for clearance in expected), abs=GJK_TOLERANCE_M
         )
 
 
@@ -113,7 +115,7 @@ def test_tracked_distances_are_exact_below_the_horizon_and_within_their_radius_e
     for turn_rad in turns_rad:
         joints = np.clip(joints + turn_rad * random.uniform(-1, 1, arm.n), arm.lower, arm.upper)
         tracked.update(joints)
-        exact_m = np.array([one.distance_m for one in collisions.distances(joints)])
+        exact_m = np.array([distance.distance_m for distance in collisions.distances(joints)])
         error_m = np.abs(exact_m - tracked.distances_m)
         assert np.all(error_m <= tracked.radii_m + GJK_TOLERANCE_M)
         assert np.all(error_m[exact_m < HORIZON_M] <= GJK_TOLERANCE_M)
@@ -151,7 +153,7 @@ def test_the_closest_pair_of_a_robot_with_few_collision_shapes_is_that_of_all_di
     few = Arm(replace(model, urdf=urdf))
     collisions = Collisions(few, around)
     for joints in samples(few, 20):
-        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        expected_m = min(distance.distance_m for distance in collisions.distances(joints))
         assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
 
 
@@ -161,7 +163,7 @@ def test_the_closest_pair_of_a_hull_is_that_of_all_distances(arm: Arm, tmp_path:
     piece = Obstacle("piece", Mesh(file, (0.3, 0.2, 0.4)), Pose((0.5, 0.2, 0.3), STRAIGHT))
     collisions = Collisions(arm, World((piece,)))
     for joints in samples(arm, 200):
-        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        expected_m = min(distance.distance_m for distance in collisions.distances(joints))
         assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
 
 
@@ -169,23 +171,23 @@ def test_an_arm_folded_into_itself_is_in_contact_with_itself() -> None:
     arm = Arm(ROBOTS.load("ur10"))
     collisions = Collisions(arm, World())
     folded = np.array([0.0, -1.5, 3.0, 0.0, 0.0, 0.0])
-    pairs = {frozenset((one.first, one.second)) for one in collisions.contacts(folded)}
+    pairs = {frozenset((contact.first, contact.second)) for contact in collisions.contacts(folded)}
     assert frozenset(("upper_arm", "wrist_1")) in pairs
 
 
 def test_the_colliding_pair_is_named(arm: Arm) -> None:
     tip = arm.tool_pose(arm.model.home)
     ball = World((Obstacle("ball", Sphere(0.05), Pose(tip.position, STRAIGHT)),))
-    found = Collisions(arm, ball).contacts(np.array(arm.model.home))
-    assert found[0].second == "ball"
-    assert found[0].distance_m < 0
+    contacts = Collisions(arm, ball).contacts(np.array(arm.model.home))
+    assert contacts[0].second == "ball"
+    assert contacts[0].distance_m < 0
 
 
 def test_an_allowed_pair_may_touch(arm: Arm) -> None:
     home = np.array(arm.model.home)
     tip = arm.tool_pose(home)
     ball = Obstacle("ball", Sphere(0.05), Pose(tip.position, STRAIGHT))
-    touching = {one.first for one in Collisions(arm, World((ball,))).contacts(home)}
+    touching = {contact.first for contact in Collisions(arm, World((ball,))).contacts(home)}
     allowed = World((ball,), allowed=frozenset((link, "ball") for link in touching))
     assert touching
     assert Collisions(arm, allowed).is_free(home)
@@ -198,7 +200,7 @@ def test_a_held_part_collides_where_the_gripper_alone_does_not(arm: Arm) -> None
     rod = Attached("rod", Box((0.02, 0.02, 0.3)), Pose((0.0, 0.0, 0.1), STRAIGHT))
     assert Collisions(arm, World((plate,))).is_free(home)
     held = Collisions(arm, World((plate,), (rod,)))
-    assert {(one.first, one.second) for one in held.contacts(home)} == {("rod", "plate")}
+    assert {(contact.first, contact.second) for contact in held.contacts(home)} == {("rod", "plate")}
 
 
 @pytest.mark.nightly

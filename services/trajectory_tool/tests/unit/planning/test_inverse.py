@@ -30,11 +30,11 @@ def test_nearly_every_reachable_pose_is_solved_within_the_limits(inverse: Invers
     poses = [inverse.arm.tool_pose(joints) for joints in reachable(inverse, 500)]
     solved = 0
     for pose in poses:
-        found = inverse.solve(pose, home)
-        if found is not None:
+        solution = inverse.solve(pose, home)
+        if solution is not None:
             solved += 1
-            assert inverse.arm.is_within(found)
-            reached = inverse.arm.tool_pose(found)
+            assert inverse.arm.is_within(solution)
+            reached = inverse.arm.tool_pose(solution)
             assert reached.distance_m(pose) < 1e-5
             dot = abs(sum(a * b for a, b in zip(reached.orientation, pose.orientation, strict=True)))
             assert dot == pytest.approx(1.0, abs=1e-6)
@@ -44,21 +44,21 @@ def test_nearly_every_reachable_pose_is_solved_within_the_limits(inverse: Invers
 def test_several_solutions_are_distinct_and_the_nearest_comes_first(inverse: Inverse) -> None:
     home = np.array(inverse.arm.model.home)
     pose = inverse.arm.tool_pose(home + 0.1)
-    found = inverse.several(pose, home, 4)
-    assert len(found) > 1
-    efforts = [float(np.abs(one - home).max()) for one in found]
+    solutions = inverse.several(pose, home, 4)
+    assert len(solutions) > 1
+    efforts = [float(np.abs(solution - home).max()) for solution in solutions]
     assert efforts == sorted(efforts)
-    for number, one in enumerate(found):
-        assert all(np.abs(one - other).max() > 1e-4 for other in found[:number])
+    for number, solution in enumerate(solutions):
+        assert all(np.abs(solution - other).max() > 1e-4 for other in solutions[:number])
 
 
 def test_an_accepted_solution_is_asked_for(inverse: Inverse) -> None:
     home = np.array(inverse.arm.model.home)
     pose = inverse.arm.tool_pose(home)
-    found = inverse.solve(pose, home, lambda joints: float(np.abs(joints - home).max()) > 0.3)
-    assert found is not None
-    assert float(np.abs(found - home).max()) > 0.3
-    assert inverse.arm.tool_pose(found).distance_m(pose) < 1e-5
+    solution = inverse.solve(pose, home, lambda joints: float(np.abs(joints - home).max()) > 0.3)
+    assert solution is not None
+    assert float(np.abs(solution - home).max()) > 0.3
+    assert inverse.arm.tool_pose(solution).distance_m(pose) < 1e-5
 
 
 def test_an_unreachable_pose_has_no_solution_but_a_nearest_pose(inverse: Inverse) -> None:

@@ -21,23 +21,23 @@ BEGAN_S = 100.0
 
 def trajectories(limits: Limits, home: Any, count: int, seed: int) -> list[JointTrajectory]:
     random = np.random.default_rng(seed)
-    found = []
+    setpoints = []
     for number in range(count):
         path = list(np.array(home) + random.uniform(-0.8, 0.8, (2 + number % 3, len(home))))
         if len(path) == 2:
-            found.append(timing.line(path[0], path[1], limits))
+            setpoints.append(timing.line(path[0], path[1], limits))
         else:
-            found.append(timing.along(timing.BlendedLines(path, limits), limits))
-    return found
+            setpoints.append(timing.along(timing.BlendedLines(path, limits), limits))
+    return setpoints
 
 
 def until_rest(course: PlannedCourse, stop_at_s: float) -> Any:
     """Return the setpoints of every millisecond until the end of the motion."""
-    now_s, found = BEGAN_S, []
+    now_s, setpoints = BEGAN_S, []
     while True:
-        found.append(course.at(now_s, pace=1.0 if now_s < stop_at_s else 0.0))
+        setpoints.append(course.at(now_s, pace=1.0 if now_s < stop_at_s else 0.0))
         if course.is_over(now_s):
-            return found
+            return setpoints
         now_s += EVERY_S
 
 
@@ -53,20 +53,20 @@ def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float)
         trajectory = planned.slowed(speed)
         at_s = BEGAN_S + float(random.uniform(0.05, 0.9)) * trajectory.duration_s
         course = PlannedCourse(trajectory, limits, BEGAN_S)
-        found = until_rest(course, at_s)
-        velocities = np.array([one.velocities for one in found])
-        accelerations = np.array([one.accelerations for one in found])
-        positions = np.array([one.positions for one in found])
+        setpoints = until_rest(course, at_s)
+        velocities = np.array([setpoint.velocities for setpoint in setpoints])
+        accelerations = np.array([setpoint.accelerations for setpoint in setpoints])
+        positions = np.array([setpoint.positions for setpoint in setpoints])
         assert (np.abs(velocities) <= np.array(limits.velocity) * ROUNDING).all()
         assert (np.abs(accelerations) <= np.array(limits.acceleration) * ROUNDING).all()
         jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
         assert (jerks <= np.array(limits.jerk) * ROUNDING).all()
         assert (np.abs(np.diff(positions, axis=0)) <= np.array(limits.velocity) * EVERY_S * 1.01).all()
         path = trajectory.positions(EVERY_S)
-        for one in positions[:: max(len(positions) // 20, 1)]:
-            assert np.abs(path - one).max(axis=1).min() < 0.005
-        assert found[-1].velocities == (0.0,) * len(model.joints)
-        stops.append(BEGAN_S + len(found) * EVERY_S - at_s)
+        for position in positions[:: max(len(positions) // 20, 1)]:
+            assert np.abs(path - position).max(axis=1).min() < 0.005
+        assert setpoints[-1].velocities == (0.0,) * len(model.joints)
+        stops.append(BEGAN_S + len(setpoints) * EVERY_S - at_s)
     if speed < 1:
         assert max(stops) < 1.0
 
@@ -77,8 +77,8 @@ def test_a_stop_that_begins_while_the_jerk_changes_stays_within_the_limits() -> 
     target = np.array([1.769964, 1.686677, 0.212152, 0.766903, -0.589285, 0.153305])
     trajectory = timing.line(start, target, limits)
     for stop_s in np.arange(0.2, 0.3, 0.005):
-        found = until_rest(PlannedCourse(trajectory, limits, BEGAN_S), BEGAN_S + float(stop_s))
-        accelerations = np.array([one.accelerations for one in found])
+        setpoints = until_rest(PlannedCourse(trajectory, limits, BEGAN_S), BEGAN_S + float(stop_s))
+        accelerations = np.array([setpoint.accelerations for setpoint in setpoints])
         jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
         assert (jerks <= np.array(limits.jerk) * ROUNDING).all()
 
@@ -106,13 +106,13 @@ def test_changes_of_pace_and_a_stop_keep_every_limit_at_every_millisecond(
     trajectory = trajectories(model.limits, model.home, 2, seed)[seed % 2].slowed(speed)
     slow_s = change.after * trajectory.duration_s
     stop_s = slow_s + change.stopped_after * (trajectory.duration_s - slow_s)
-    course, now_s, found = PlannedCourse(trajectory, model.limits, 0.0), 0.0, []
+    course, now_s, setpoints = PlannedCourse(trajectory, model.limits, 0.0), 0.0, []
     while not course.is_over(now_s):
         pace = change.pace if slow_s <= now_s < slow_s + change.lasts_s else 1.0
-        found.append(course.at(now_s, pace=0.0 if now_s >= stop_s else pace))
+        setpoints.append(course.at(now_s, pace=0.0 if now_s >= stop_s else pace))
         now_s += EVERY_S
     positions, velocities, accelerations = (
-        np.array([one.derivatives[order] for one in found]) for order in range(3)
+        np.array([setpoint.derivatives[order] for setpoint in setpoints]) for order in range(3)
     )
     for values, limit in (
         (velocities, model.limits.velocity),
@@ -138,6 +138,6 @@ def test_a_change_of_pace_at_the_start_never_looks_before_it() -> None:
 def test_a_motion_without_a_stop_ends_at_its_target() -> None:
     model = ROBOTS.load("ur10")
     (trajectory,) = trajectories(model.limits, model.home, 1, seed=10)
-    found = until_rest(PlannedCourse(trajectory, model.limits, BEGAN_S), stop_at_s=np.inf)
-    assert found[-1].positions == pytest.approx(trajectory.target, abs=1e-9)
-    assert len(found) * EVERY_S == pytest.approx(trajectory.duration_s, abs=0.003)
+    setpoints = until_rest(PlannedCourse(trajectory, model.limits, BEGAN_S), stop_at_s=np.inf)
+    assert setpoints[-1].positions == pytest.approx(trajectory.target, abs=1e-9)
+    assert len(setpoints) * EVERY_S == pytest.approx(trajectory.duration_s, abs=0.003)

@@ -99,11 +99,11 @@ def test_a_straight_motion_stays_on_its_line_and_below_its_speed(planner: Planne
 
 
 def test_waypoints_are_passed_without_a_stop(planner: Planner) -> None:
-    one, two = list(planner.model.home), list(planner.model.home)
-    one[0] += 0.4
-    two[0] += 0.8
-    two[1] -= 0.2
-    plan = planner.through(planner.model.home, [tuple(one), tuple(two)])
+    first, second = list(planner.model.home), list(planner.model.home)
+    first[0] += 0.4
+    second[0] += 0.8
+    second[1] -= 0.2
+    plan = planner.through(planner.model.home, [tuple(first), tuple(second)])
     assert_valid(planner, plan)
     speeds = np.abs(plan.trajectory.derivative(np.linspace(0.1, 0.9, 50) * plan.trajectory.duration_s, 1))
     assert speeds.max(axis=1).min() > 0.05

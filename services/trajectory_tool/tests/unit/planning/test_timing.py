@@ -41,11 +41,11 @@ paths = st.integers(2, 6).flatmap(
 
 
 def distinct(path: list[list[float]], joints: int) -> list[Any]:
-    found = [np.array(path[0][:joints])]
+    waypoints = [np.array(path[0][:joints])]
     for point in path[1:]:
-        if np.abs(np.array(point[:joints]) - found[-1]).max() > 1e-3:
-            found.append(np.array(point[:joints]))
-    return found
+        if np.abs(np.array(point[:joints]) - waypoints[-1]).max() > 1e-3:
+            waypoints.append(np.array(point[:joints]))
+    return waypoints
 
 
 @settings(deadline=None, max_examples=60)
@@ -56,13 +56,13 @@ def test_no_limit_is_exceeded_at_any_millisecond(path: list[list[float]], robot:
         return
     limits = robot.limits
     if len(points) == 2:
-        found = timing.line(points[0], points[1], limits)
+        trajectory = timing.line(points[0], points[1], limits)
     else:
-        found = timing.along(timing.BlendedLines(points, limits), limits)
-    assert_within(found, limits)
-    assert_at_rest_at_ends(found)
-    assert found.start == pytest.approx(points[0])
-    assert found.target == pytest.approx(points[-1])
+        trajectory = timing.along(timing.BlendedLines(points, limits), limits)
+    assert_within(trajectory, limits)
+    assert_at_rest_at_ends(trajectory)
+    assert trajectory.start == pytest.approx(points[0])
+    assert trajectory.target == pytest.approx(points[-1])
 
 
 @settings(deadline=None, max_examples=30)
@@ -71,22 +71,24 @@ def test_a_faster_timing_keeps_path_and_limits(path: list[list[float]], robot: A
     points = distinct(path, len(robot.joints))
     if len(points) < 3:
         return
-    given = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
-    found = retiming.faster(given, robot.limits)
-    assert found.duration_s <= given.duration_s
-    assert_within(found, robot.limits)
-    assert_at_rest_at_ends(found)
-    assert (found.start, found.target) == (given.start, given.target)
-    dense = given.positions(EVERY_S)
-    for place in found.positions(20 * EVERY_S):
+    planned = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
+    trajectory = retiming.faster(planned, robot.limits)
+    assert trajectory.duration_s <= planned.duration_s
+    assert_within(trajectory, robot.limits)
+    assert_at_rest_at_ends(trajectory)
+    assert (trajectory.start, trajectory.target) == (planned.start, planned.target)
+    dense = planned.positions(EVERY_S)
+    for place in trajectory.positions(20 * EVERY_S):
         assert np.abs(dense - place).max(axis=1).min() < 0.004
 
 
 @pytest.mark.parametrize("robot", [UR10, UR5E])
 def test_a_faster_timing_of_a_curve_is_near_the_optimum_where_the_jerk_is_limited(robot: Any) -> None:
     points = [np.zeros(6), np.array([0.8, -0.5, 0.4, 0, 0, 0]), np.array([0.2, 0.3, 0.9, 0.5, 0, 0])]
-    given = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
-    assert retiming.faster(given, robot.limits).duration_s < 1.03 * optimal_duration_s(given, robot.limits)
+    planned = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
+    assert retiming.faster(planned, robot.limits).duration_s < 1.03 * optimal_duration_s(
+        planned, robot.limits
+    )
 
 
 @settings(deadline=None, max_examples=30)
@@ -95,9 +97,9 @@ def test_a_motion_with_stops_passes_every_point(path: list[list[float]]) -> None
     points = distinct(path, 6)
     if len(points) < 2:
         return
-    found = timing.with_stops(points, UR10.limits)
-    assert_within(found, UR10.limits)
-    dense = found.positions(EVERY_S)
+    trajectory = timing.with_stops(points, UR10.limits)
+    assert_within(trajectory, UR10.limits)
+    dense = trajectory.positions(EVERY_S)
     for point in points:
         assert np.abs(dense - point).max(axis=1).min() < 2e-3
 
@@ -106,8 +108,8 @@ def test_a_line_takes_as_long_as_the_time_optimal_profile() -> None:
     random = np.random.default_rng(4)
     for start, end in random.uniform(-1.5, 1.5, (50, 2, 6)):
         optimal_s = duration_s(tuple(start), tuple(end), UR10.limits)
-        found = timing.line(start, end, UR10.limits)
-        assert found.duration_s == pytest.approx(optimal_s, rel=0.02)
+        trajectory = timing.line(start, end, UR10.limits)
+        assert trajectory.duration_s == pytest.approx(optimal_s, rel=0.02)
 
 
 def test_a_line_stays_a_line() -> None:
@@ -135,22 +137,28 @@ def test_a_rounded_path_is_faster_than_one_with_stops() -> None:
 
 
 def test_a_slowed_trajectory_follows_the_same_path() -> None:
-    found = timing.line(np.zeros(6), np.ones(6), UR10.limits)
-    slow = found.slowed(0.5)
-    assert slow.duration_s == pytest.approx(2 * found.duration_s)
-    assert slow.at(slow.duration_s / 3).positions == pytest.approx(found.at(found.duration_s / 3).positions)
+    trajectory = timing.line(np.zeros(6), np.ones(6), UR10.limits)
+    slow = trajectory.slowed(0.5)
+    assert slow.duration_s == pytest.approx(2 * trajectory.duration_s)
+    assert slow.at(slow.duration_s / 3).positions == pytest.approx(
+        trajectory.at(trajectory.duration_s / 3).positions
+    )
 
 
 def test_positions_and_derivatives_belong_together() -> None:
     path = [np.zeros(6), np.full(6, 0.5), np.array([1.0, 0.5, 0.0, 0.5, 1.0, 0.5])]
-    found = timing.along(timing.BlendedLines(path, UR10.limits), UR10.limits)
-    times = np.linspace(0.1, found.duration_s - 0.1, 50)
+    trajectory = timing.along(timing.BlendedLines(path, UR10.limits), UR10.limits)
+    times = np.linspace(0.1, trajectory.duration_s - 0.1, 50)
     step = 1e-5
     for order in (0, 1, 2):
-        slope = (found.derivative(times + step, order) - found.derivative(times - step, order)) / (2 * step)
-        assert slope == pytest.approx(found.derivative(times, order + 1), abs=0.5 if order == 2 else 1e-3)
+        slope = (trajectory.derivative(times + step, order) - trajectory.derivative(times - step, order)) / (
+            2 * step
+        )
+        assert slope == pytest.approx(
+            trajectory.derivative(times, order + 1), abs=0.5 if order == 2 else 1e-3
+        )
     for time_s in times[:5].tolist():
-        setpoint = found.at(time_s)
-        assert setpoint.positions == pytest.approx(found.derivative(np.array([time_s]), 0)[0])
-        assert setpoint.velocities == pytest.approx(found.derivative(np.array([time_s]), 1)[0])
-        assert setpoint.accelerations == pytest.approx(found.derivative(np.array([time_s]), 2)[0])
+        setpoint = trajectory.at(time_s)
+        assert setpoint.positions == pytest.approx(trajectory.derivative(np.array([time_s]), 0)[0])
+        assert setpoint.velocities == pytest.approx(trajectory.derivative(np.array([time_s]), 1)[0])
+        assert setpoint.accelerations == pytest.approx(trajectory.derivative(np.array([time_s]), 2)[0])

@@ -108,10 +108,10 @@ def test_a_robot_without_inertia_or_limits_is_planned_and_says_why_it_is_not_che
     torques = Torques(Arm(model), 500.0)
     assert torques.unchecked is not None
     assert reason in torques.unchecked
-    target = tuple(one + 0.3 for one in model.home)
+    target = tuple(angle + 0.3 for angle in model.home)
     fast = Planner(MODELS["ur10"]).to_joints(model.home, target)
-    found = Planner(model, world=World(payload_kg=500.0), checks_payload=False).to_joints(model.home, target)
-    assert found.trajectory.duration_s == fast.trajectory.duration_s
+    plan = Planner(model, world=World(payload_kg=500.0), checks_payload=False).to_joints(model.home, target)
+    assert plan.trajectory.duration_s == fast.trajectory.duration_s
 
 
 def test_a_joint_without_a_limit_of_effort_is_not_limited() -> None:

@@ -20,17 +20,17 @@ joints = st.tuples(*[angles] * 6)
 wide_joints = st.tuples(*[st.floats(-JOINT_LIMIT_RAD, JOINT_LIMIT_RAD)] * 6)
 
 
-def difference(one: Frame, other: Frame) -> float:
+def difference(first: Frame, second: Frame) -> float:
     turned = max(
         abs(a - b)
-        for row, row_of_other in zip(one.rotation, other.rotation, strict=True)
-        for a, b in zip(row, row_of_other, strict=True)
+        for row, row_of_second in zip(first.rotation, second.rotation, strict=True)
+        for a, b in zip(row, row_of_second, strict=True)
     )
-    return max(turned, math.dist(one.position, other.position))
+    return max(turned, math.dist(first.position, second.position))
 
 
-def same_angles(one: Joints, other: Joints, within: float) -> bool:
-    return all(abs(math.remainder(a - b, 2 * math.pi)) < within for a, b in zip(one, other, strict=True))
+def same_angles(first: Joints, second: Joints, within: float) -> bool:
+    return all(abs(math.remainder(a - b, 2 * math.pi)) < within for a, b in zip(first, second, strict=True))
 
 
 def test_the_stretched_arm_is_where_the_data_sheet_says() -> None:

@@ -36,8 +36,8 @@ TWO_JOINTS = """<robot name="crane">
 def crane(tmp_path: Path, text: str = TWO_JOINTS, **options: Any) -> RobotModel:
     file = tmp_path / "crane.urdf"
     file.write_text(text, encoding="utf-8")
-    given = {"name": "Crane", "tip": "hook", "max_acceleration": 1.0, "max_jerk": 10.0}
-    return read_model(file, **{**given, **options})
+    arguments = {"name": "Crane", "tip": "hook", "max_acceleration": 1.0, "max_jerk": 10.0}
+    return read_model(file, **{**arguments, **options})
 
 
 def test_joints_and_limits_are_those_between_the_root_and_the_tip(tmp_path: Path) -> None:

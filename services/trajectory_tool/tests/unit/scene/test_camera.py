@@ -12,9 +12,9 @@ def test_by_default_the_first_scan_misses_and_the_second_finds() -> None:
 
 
 def test_the_same_seed_gives_the_same_scans() -> None:
-    one, other = Camera(0.5, 3), Camera(0.5, 3)
-    scans = [one.look(PARTS) for _ in range(50)]
-    assert scans == [other.look(PARTS) for _ in range(50)]
+    first, second = Camera(0.5, 3), Camera(0.5, 3)
+    scans = [first.look(PARTS) for _ in range(50)]
+    assert scans == [second.look(PARTS) for _ in range(50)]
     assert {None, "part-1"} == set(scans)
 
 

@@ -10,7 +10,7 @@ SCENE = load(None, ROBOT)
 
 def test_the_parts_of_a_new_cell_lie_in_its_bin() -> None:
     contents = initial(SCENE)
-    parts = [one.part for one in contents.in_place("bin-1")]
+    parts = [lying.part for lying in contents.in_place("bin-1")]
     assert parts == ["part-1", "part-2", "part-3", "part-4", "part-5", "part-6"]
 
 
@@ -20,7 +20,7 @@ def test_a_part_moves_from_the_bin_to_the_gripper_to_the_fixture() -> None:
     nest = gripped.free_nest(SCENE, "fixture-1")
     assert nest is not None
     placed = gripped.released("part-2", "fixture-1", nest)
-    assert [one.part for one in placed.in_place("fixture-1")] == ["part-2"]
+    assert [lying.part for lying in placed.in_place("fixture-1")] == ["part-2"]
     assert len(placed.lying) == 6
 
 
@@ -61,9 +61,9 @@ def test_a_nest_is_taken_by_a_part_that_is_held_beside_its_middle() -> None:
 
 def test_a_part_that_is_seen_again_nearby_keeps_its_name() -> None:
     before = Contents().observed("bin-1", [(at(0.0), None), (at(0.1), None)])
-    assert [one.part for one in before.in_place("bin-1")] == ["part-1", "part-2"]
+    assert [lying.part for lying in before.in_place("bin-1")] == ["part-1", "part-2"]
     after = before.observed("bin-1", [(at(0.3), None), (at(0.105), None)])
-    assert [one.part for one in after.in_place("bin-1")] == ["part-3", "part-2"]
+    assert [lying.part for lying in after.in_place("bin-1")] == ["part-3", "part-2"]
 
 
 def test_a_standing_part_reaches_further_below_the_tips_than_a_lying_one() -> None:

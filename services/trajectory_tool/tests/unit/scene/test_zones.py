@@ -52,7 +52,7 @@ def test_only_a_keep_out_zone_is_an_obstacle() -> None:
     solids = scene(
         zones={"gap": {"kind": "keepOut", **written}, "bench": {"kind": "reducedSpeed", **written}}
     ).solids()
-    assert [one.name for one in solids] == ["gap"]
+    assert [solid.name for solid in solids] == ["gap"]
 
 
 def test_a_zone_is_no_mesh() -> None:
@@ -62,7 +62,7 @@ def test_a_zone_is_no_mesh() -> None:
 
 def test_a_fence_has_a_panel_between_each_two_points() -> None:
     panels = scene(fences={"fence": {"points": [[0, 0], [2, 0], [2, 1]], "height_m": 1.6}}).solids()
-    assert [one.shape for one in panels] == [Box((2.0, 0.04, 1.6)), Box((1.0, 0.04, 1.6))]
+    assert [panel.shape for panel in panels] == [Box((2.0, 0.04, 1.6)), Box((1.0, 0.04, 1.6))]
     assert panels[1].pose.position == pytest.approx((2.0, 0.5, 0.8))
 
 

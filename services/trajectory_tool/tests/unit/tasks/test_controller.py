@@ -35,7 +35,7 @@ def a_job(
             "type": "Task",
             "isDefinedBy": f"urn:ngsi-ld:TaskDefinition:demo:{definition}",
             "status": "inProgress",
-            "involves": [{"type": "Relationship", "object": each} for each in involves],
+            "involves": [{"type": "Relationship", "object": involve} for involve in involves],
             "workParameters": {"type": "Property", "value": parameters},
         }
     )
@@ -67,8 +67,8 @@ async def test_a_pick_takes_the_only_material_of_its_task(controller: Controller
     robot, part = controller.device.id, "urn:ngsi-ld:Material:demo:part-3"
     assert (await controller.perform(a_job(controller, "pick", (robot, part))))["part"] == "part-3"
     await controller.perform(a_job(controller, "place", location="fixture-1"))
-    given = a_job(controller, "pick", (robot, part), part="part-1")
-    assert (await controller.perform(given))["part"] == "part-1"
+    job = a_job(controller, "pick", (robot, part), part="part-1")
+    assert (await controller.perform(job))["part"] == "part-1"
 
 
 async def test_unknown_operations_are_counted_together(controller: Controller) -> None:

@@ -229,7 +229,7 @@ async def test_a_place_cut_short_after_the_release_is_not_done_twice(worker: Any
         placed = await again.do("place", task="place", location="fixture-1")
         assert placed["part"] == "part-1"
         assert placed["location"] == "fixture-1"
-        assert [one.part for one in again.unit.parts_in("fixture-1")] == ["part-1"]
+        assert [part.part for part in again.unit.parts_in("fixture-1")] == ["part-1"]
         with pytest.raises(TaskFailed, match="the gripper is empty"):
             await again.do("place", task="another", location="fixture-1")
 

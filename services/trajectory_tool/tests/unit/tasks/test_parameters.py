@@ -7,12 +7,12 @@ from handover.performer import TaskFailed
 from handover_robots.tasks import operations, parameters
 
 
-def read(operation: str, /, **given: Any) -> Any:
-    return parameters.read(operations.operation_named(operation).parameters, operation, given)
+def read(operation: str, /, **written: Any) -> Any:
+    return parameters.read(operations.operation_named(operation).parameters, operation, written)
 
 
 @pytest.mark.parametrize(
-    ("operation", "given", "complaint"),
+    ("operation", "written", "complaint"),
     [
         ("moveTo", {"joints": []}, r'parameter "joints" of moveTo: .*at least 1'),
         ("moveTo", {"joints": [0, 0, 0, 0, 0, math.nan]}, r'"joints\.5" of moveTo: .*finite'),
@@ -32,10 +32,10 @@ def read(operation: str, /, **given: Any) -> Any:
     ],
 )
 def test_a_wrong_parameter_is_named_with_its_rule(
-    operation: str, given: dict[str, Any], complaint: str
+    operation: str, written: dict[str, Any], complaint: str
 ) -> None:
     with pytest.raises(TaskFailed, match=complaint):
-        read(operation, **given)
+        read(operation, **written)
 
 
 def test_all_faults_are_reported_at_once() -> None:
@@ -64,5 +64,5 @@ def test_a_pose_without_orientation_points_down() -> None:
 
 
 def test_a_quaternion_that_was_rounded_is_made_a_unit_again() -> None:
-    given = read("moveTo", pose={"position": [0.5, 0.5, 0.5], "orientation": [0.707, 0.707, 0, 0]})
-    assert math.hypot(*given.pose.orientation) == pytest.approx(1.0, abs=1e-12)
+    written = read("moveTo", pose={"position": [0.5, 0.5, 0.5], "orientation": [0.707, 0.707, 0, 0]})
+    assert math.hypot(*written.pose.orientation) == pytest.approx(1.0, abs=1e-12)

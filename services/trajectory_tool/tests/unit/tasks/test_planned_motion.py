@@ -176,7 +176,7 @@ def test_a_scene_names_faulty_obstacles(settings: TrajectorySettings, tmp_path: 
 
 
 def test_the_walls_of_a_bin_are_inside_its_size(settings: TrajectorySettings) -> None:
-    walls = [one for one in RobotCell(settings).scene.solids() if one.name == "bin-1"]
+    walls = [solid for solid in RobotCell(settings).scene.solids() if solid.name == "bin-1"]
     assert len(walls) == 5
     for wall in walls:
         assert isinstance(wall.shape, Box)

@@ -57,10 +57,10 @@ def moves(target: dict[str, Any], robot: str = "ur10-1") -> str:
 def sequence(*processes: str) -> str:
     """Return the activities of processes as one process, one after the other."""
     tasks = [
-        re.search(r"<bpmn:serviceTask.*</bpmn:serviceTask>", each, re.DOTALL)
+        re.search(r"<bpmn:serviceTask.*</bpmn:serviceTask>", process, re.DOTALL)
         .group()
         .replace("first", f"t{number}")  # type: ignore[union-attr]
-        for number, each in enumerate(processes)
+        for number, process in enumerate(processes)
     ]
     nodes = ["start", *(f"t{number}" for number in range(len(tasks))), "end"]
     flows = "".join(
@@ -78,12 +78,12 @@ def test_the_process_of_the_demo_is_in_order_among_obstacles(check: Any, tmp_pat
     done = check(BIN_PICKING, "--cell", str(cell), "--json")
     assert done.exit_code == 0, done.output
     steps = json.loads(done.output)
-    assert [one["operation"] for one in steps] == ["home", "scan", "pick", "place", "home"]
-    assert all(one["faults"] == [] and one["skipped"] is None for one in steps)
-    assert all(one["duration_s"] > 1.0 for one in steps[1:])
-    assert all(0.0 < one["nearest"]["distance_m"] < 0.1 for one in steps[1:])
+    assert [step["operation"] for step in steps] == ["home", "scan", "pick", "place", "home"]
+    assert all(step["faults"] == [] and step["skipped"] is None for step in steps)
+    assert all(step["duration_s"] > 1.0 for step in steps[1:])
+    assert all(0.0 < step["nearest"]["distance_m"] < 0.1 for step in steps[1:])
     assert steps[0]["nearest"] is None, "it is at home"
-    assert {one["nearest"]["second"] for one in steps[1:]} <= {"upper_arm", "wrist_2", "fixture-1", "bin-1"}
+    assert {step["nearest"]["second"] for step in steps[1:]} <= {"upper_arm", "wrist_2", "fixture-1", "bin-1"}
     assert not (tmp_path / "data" / "trajectory_tool").exists()
 
 
@@ -97,8 +97,8 @@ def test_the_process_of_the_demo_is_in_order_in_the_cell_of_each_robot(
     done = check(BIN_PICKING, "--cell", str(cell), "--set", "robot=Device:arm-1", "--json")
     assert done.exit_code == 0, done.output
     steps = json.loads(done.output)
-    assert [one["operation"] for one in steps] == ["home", "scan", "pick", "place", "home"]
-    assert all(one["faults"] == [] and one["skipped"] is None for one in steps)
+    assert [step["operation"] for step in steps] == ["home", "scan", "pick", "place", "home"]
+    assert all(step["faults"] == [] and step["skipped"] is None for step in steps)
 
 
 def test_a_robot_away_from_the_origin_or_of_another_driver_has_no_scene_of_its_own(
@@ -141,8 +141,8 @@ def test_robots_of_one_cell_are_in_the_way_of_each_other_until_they_have_left(
     done = check(sequence(*(moves(target, robot) for robot, target in steps)), "--cell", str(cell), "--json")
     assert done.exit_code == 1, done.output
     report = json.loads(done.output)
-    assert [one["robot"] for one in report] == [robot for robot, _ in steps]
-    assert [bool(one["faults"]) for one in report] == [False, True, False, False]
+    assert [step["robot"] for step in report] == [robot for robot, _ in steps]
+    assert [bool(step["faults"]) for step in report] == [False, True, False, False]
     assert "touches left" in str(report[1]["faults"])
 
 

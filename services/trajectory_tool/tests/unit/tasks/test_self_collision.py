@@ -32,10 +32,10 @@ async def test_a_position_in_which_the_robot_touches_itself_is_refused_before_it
 
 
 async def test_a_way_through_the_robot_itself_is_planned_around(alone: Any) -> None:
-    one, other = THROUGH_ITSELF
-    await alone.do("moveTo", joints=list(one))
-    done = await alone.do("moveTo", joints=list(other))
-    assert done["joints"] == pytest.approx(list(other))
+    first, second = THROUGH_ITSELF
+    await alone.do("moveTo", joints=list(first))
+    done = await alone.do("moveTo", joints=list(second))
+    assert done["joints"] == pytest.approx(list(second))
 
 
 async def test_the_limiter_stops_a_motion_into_the_robot_itself(alone: Any) -> None:

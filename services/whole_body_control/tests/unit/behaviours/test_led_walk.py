@@ -153,6 +153,6 @@ def test_forces_at_a_hand_are_kept_apart_from_those_of_its_own_motion(name: str)
     ways = {"sensor": by_sensor}
     if name == "coman":  # the dry friction of the joints of TALOS hides some newtons from their torques
         ways["torques"] = by_torques
-    for way, found in ways.items():
-        off = np.array(found) - np.array(forces)
+    for way, walked in ways.items():
+        off = np.array(walked) - np.array(forces)
         assert np.sqrt((off**2).mean(axis=0)).max() < 1.0, way

@@ -60,8 +60,8 @@ def test_the_rehearsals_that_are_shipped_are_of_the_model_and_in_every_direction
     model = humanoid(name)
     shipped = read_rehearsals(folder(name) / FILE, model)
     assert set(shipped) == set(model.grips)
-    for known in shipped.values():
-        directions = [features[2] for features, _ in known]
+    for learned in shipped.values():
+        directions = [features[2] for features, _ in learned]
         assert directions == pytest.approx([*DIRECTIONS_RAD, 0.0], abs=0.05)
 
 
@@ -76,8 +76,8 @@ def test_a_throw_with_the_rehearsals_that_are_shipped_lands_at_its_target(name: 
     model = humanoid(name)
     game = SimulatedThrow(model, build_with_ball(model), fastest_solver())
     base, practice = game.controller.start[:2], Practice()
-    for hand, known in read_rehearsals(folder(name) / FILE, model).items():
-        practice.restore(hand, known)
+    for hand, learned in read_rehearsals(folder(name) / FILE, model).items():
+        practice.restore(hand, learned)
         planner = ThrowPlanner(Kinematics(model), game.controller.start, model.grips[hand])
         record = game.throw(planner.plan(practice.aim(hand, base, REHEARSAL_TARGET)))
         assert np.linalg.norm((record.landed - REHEARSAL_TARGET)[:2]) < within_m
@@ -87,8 +87,8 @@ def test_a_throw_with_the_rehearsals_that_are_shipped_lands_at_its_target(name: 
 def test_a_file_is_read_for_the_very_model_that_rehearsed_only(tmp_path: Path) -> None:
     path = tmp_path / "folder" / FILE
     assert read_rehearsals(path, COMAN) == {}
-    known = ((np.array([1.0, 0.0, -0.2]), np.array([0.031, -0.012])),)
-    write_rehearsals(path, COMAN, {"right_hand": known})
+    learned = ((np.array([1.0, 0.0, -0.2]), np.array([0.031, -0.012])),)
+    write_rehearsals(path, COMAN, {"right_hand": learned})
     ((features, miss),) = read_rehearsals(path, COMAN)["right_hand"]
     assert (features.tolist(), miss.tolist()) == ([1.0, 0.0, -0.2], [0.031, -0.012])
     assert read_rehearsals(path, replace(COMAN, drive_inertia=0.06)) == {}

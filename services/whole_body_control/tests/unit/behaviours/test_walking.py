@@ -41,10 +41,10 @@ class Walked:
 @pytest.fixture(scope="module")
 def walked() -> Walked:
     """Return a walk of four seconds ahead and to the left, with noise, and two seconds to stop."""
-    one = walk(noisy=True)
+    run = walk(noisy=True)
     wish = Wish(np.array([SPEED_MPS, 0.0]), YAW_RATE)
-    record = one.run(6.5, lambda time_s: wish if 0.2 <= time_s < 4.2 else STILL)
-    return Walked(record, one, one.robot.true_configuration(), one.controller.estimator.q.copy())
+    record = run.run(6.5, lambda time_s: wish if 0.2 <= time_s < 4.2 else STILL)
+    return Walked(record, run, run.robot.true_configuration(), run.controller.estimator.q.copy())
 
 
 def test_it_goes_where_it_is_sent_and_then_stands_on_both_feet(walked: Walked) -> None:
@@ -79,42 +79,42 @@ def test_the_estimate_follows_the_truth_but_for_the_drift_of_the_steps(walked: W
 
 @pytest.mark.parametrize("impulse", [(10.0, 0.0), (-10.0, 0.0), (0.0, 5.0)], ids=str)
 def test_a_push_is_survived_while_it_stands(impulse: tuple[float, float]) -> None:
-    one = walk(noisy=False)
-    one.run(0.3, lambda _: STILL)
-    one.robot.push(np.array([*impulse, 0.0]))
-    record = one.run(1.6, lambda _: STILL)
+    run = walk(noisy=False)
+    run.run(0.3, lambda _: STILL)
+    run.robot.push(np.array([*impulse, 0.0]))
+    record = run.run(1.6, lambda _: STILL)
     assert not record.has_fallen
     assert np.abs(record.com - record.reference).max() > 0.01  # the push was felt
     assert np.linalg.norm(record.states[-1].com_velocity) < 0.1
 
 
 def test_a_sensor_that_is_not_finite_leaves_the_last_command() -> None:
-    one = walk(noisy=False)
-    one.run(0.02, lambda _: STILL)
-    before = one.command.positions.copy(), one.command.torques.copy()
-    one.sensors.gyroscope[1] = np.nan
-    state = one.controller.step(one.sensors, one.command)
+    run = walk(noisy=False)
+    run.run(0.02, lambda _: STILL)
+    before = run.command.positions.copy(), run.command.torques.copy()
+    run.sensors.gyroscope[1] = np.nan
+    state = run.controller.step(run.sensors, run.command)
     assert "not finite" in state.fault
-    assert (one.command.positions == before[0]).all()
-    assert (one.command.torques == before[1]).all()
-    assert one.controller.step(walk(noisy=False).sensors, one.command).fault == ""
+    assert (run.command.positions == before[0]).all()
+    assert (run.command.torques == before[1]).all()
+    assert run.controller.step(walk(noisy=False).sensors, run.command).fault == ""
 
 
 def test_an_estimate_that_has_drifted_far_in_place_and_yaw_does_not_disturb_it() -> None:
-    one = walk(noisy=True)
-    controller, ahead = one.controller, Wish(np.array([SPEED_MPS, 0.0]))
-    one.run(2.0, lambda _: ahead)
+    run = walk(noisy=True)
+    controller, ahead = run.controller, Wish(np.array([SPEED_MPS, 0.0]))
+    run.run(2.0, lambda _: ahead)
     estimator, drift = controller.estimator, np.array([0.5, -0.3, 0.0])
     turned = pin.exp3(np.array([0.0, 0.0, 1.0]))
     estimator._rotation = turned @ estimator._rotation
     estimator._position = turned @ estimator._position + drift
     for foot in estimator.feet.values():
         foot.anchor = turned @ foot.anchor + drift
-    start = one.robot.true_configuration()[0]
-    record = one.run(4.0, lambda _: ahead)
+    start = run.robot.true_configuration()[0]
+    record = run.run(4.0, lambda _: ahead)
     assert not record.has_fallen
     assert record.tracking_rms_m() < 0.01
-    assert one.robot.true_configuration()[0] > start + 0.15
+    assert run.robot.true_configuration()[0] > start + 0.15
     reference = controller.on_estimate(controller.state.reference.com)  # as the state of the cycle has it
     assert np.linalg.norm(reference - estimator.com[:2]) < 0.02
     assert np.linalg.norm(controller.state.reference.com - estimator.com[:2]) > 0.2
@@ -122,21 +122,21 @@ def test_an_estimate_that_has_drifted_far_in_place_and_yaw_does_not_disturb_it()
 
 def test_a_control_period_allocates_little_and_keeps_nothing() -> None:
     controller, ahead = WalkingController(COMAN), Wish(np.array([SPEED_MPS, 0.0]))
-    one = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1, MODEL))
-    one.run(1.0, lambda _: ahead)
+    run = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1, MODEL))
+    run.run(1.0, lambda _: ahead)
     gc.collect()
     gc.disable()
     tracemalloc.start(1)
     try:
         peaks = []
         for _ in range(40):
-            one.robot.read(one.sensors)
+            run.robot.read(run.sensors)
             tracemalloc.reset_peak()
             before, _ = tracemalloc.get_traced_memory()
-            one.controller.step(one.sensors, one.command)
+            run.controller.step(run.sensors, run.command)
             peaks.append(tracemalloc.get_traced_memory()[1] - before)
-            one.robot.write(one.command)
-            one.robot.wait()
+            run.robot.write(run.command)
+            run.robot.wait()
     finally:
         tracemalloc.stop()
         gc.enable()

@@ -128,9 +128,9 @@ def test_a_mode_that_model_or_driver_lacks_is_refused_by_name(tmp_path: Path) ->
 
 
 def sensors() -> RobotSensors:
-    found = RobotSensors(COMAN)
-    SimulatedRobot(COMAN, START).read(found)
-    return found
+    measured = RobotSensors(COMAN)
+    SimulatedRobot(COMAN, START).read(measured)
+    return measured
 
 
 def commanded(driver: Driver, link: PortRobot, command: JointCommand) -> Safety:

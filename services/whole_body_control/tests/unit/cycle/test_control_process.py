@@ -160,7 +160,7 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
     """Equal parts of a walk: what the cycle keeps shows in each part, what another thread keeps does not."""
     deployment = read_deployment(written(tmp_path))
     loop, _ = control_loop(deployment)
-    wish, held, known = PortWriter(deployment.folder / "wish", WISH), [], []
+    wish, held, objects = PortWriter(deployment.folder / "wish", WISH), [], []
     wanted = {"ahead_mps": 0.05, "speed_share": 1.0}
     gc.collect()
     gc.disable()
@@ -170,7 +170,7 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
             for _ in range(600):
                 wish.write(np.array([wanted.get(name, 0.0) for name in WISH]))
                 loop.cycle()
-            known.append(len(gc.get_objects()))
+            objects.append(len(gc.get_objects()))
             held.append(traced_bytes())
     finally:
         tracemalloc.stop()
@@ -178,7 +178,7 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
     assert loop.mode is Mode.FOLLOWING
     assert held[-1] > 0
     assert min(np.diff(held[-LAST:])) < MEMORY_BYTES, held
-    assert min(np.diff(known[-LAST:])) < OBJECTS, known
+    assert min(np.diff(objects[-LAST:])) < OBJECTS, objects
 
 
 class _HeapFigures(ctypes.Structure):
@@ -245,4 +245,4 @@ def test_a_deployment_that_cannot_work_is_explained(
 def test_a_deployment_is_read(tmp_path: Path) -> None:
     deployment: Deployment = read_deployment(written(tmp_path))
     assert deployment.robot.humanoid == "coman"
-    assert [name for name, each in deployment.components.items() if not each.realtime] == ["page"]
+    assert [name for name, component in deployment.components.items() if not component.realtime] == ["page"]

@@ -124,6 +124,6 @@ def test_a_model_without_limits_of_gains_lets_nobody_change_them_and_wrong_limit
         "  left_arm: {stiffness: [1.2, 2], damping: [0.5, 2]}\n"
     )
     (folder / "robot.yaml").write_text(text[:start] + wrong + text[end:])
-    with pytest.raises(UsageError, match='gain_limits for "tail", which is no chain') as found:
+    with pytest.raises(UsageError, match='gain_limits for "tail", which is no chain') as refused:
         read_folder(folder)
-    assert 'the stiffness of "left_arm" to 1.2 … 2' in str(found.value)
+    assert 'the stiffness of "left_arm" to 1.2 … 2' in str(refused.value)

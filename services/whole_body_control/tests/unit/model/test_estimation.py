@@ -125,5 +125,7 @@ def test_the_frame_between_the_soles_has_their_mean_yaw_whichever_way_the_robot_
     links = {contact.link for contact in COMAN.contacts.values()}
     soles = [KINEMATICS.pose(link).rotation for link in links]
     ahead = sum((sole[:2, 0] for sole in soles), np.zeros(2))
-    found = StateEstimator(KINEMATICS, q).feet_frame()[2]
-    assert math.remainder(found - math.atan2(ahead[1], ahead[0]), 2 * math.pi) == pytest.approx(0.0, abs=1e-3)
+    yaw_rad = StateEstimator(KINEMATICS, q).feet_frame()[2]
+    assert math.remainder(yaw_rad - math.atan2(ahead[1], ahead[0]), 2 * math.pi) == pytest.approx(
+        0.0, abs=1e-3
+    )

@@ -45,7 +45,7 @@ def test_coman_goes_where_its_hands_are_moved(way: float, yaw: float) -> None:
     kinematics.update(q)
     rest = {arm: hand_place(kinematics, hand) for arm, hand in ARMS.items()}
     at_rest = {arm: arm_state(kinematics, arm, hand, rest[arm]) for arm, hand in ARMS.items()}
-    values = [np.linalg.svd(each.jacobian, compute_uv=False) for each in at_rest.values()]
+    values = [np.linalg.svd(task.jacobian, compute_uv=False) for task in at_rest.values()]
     threshold = 0.7 * float(np.prod(values[0]))
     reference = IntentionReference(IntentionLimits(threshold))
     assert not reference.update(at_rest, DT_S).is_active

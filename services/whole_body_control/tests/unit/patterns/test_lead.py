@@ -54,7 +54,13 @@ def test_it_begins_farther_out_than_it_ends_and_rests_in_between() -> None:
     def moves(ahead_m: float) -> bool:
         return bool(settled(reference, np.array([ahead_m, 0.0, 0.0])).any())
 
-    assert [moves(each) for each in (0.09, 0.11, 0.07, 0.04, 0.09)] == [False, True, True, False, False]
+    assert [moves(distance_m) for distance_m in (0.09, 0.11, 0.07, 0.04, 0.09)] == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_a_shock_of_a_foot_that_lands_does_not_turn_it() -> None:
@@ -84,8 +90,8 @@ def test_the_stiffness_of_a_person_is_found_from_the_sway_of_the_hands(
     for step in range(800):
         hand = np.array([0.02, swaying(step, sway_m)])
         force = stiffness * (person - hand) + random.normal(scale=0.05 * stiffness * sway_m, size=2)
-        found = hold.update(hand, force, DT_S)
-    assert found == pytest.approx(stiffness, rel=0.3)
+        estimate = hold.update(hand, force, DT_S)
+    assert estimate == pytest.approx(stiffness, rel=0.3)
 
 
 def test_a_person_who_changes_the_lead_is_not_taken_for_a_soft_one() -> None:
@@ -94,9 +100,9 @@ def test_a_person_who_changes_the_lead_is_not_taken_for_a_soft_one() -> None:
         ahead = 0.15 if step // 100 % 2 else -0.15
         followed += 0.1 * (0.2 * ahead - followed)  # compliant arms follow a little
         hand = np.array([followed, swaying(step, 0.02)])
-        found = hold.update(hand, 40.0 * (np.array([ahead, 0.0]) - hand), DT_S)
-    assert found == pytest.approx(40.0, rel=0.25)
-    assert hold.update(np.array([np.nan, 0.0]), np.zeros(2), DT_S) == found
+        estimate = hold.update(hand, 40.0 * (np.array([ahead, 0.0]) - hand), DT_S)
+    assert estimate == pytest.approx(40.0, rel=0.25)
+    assert hold.update(np.array([np.nan, 0.0]), np.zeros(2), DT_S) == estimate
     hold.restart()
     assert hold.npm == HoldStiffness.DEFAULT_NPM
 

@@ -216,11 +216,11 @@ def test_the_nearest_point_of_a_sole_is_within_and_nearest(
 ) -> None:
     foot, point = Footprint("left", foot_x, foot_y, yaw), np.array([x, y])
     sole = np.array([[0.1, 0.05], [0.1, -0.04], [-0.06, -0.04], [-0.06, 0.05]])
-    found = nearest_in_sole(foot, sole, point, 0.01)
+    nearest = nearest_in_sole(foot, sole, point, 0.01)
     region = Region.of([foot], sole)
-    assert region.room_m(found) >= 0.01 - 1e-9
+    assert region.room_m(nearest) >= 0.01 - 1e-9
     inside = foot.to_ground(np.random.default_rng(0).uniform([-0.05, -0.03], [0.09, 0.04], size=(50, 2)))
-    assert (np.linalg.norm(inside - point, axis=1) >= np.linalg.norm(found - point) - 1e-9).all()
+    assert (np.linalg.norm(inside - point, axis=1) >= np.linalg.norm(nearest - point) - 1e-9).all()
     if region.room_m(point) >= 0.01:
-        assert found == pytest.approx(point)
+        assert nearest == pytest.approx(point)
     assert turn(yaw) @ turn(-yaw) == pytest.approx(np.eye(2))

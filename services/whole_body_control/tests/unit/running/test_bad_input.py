@@ -40,9 +40,9 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, 
     def model(file: str, change: Change) -> Humanoid:
         changed = copytree(COMAN, tmp_path / "robot") / file
         changed.write_text(change(changed.read_text()))
-        found = read_folder(changed.parent)
-        monkeypatch.setattr(control_process, "humanoid", lambda _: found)
-        return found
+        changed_model = read_folder(changed.parent)
+        monkeypatch.setattr(control_process, "humanoid", lambda _: changed_model)
+        return changed_model
 
     return model
 

@@ -101,12 +101,12 @@ def exercises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exerc
 @pytest.mark.parametrize(
     ("act", "reason"),
     [
-        (lambda one: one.send(tracking="lost"), "trackingLost"),
-        (lambda one: one.send(inBounds=False), "outOfBounds"),
-        (lambda one: one.send((0.9, 0.6, 0.6)), "trackingLost"),
-        (lambda one: one.send((9.0, 0.0, 0.6)), "outOfBounds"),
-        (lambda one: one.pull(200.0), "force"),
-        (lambda one: one.later(SILENT_S, is_sending=False), "silent"),
+        (lambda patient: patient.send(tracking="lost"), "trackingLost"),
+        (lambda patient: patient.send(inBounds=False), "outOfBounds"),
+        (lambda patient: patient.send((0.9, 0.6, 0.6)), "trackingLost"),
+        (lambda patient: patient.send((9.0, 0.0, 0.6)), "outOfBounds"),
+        (lambda patient: patient.pull(200.0), "force"),
+        (lambda patient: patient.later(SILENT_S, is_sending=False), "silent"),
     ],
     ids=[
         "lost tracking",

@@ -53,8 +53,8 @@ def robot(request: pytest.FixtureRequest) -> Humanoid:
 def blocks(heading: str) -> dict[str, str]:
     """Return the first block of each language of a section of the documentation."""
     section = GUIDE.read_text(encoding="utf-8").split(f"\n## {heading}\n")[1].split("\n## ")[0]
-    found = re.findall(r"```(\w+)\n(.*?)```", section, re.DOTALL)
-    return dict(reversed(found))
+    snippets = re.findall(r"```(\w+)\n(.*?)```", section, re.DOTALL)
+    return dict(reversed(snippets))
 
 
 class Person:
@@ -67,7 +67,7 @@ class Person:
         self._kinematics.update(self._q)
         self._rest = {arm: hand_place(self._kinematics, hand) for arm, hand in self._hands.items()}
         states = {arm: self._state(arm) for arm in self._hands}
-        volumes = [np.prod(np.linalg.svd(each.jacobian, compute_uv=False)) for each in states.values()]
+        volumes = [np.prod(np.linalg.svd(state.jacobian, compute_uv=False)) for state in states.values()]
         self._reference = IntentionReference(IntentionLimits(0.7 * float(min(volumes))))
         assert not self._reference.update(states, CONTROL_S).is_active
 
@@ -84,7 +84,7 @@ class Person:
                 step = np.linalg.lstsq(state.jacobian, 0.05 * error, rcond=0.05)[0]
                 joints = np.array(robot.indices(arm))
                 lower, upper = (
-                    np.array([getattr(robot.joints[each], end) for each in joints])
+                    np.array([getattr(robot.joints[joint], end) for joint in joints])
                     for end in ("lower", "upper")
                 )
                 self._q[7 + joints] = np.clip(self._q[7 + joints] + step, lower, upper)

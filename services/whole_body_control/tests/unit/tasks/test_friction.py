@@ -27,8 +27,8 @@ wishes = st.tuples(*[st.floats(-3.0, 3.0, allow_subnormal=False)] * 3).map(np.ar
 
 def standing(*, on_ice: float | None = None) -> tuple[Kinematics, Array]:
     contacts = {
-        name: each if on_ice is None else replace(each, friction=on_ice)
-        for name, each in COMAN.contacts.items()
+        name: contact if on_ice is None else replace(contact, friction=on_ice)
+        for name, contact in COMAN.contacts.items()
     }
     kinematics = Kinematics(replace(COMAN, contacts=contacts))
     q = kinematics.standing("stand")
@@ -115,7 +115,7 @@ def test_sloped_contacts_push_together() -> None:
         velocity = pseudo @ (DT_S * (force - UP))
         assert bool((both.matrix @ velocity <= both.upper + 1e-9).all()) is is_possible
         alone = [Friction((name,)).bounds(kinematics, q, DT_S) for name in SOLES]
-        assert not any((one.matrix @ velocity <= one.upper + 1e-9).all() for one in alone)
+        assert not any((bounds.matrix @ velocity <= bounds.upper + 1e-9).all() for bounds in alone)
 
 
 @settings(max_examples=25, deadline=None)

@@ -44,7 +44,9 @@ def test_rows_are_the_derivatives_of_distances(
     v = rng.normal(size=35)
     kinematics.update(q)
     bounds = collision.bounds(kinematics, q, DT_S)
-    near = {pair: each for pair, each in collision.distances(kinematics).items() if each < 0.05}
+    near = {
+        pair: distance_m for pair, distance_m in collision.distances(kinematics).items() if distance_m < 0.05
+    }
     assert len(bounds.lower) % ROW_BLOCK == 0
     assert (bounds.lower > -NO_BOUND).sum() == len(near)
     rates = bounds.matrix[: len(near)] @ v
@@ -75,7 +77,7 @@ def nearest_m(kinematics: Kinematics, solver: Solver, *, is_checked: bool) -> fl
     q = kinematics.standing("hands_forward")
     kinematics.update(q)
     collision = SelfCollision(kinematics)
-    left, right = (PoseTask(each, each, kinematics.pose(each).copy()) for each in ("l_sole", "r_sole"))
+    left, right = (PoseTask(link, link, kinematics.pose(link).copy()) for link in ("l_sole", "r_sole"))
     torso = pin.SE3(np.eye(3), kinematics.pose("DWYTorso").translation)
     hand = PoseTask("hand", "LSoftHand", torso, axes=(True,) * 3 + (False,) * 3)
     limits: list[Constraint] = [JointLimits(kinematics)]
