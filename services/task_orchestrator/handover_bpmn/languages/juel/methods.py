@@ -18,7 +18,7 @@ from handover_bpmn.languages.base import (
     quote_names,
     within_limits,
 )
-from handover_bpmn.languages.juel_values import (
+from handover_bpmn.languages.juel.values import (
     MAX_STRING,
     check_number,
     check_string,

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from handover_bpmn.languages.base import (
     ExpressionError,
 )
-from handover_bpmn.languages.feel_values import (
+from handover_bpmn.languages.feel.values import (
     Budget,
     FeelValue,
     Range,

@@ -15,9 +15,9 @@ from handover_bpmn.languages.base import (
     evaluation_error,
     within_limits,
 )
-from handover_bpmn.languages.feel_nodes import NameScope, Node
-from handover_bpmn.languages.feel_parser import FeelParser
-from handover_bpmn.languages.feel_values import (
+from handover_bpmn.languages.feel.nodes import NameScope, Node
+from handover_bpmn.languages.feel.parser import FeelParser
+from handover_bpmn.languages.feel.values import (
     Budget,
     to_json,
 )
