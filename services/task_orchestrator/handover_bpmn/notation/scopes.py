@@ -5,30 +5,11 @@ from dataclasses import replace
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.model import (
-    ACTIVITIES,
-    EVENTS,
-    CompensateEvent,
-    Flow,
-    Kind,
-    Node,
-    Scope,
-)
+from handover_bpmn.model import ACTIVITIES, EVENTS, CompensateEvent, Flow, Kind, Node, Scope
 from handover_bpmn.notation.conditions import read_condition
 from handover_bpmn.notation.context import Context
-from handover_bpmn.notation.document import (
-    BPMN,
-    child,
-    children,
-    is_bpmn,
-    local,
-)
-from handover_bpmn.notation.elements import (
-    Contents,
-    check_other,
-    data_object_of,
-    referenced,
-)
+from handover_bpmn.notation.document import BPMN, child, children, is_bpmn, local
+from handover_bpmn.notation.elements import Contents, check_other, data_object_of, referenced
 from handover_bpmn.notation.listeners import with_listeners
 from handover_bpmn.notation.nodes.node_type import Surroundings
 from handover_bpmn.notation.nodes.table import NODE_TYPES

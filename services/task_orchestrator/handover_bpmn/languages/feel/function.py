@@ -3,10 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from handover_bpmn.languages.feel.values import (
-    Budget,
-    FeelValue,
-)
+from handover_bpmn.languages.feel.values import Budget, FeelValue
 
 
 class Function(NamedTuple):

@@ -5,14 +5,7 @@ from collections.abc import Callable, Mapping
 
 from handover_bpmn.languages.base import ExpressionError, within_limits
 from handover_bpmn.languages.feel.function import AnyValue, Function, over_list, typed
-from handover_bpmn.languages.feel.values import (
-    Budget,
-    FeelValue,
-    is_same,
-    order,
-    text,
-    to_json,
-)
+from handover_bpmn.languages.feel.values import Budget, FeelValue, is_same, order, text, to_json
 
 
 def _count(_: Budget, items: FeelValue) -> FeelValue:

@@ -5,9 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import date, datetime
 from typing import Any, TypeAlias
 
-from handover_bpmn.languages.base import (
-    ExpressionError,
-)
+from handover_bpmn.languages.base import ExpressionError
 from handover_bpmn.languages.feel.values import (
     Budget,
     FeelValue,

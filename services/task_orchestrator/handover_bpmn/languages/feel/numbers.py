@@ -6,13 +6,7 @@ from collections.abc import Callable, Mapping
 
 from handover.formats.durations import Duration
 from handover_bpmn.languages.feel.function import NUMBER, Function, over_list, typed
-from handover_bpmn.languages.feel.values import (
-    Budget,
-    FeelValue,
-    add,
-    is_number,
-    number,
-)
+from handover_bpmn.languages.feel.values import Budget, FeelValue, add, is_number, number
 
 
 def _sum(budget: Budget, items: list[FeelValue]) -> FeelValue:

@@ -4,10 +4,7 @@ import math
 import re
 from collections.abc import Callable
 
-from handover_bpmn.languages.base import (
-    MAX_NUMBER,
-    Json,
-)
+from handover_bpmn.languages.base import MAX_NUMBER, Json
 from handover_bpmn.languages.feel.function import Function
 from handover_bpmn.languages.feel.functions import FUNCTIONS
 from handover_bpmn.languages.feel.nodes import (
@@ -40,14 +37,7 @@ from handover_bpmn.languages.feel.nodes import (
     variable,
     weigh,
 )
-from handover_bpmn.languages.feel.values import (
-    TYPES,
-    FeelValue,
-    has_type,
-    number,
-    to_datetime,
-    to_duration,
-)
+from handover_bpmn.languages.feel.values import TYPES, FeelValue, has_type, number, to_datetime, to_duration
 from handover_bpmn.languages.tokens import Tokens, unquote
 
 _PATTERN = re.compile(

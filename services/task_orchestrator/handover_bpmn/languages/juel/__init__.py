@@ -8,19 +8,10 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from handover_bpmn.languages.base import (
-    ExpressionError,
-    Json,
-    Variables,
-    evaluation_error,
-    within_limits,
-)
+from handover_bpmn.languages.base import ExpressionError, Json, Variables, evaluation_error, within_limits
 from handover_bpmn.languages.juel.nodes import Node
 from handover_bpmn.languages.juel.parser import JuelParser
-from handover_bpmn.languages.juel.values import (
-    check_string,
-    coerce_to_string,
-)
+from handover_bpmn.languages.juel.values import check_string, coerce_to_string
 from handover_bpmn.languages.tokens import excerpt
 
 START = re.compile(r"\\?[$#]\{")

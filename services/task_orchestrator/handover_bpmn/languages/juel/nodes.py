@@ -3,16 +3,8 @@
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from handover_bpmn.languages.base import (
-    ExpressionError,
-    Json,
-    Variables,
-    quote_names,
-)
-from handover_bpmn.languages.juel.values import (
-    coerce_to_boolean,
-    read_property,
-)
+from handover_bpmn.languages.base import ExpressionError, Json, Variables, quote_names
+from handover_bpmn.languages.juel.values import coerce_to_boolean, read_property
 
 Node: TypeAlias = Callable[[Variables], Json]
 

@@ -6,13 +6,7 @@ import re
 from collections.abc import Callable
 from typing import ClassVar, TypeAlias
 
-from handover_bpmn.languages.base import (
-    MAX_NUMBER,
-    ExpressionError,
-    Json,
-    Variables,
-    quote_names,
-)
+from handover_bpmn.languages.base import MAX_NUMBER, ExpressionError, Json, Variables, quote_names
 from handover_bpmn.languages.juel.methods import (
     EXECUTION_PROPERTIES,
     FUNCTIONS,

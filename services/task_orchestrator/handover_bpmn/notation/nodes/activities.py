@@ -7,22 +7,14 @@ from lxml import etree
 from handover.messages import message
 from handover_bpmn.languages.base import Expression, ExpressionError
 from handover_bpmn.languages.juel import read_juel
-from handover_bpmn.model import (
-    Activity,
-    Kind,
-    Value,
-)
+from handover_bpmn.model import Activity, Kind, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import Script, Work
 from handover_bpmn.notation.dialects.handover_elements import has_task
-from handover_bpmn.notation.document import (
-    documentation,
-)
+from handover_bpmn.notation.document import documentation
 from handover_bpmn.notation.elements import refuse
 from handover_bpmn.notation.names import definition_of
-from handover_bpmn.notation.nodes.data import (
-    read_task_data,
-)
+from handover_bpmn.notation.nodes.data import read_task_data
 from handover_bpmn.notation.nodes.performers import RESOURCE_ROLES, performer_hints
 from handover_bpmn.notation.nodes.retries import read_retry
 from handover_bpmn.notation.nodes.task_extensions import read_escalations, read_specification

@@ -11,20 +11,10 @@ from dataclasses import dataclass, field
 from lxml import etree
 
 from handover_bpmn.languages.native_grammar import is_variable_name
-from handover_bpmn.model import (
-    DataAssociation,
-    Value,
-)
+from handover_bpmn.model import DataAssociation, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt, native_variable
-from handover_bpmn.notation.document import (
-    assigned_text,
-    child,
-    child_text,
-    children,
-    local,
-    own_data,
-)
+from handover_bpmn.notation.document import assigned_text, child, child_text, children, local, own_data
 from handover_bpmn.notation.elements import referenced, warn_without_effect
 
 

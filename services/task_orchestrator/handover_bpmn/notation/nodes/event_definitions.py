@@ -10,13 +10,7 @@ from lxml import etree
 
 from handover.messages import message, text_of
 from handover_bpmn.languages import native
-from handover_bpmn.languages.base import (
-    Expression,
-    ExpressionError,
-    Json,
-    Variables,
-    quote_names,
-)
+from handover_bpmn.languages.base import Expression, ExpressionError, Json, Variables, quote_names
 from handover_bpmn.model import (
     CompensateEvent,
     ConditionalEvent,
@@ -35,14 +29,7 @@ from handover_bpmn.model import (
 from handover_bpmn.notation.conditions import read_condition
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import Dialect, Occurrence, attempt
-from handover_bpmn.notation.document import (
-    child,
-    children,
-    flag,
-    is_bpmn,
-    local,
-    text,
-)
+from handover_bpmn.notation.document import child, children, flag, is_bpmn, local, text
 from handover_bpmn.notation.elements import message_of, referenced, refuse, warn_without_effect
 from handover_bpmn.timing.timers import due_at, is_time, parse_cycle
 

@@ -19,16 +19,9 @@ from handover_bpmn.model import (
 )
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.handover_elements import has_task
-from handover_bpmn.notation.document import (
-    child,
-    flag,
-)
-from handover_bpmn.notation.elements import (
-    referenced,
-)
-from handover_bpmn.notation.nodes.activities import (
-    read_activity,
-)
+from handover_bpmn.notation.document import child, flag
+from handover_bpmn.notation.elements import referenced
+from handover_bpmn.notation.nodes.activities import read_activity
 from handover_bpmn.notation.nodes.data import read_data
 from handover_bpmn.notation.nodes.event_definitions import definitions_of, read_event
 from handover_bpmn.notation.nodes.implementations import has_implementation, warn_message_not_thrown

@@ -5,22 +5,10 @@ from collections.abc import Iterator
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.model import (
-    ConditionalEvent,
-    Fault,
-    Kind,
-    MessageEvent,
-    Node,
-    SignalEvent,
-    TimerEvent,
-)
+from handover_bpmn.model import ConditionalEvent, Fault, Kind, MessageEvent, Node, SignalEvent, TimerEvent
 from handover_bpmn.notation.context import Context
-from handover_bpmn.notation.document import (
-    flag,
-)
-from handover_bpmn.notation.elements import (
-    refuse,
-)
+from handover_bpmn.notation.document import flag
+from handover_bpmn.notation.elements import refuse
 from handover_bpmn.notation.nodes.node_type import NodeType, Surroundings
 from handover_bpmn.notation.scope_graph import ScopeGraph, node_fault
 

@@ -5,24 +5,13 @@ from lxml import etree
 from handover.messages import message
 from handover_bpmn.languages.juel import read_juel
 from handover_bpmn.languages.native_grammar import is_variable_name
-from handover_bpmn.model import (
-    MultiInstance,
-    StandardLoop,
-    Value,
-)
+from handover_bpmn.model import MultiInstance, StandardLoop, Value
 from handover_bpmn.notation.conditions import read_condition
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt, native_variable
-from handover_bpmn.notation.document import (
-    child,
-    child_text,
-    flag,
-    own_data,
-)
+from handover_bpmn.notation.document import child, child_text, flag, own_data
 from handover_bpmn.notation.elements import referenced, warn_without_effect
-from handover_bpmn.notation.nodes.data import (
-    associated_variable,
-)
+from handover_bpmn.notation.nodes.data import associated_variable
 
 
 def read_loop(element: etree._Element, context: Context) -> StandardLoop | MultiInstance | None:

@@ -5,23 +5,11 @@ from dataclasses import replace
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.model import (
-    Call,
-    Kind,
-    Node,
-    Value,
-)
+from handover_bpmn.model import Call, Kind, Node, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.handover_elements import has_task
-from handover_bpmn.notation.document import (
-    child,
-    children,
-    flag,
-)
-from handover_bpmn.notation.elements import (
-    referenced,
-    refuse,
-)
+from handover_bpmn.notation.document import child, children, flag
+from handover_bpmn.notation.elements import referenced, refuse
 from handover_bpmn.notation.names import process_name
 from handover_bpmn.notation.nodes.activities import (
     ACTIVITY_PARTS,
