@@ -12,17 +12,7 @@ from typing import Any
 
 from handover_bpmn.execution.graph import Graph
 from handover_bpmn.languages.base import ExpressionError
-from handover_bpmn.model import (
-    EVENTS,
-    Activity,
-    Definition,
-    ErrorEvent,
-    Flow,
-    Kind,
-    LinkEvent,
-    Node,
-    Scope,
-)
+from handover_bpmn.model import EVENTS, Activity, Definition, ErrorEvent, Flow, Kind, LinkEvent, Node, Scope
 
 MAX_UPCOMING = 8
 """A longer list of possible activities is of no use to a person."""

@@ -19,16 +19,7 @@ from dataclasses import dataclass
 
 from handover.messages import message
 from handover_bpmn.languages.base import Json, Variables
-from handover_bpmn.model import (
-    Activity,
-    Kind,
-    LinkEvent,
-    MultiInstance,
-    Node,
-    Scope,
-    Span,
-    SpanKind,
-)
+from handover_bpmn.model import Activity, Kind, LinkEvent, MultiInstance, Node, Scope, Span, SpanKind
 from handover_bpmn.references import is_reference
 
 MAX_NEEDS = 16

@@ -4,23 +4,18 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import httpx
 import typer
-import yaml
 
-from handover.command_line.access import ask_service
 from handover.command_line.output import AsJson, print_json
 from handover.command_line.parameters import parse_parameter
 from handover.errors import UsageError
-from handover.settings import Settings
+from handover_processes.command_line.asking import By, Why, ask, ask_page, finding_line
 from handover_processes.command_line.exporters import EXPORTERS, Exporter
+from handover_processes.command_line.mapping import mapping
+from handover_processes.command_line.offers import offers
 
 app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, mend.", no_args_is_help=True)
-
-mapping = typer.Typer(help="The mapping from names in process files to performers.", no_args_is_help=True)
 app.add_typer(mapping, name="mapping")
-
-offers = typer.Typer(help="Definitions that other systems have written to the broker.", no_args_is_help=True)
 app.add_typer(offers, name="offers")
 
 
@@ -89,7 +84,7 @@ def list_processes(
 ) -> None:
     """List the process definitions and the processes: status, name, version and the elements that wait."""
     definitions = ask("GET", "/definitions")
-    page = _ask_page("GET", "/processes", params={"limit": limit})
+    page = ask_page("GET", "/processes", params={"limit": limit})
     processes = page.json()
     if as_json:
         print_json({"definitions": definitions, "processes": processes})
@@ -154,8 +149,6 @@ def cancel(
 
 Process = Annotated[str, typer.Argument(help="The id of the process.")]
 Token = Annotated[str, typer.Argument(help="The token of the incident, as `list` shows it.")]
-By = Annotated[str, typer.Option("--by", help="The person who decides it.")]
-Why = Annotated[str | None, typer.Option("--why", help="The reason, for the history.")]
 Variables = Annotated[
     list[str] | None,
     typer.Option("--set", help="A variable to set, name=value; the value is JSON or text."),
@@ -264,12 +257,7 @@ def _print_migration(report: dict[str, Any]) -> None:
     else:
         print(f"{report['process']} {'can' if report['possible'] else 'cannot'} be migrated to {to}")
     for finding in report["findings"]:
-        print(f"  {_finding(finding)}")
-
-
-def _finding(finding: dict[str, Any]) -> str:
-    kind = "obstacle" if finding["obstacle"] else "differs"
-    return f"{kind}  {_drawn(finding)}: {finding['reason']}"
+        print(f"  {finding_line(finding)}")
 
 
 @app.command()
@@ -366,85 +354,6 @@ def signal(
     print("\n".join(answer["processes"]) or "no process waits for it")
 
 
-@mapping.command("show")
-def show_mapping(
-    version: Annotated[int | None, typer.Option("--version", help="An earlier version.")] = None,
-) -> None:
-    """Write the mapping from names in process files to performers, as YAML."""
-    table = ask("GET", "/mapping", params={} if version is None else {"version": version})
-    print(yaml.safe_dump(table, sort_keys=False, allow_unicode=True), end="")
-
-
-@mapping.command("set")
-def set_mapping(
-    file: Annotated[Path, typer.Argument(help="A YAML file with `entries`.")], by: By, why: Why = None
-) -> None:
-    """Replace the mapping, and confirm that its performers may get work."""
-    try:
-        entries = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UsageError(f"{file} is no YAML: {error}") from None
-    if not isinstance(entries, dict) or not isinstance(entries.get("entries"), list):
-        raise UsageError(f"{file} has no list `entries`; see docs/how-to/resources.md")
-    table = ask("PUT", "/mapping", json={"by": by, "why": why, "entries": entries["entries"]})
-    print(f"mapping version {table['version']}: {len(table['entries'])} entries")
-
-
-@offers.command("list")
-def list_offers(
-    status: Annotated[
-        str, typer.Option("--status", help="open, accepted, rejected, superseded or withdrawn.")
-    ] = "open",
-    as_json: AsJson = False,
-) -> None:
-    """List the offers of a status, the latest first."""
-    listed = ask("GET", "/offers", params={"status": status})
-    if as_json:
-        print_json(listed)
-        return
-    for offer in listed:
-        print(f"{offer['id']}  {offer['type']:<22} {offer['name']}")
-        for fault in offer["faults"]:
-            print(f"  fault: {fault['element'] or 'the file'}: {fault['message']}")
-    if not listed:
-        print(f"no offer is {status}")
-
-
-Offer = Annotated[str, typer.Argument(help="The id of the offer, as `offers list` shows it.")]
-
-
-@offers.command("show")
-def show_offer(offer: Offer) -> None:
-    """Show what an offer would change, and who would get the work."""
-    view = ask("GET", f"/offers/{offer}")
-    print(f"{view['name']} ({view['type']}, {view['status']}) of {view['entity']}")
-    for definition in view["definitions"]:
-        print(f"becomes version {definition['version']} of {definition['title']}")
-    for change in view["changes"]:
-        print(f"{change['change']:<8} {change['name'] or change['element']}")
-    for kind in ("fault", "warning"):
-        for finding in view[f"{kind}s"]:
-            print(f"{kind}: {finding['element'] or 'the file'}: {finding['message']}")
-    for line in view["allocation"]:
-        print(f"{line['name']}: {line['warning'] or line['reason']}")
-
-
-@offers.command("accept")
-def accept_offer(offer: Offer, by: By, why: Why = None) -> None:
-    """Deploy a process, or put another definition in force."""
-    view = ask("POST", f"/offers/{offer}/accept", json={"by": by, "why": why})
-    print(f"{view['name']} is accepted")
-
-
-@offers.command("reject")
-def reject_offer(offer: Offer, by: By, why: Why = None) -> None:
-    """Reject an offer; the same content is not offered again."""
-    view = ask("POST", f"/offers/{offer}/reject", json={"by": by, "why": why})
-    print(f"{view['name']} is rejected")
-
-
 def _mend(
     process: str, what: str, by: str, why: str | None, variables: list[str] | None, **others: str
 ) -> None:
@@ -452,39 +361,3 @@ def _mend(
     body = {"by": by, "why": why, "variables": values, **others}
     answer = ask("POST", f"/processes/{process}/{what}", json=body)
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
-
-
-def ask(method: str, path: str, **request: Any) -> Any:
-    """Return the content of the answer of the task orchestrator. Raises `UsageError`."""
-    answer = _ask_page(method, path, **request)
-    return answer.json() if answer.content else None
-
-
-def _ask_page(method: str, path: str, **request: Any) -> httpx.Response:
-    settings = Settings.load()
-    url = settings.url_of(settings.orchestrator_port)
-    return ask_service("task orchestrator", settings, method, url, path, refusal=_refusal, **request)
-
-
-def _refusal(answer: httpx.Response) -> str:
-    try:
-        problem = answer.json()
-    except ValueError:
-        return f"the orchestrator answered {answer.status_code}: {answer.text[:200]}"
-    faults = [
-        f"  line {fault.get('line', '?')}, {_drawn(fault)}: {fault['message']}"
-        for fault in problem.get("faults", [])
-    ]
-    if faults:
-        return "\n".join([f"{problem.get('title')}:", *faults])
-    findings = [f"  {_finding(finding)}" for finding in problem.get("findings", [])]
-    if findings:
-        return "\n".join([f"{problem.get('title')}:", *findings])
-    return str(problem.get("detail") or problem.get("title"))
-
-
-def _drawn(fault: dict[str, Any]) -> str:
-    element, name = fault.get("element"), fault.get("name")
-    if not element:
-        return "the file"
-    return f'{element} ("{name}")' if name and name != element else str(element)

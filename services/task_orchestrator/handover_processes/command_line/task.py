@@ -6,7 +6,7 @@ import typer
 
 from handover.command_line.output import AsJson, print_json
 from handover.command_line.parameters import parse_parameter
-from handover_processes.command_line.process import ask
+from handover_processes.command_line.asking import ask
 
 app = typer.Typer(help="Tasks of people: list, claim, complete.", no_args_is_help=True)
 

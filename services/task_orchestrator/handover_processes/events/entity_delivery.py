@@ -16,14 +16,7 @@ from handover.telemetry import get_logger
 from handover_bpmn.execution.queries import EntityWait
 from handover_bpmn.execution.state import RunFailed, WaitType
 from handover_bpmn.languages.base import ExpressionError
-from handover_bpmn.model import (
-    ConditionalEvent,
-    Definition,
-    EntityFilter,
-    Kind,
-    MessageEvent,
-    entity_filter,
-)
+from handover_bpmn.model import ConditionalEvent, Definition, EntityFilter, Kind, MessageEvent, entity_filter
 from handover_datamodels.forms import to_key_values
 from handover_processes.events.correlation import EventStart
 from handover_processes.events.entity_matching import (

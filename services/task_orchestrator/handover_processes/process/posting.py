@@ -16,11 +16,7 @@ from handover_processes.process import attempts
 from handover_processes.process.process_state import ProcessState
 from handover_processes.process.task_creation import create_task, with_form_version
 from handover_processes.records.messages import MessageKind
-from handover_processes.records.processes import (
-    ReservationRecord,
-    ReservationState,
-    Unallocated,
-)
+from handover_processes.records.processes import ReservationRecord, ReservationState, Unallocated
 from handover_processes.records.step import Step
 
 

@@ -33,9 +33,7 @@ from handover_processes.records.entities import (
     status_request,
 )
 from handover_processes.records.messages import MessageKind
-from handover_processes.records.processes import (
-    ProcessRecord,
-)
+from handover_processes.records.processes import ProcessRecord
 from handover_processes.records.step import Step
 from handover_processes.records.tasks import Move, TaskRecord
 from handover_processes.records.timers import TimerKind

@@ -15,10 +15,7 @@ from handover_datamodels.entities import Task, TaskStatus
 from handover_processes.allocation.allocator import Allocator
 from handover_processes.process.open_tasks import OpenTasks
 from handover_processes.process.span_reservations import SpanReservations
-from handover_processes.records.processes import (
-    Act,
-    ProcessRecord,
-)
+from handover_processes.records.processes import Act, ProcessRecord
 from handover_processes.records.step import Step
 from handover_processes.records.tasks import TaskRecord
 from handover_processes.records.timers import Timer, TimerKind

@@ -6,15 +6,9 @@ from handover_bpmn.execution.queries import OpenIncident
 from handover_processes.process import alerts
 from handover_processes.process.process_state import ProcessState
 from handover_processes.process.task_creation import task_id_of
-from handover_processes.records.entities import (
-    MAX_LISTED_TASKS,
-    definition_id,
-    entity_of,
-)
+from handover_processes.records.entities import MAX_LISTED_TASKS, definition_id, entity_of
 from handover_processes.records.messages import MessageKind
-from handover_processes.records.processes import (
-    IncidentRecord,
-)
+from handover_processes.records.processes import IncidentRecord
 from handover_processes.records.step import Step
 
 REPORTED_TASKS = 10

@@ -10,10 +10,7 @@ from handover_bpmn.model import PerformerLost
 from handover_datamodels.entities import TaskStatus
 from handover_processes.process import alerts, state_report
 from handover_processes.process.process import CANCELLED, Process, TaskChange
-from handover_processes.records.entities import (
-    outputs_property,
-    status_property,
-)
+from handover_processes.records.entities import outputs_property, status_property
 from handover_processes.records.messages import MessageKind
 from handover_processes.records.step import Step
 

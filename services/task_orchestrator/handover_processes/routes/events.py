@@ -13,11 +13,7 @@ from handover.security.resource_patterns import ANY_RESOURCE
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
 from handover_processes.documents.document import json_response
 from handover_processes.documents.events import SentMessage, SentSignal
-from handover_processes.documents.requests import (
-    MAX_PARAMETERS_BYTES,
-    MessageRequest,
-    SignalRequest,
-)
+from handover_processes.documents.requests import MAX_PARAMETERS_BYTES, MessageRequest, SignalRequest
 from handover_processes.operations.process_control import check_variables
 from handover_processes.routes.resources import process_resource
 from handover_processes.running.components import Components

@@ -14,9 +14,7 @@ from handover_processes.allocation.mapping import MappingRequest
 from handover_processes.documents.agents import AgentView, agent_views
 from handover_processes.documents.document import json_response
 from handover_processes.documents.mapping import MappingUse, MappingView, mapping_use, mapping_view
-from handover_processes.documents.requests import (
-    MAX_VERSION,
-)
+from handover_processes.documents.requests import MAX_VERSION
 from handover_processes.routes.resources import acting_name
 from handover_processes.running.orchestrator import Orchestrator
 

@@ -27,12 +27,7 @@ from handover_processes.routes.process_response import (
     process_content,
     process_response,
 )
-from handover_processes.routes.resources import (
-    acting_name,
-    definition_id,
-    of_definition_query,
-    of_process,
-)
+from handover_processes.routes.resources import acting_name, definition_id, of_definition_query, of_process
 from handover_processes.running.components import Components
 
 

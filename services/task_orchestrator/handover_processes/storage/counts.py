@@ -15,12 +15,7 @@ from sqlalchemy import Connection, func, select
 from handover_datamodels.entities import TaskStatus
 from handover_processes.records.tasks import TaskRecord
 from handover_processes.storage.open_work import open_tasks, running_processes
-from handover_processes.storage.rollups import (
-    Distribution,
-    ReportScope,
-    element_durations,
-    process_durations,
-)
+from handover_processes.storage.rollups import Distribution, ReportScope, element_durations, process_durations
 from handover_processes.storage.rows import as_column
 from handover_processes.storage.schema import processes, tasks
 from handover_processes.tally import (

@@ -9,14 +9,7 @@ from datetime import datetime
 from typing import Any
 
 import orjson
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Engine,
-    delete,
-    exists,
-    select,
-)
+from sqlalchemy import Column, ColumnElement, Engine, delete, exists, select
 
 from handover.database import DatabaseLock
 from handover_datamodels.entities import TaskStatus

@@ -8,26 +8,13 @@ from handover.errors import Problem
 from handover.messages import Message, message
 from handover_bpmn.execution.compensation import record_completion
 from handover_bpmn.execution.graph import Graph, Plan
-from handover_bpmn.execution.machine import (
-    MAX_CALLS,
-    Machine,
-    ThrownMessage,
-    has_output_collection,
-)
+from handover_bpmn.execution.machine import MAX_CALLS, Machine, ThrownMessage, has_output_collection
 from handover_bpmn.execution.navigation import take_flows
 from handover_bpmn.execution.propagation import register_event_subprocesses
 from handover_bpmn.execution.state import Frame, Loop, Token, TokenState
 from handover_bpmn.execution.waits import add_wait
 from handover_bpmn.languages.base import Json, Variables
-from handover_bpmn.model import (
-    Assignment,
-    Call,
-    MessageEvent,
-    MultiInstance,
-    Node,
-    StandardLoop,
-    Value,
-)
+from handover_bpmn.model import Assignment, Call, MessageEvent, MultiInstance, Node, StandardLoop, Value
 
 MAX_INSTANCES = 10_000
 

@@ -5,14 +5,7 @@ completed activities within it, which are then compensated in a frame that is re
 """
 
 from handover_bpmn.execution.machine import Machine
-from handover_bpmn.execution.state import (
-    Compensation,
-    Completion,
-    Content,
-    Frame,
-    Token,
-    TokenState,
-)
+from handover_bpmn.execution.state import Compensation, Completion, Content, Frame, Token, TokenState
 from handover_bpmn.model import CompensateEvent, Kind, Node
 
 

@@ -16,31 +16,13 @@ from dataclasses import dataclass
 
 from handover.messages import Message, message, text_of
 from handover_bpmn.execution.activities import called_plan
-from handover_bpmn.execution.comparison import (
-    comparable,
-    difference,
-    nodes_ahead,
-    read_by,
-    set_by,
-)
+from handover_bpmn.execution.comparison import comparable, difference, nodes_ahead, read_by, set_by
 from handover_bpmn.execution.graph import Graph, Plan
 from handover_bpmn.execution.machine import Machine
-from handover_bpmn.execution.state import (
-    Completion,
-    Frame,
-    RunFailed,
-    Token,
-    TokenState,
-    Wait,
-    prefix_within,
-)
+from handover_bpmn.execution.state import Completion, Frame, RunFailed, Token, TokenState, Wait, prefix_within
 from handover_bpmn.execution.waits import add_wait
 from handover_bpmn.languages.base import ExpressionError
-from handover_bpmn.model import (
-    Kind,
-    Node,
-    Scope,
-)
+from handover_bpmn.model import Kind, Node, Scope
 
 _HAS_BEGUN = frozenset(
     {

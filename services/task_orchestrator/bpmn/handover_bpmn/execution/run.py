@@ -12,10 +12,7 @@ import structlog
 
 from handover.messages import message, text_of
 from handover_bpmn.execution import queries, span_places, token_acts
-from handover_bpmn.execution.activities import (
-    no_plain_start,
-    open_work,
-)
+from handover_bpmn.execution.activities import no_plain_start, open_work
 from handover_bpmn.execution.advance import settle
 from handover_bpmn.execution.events import trigger
 from handover_bpmn.execution.graph import Plan

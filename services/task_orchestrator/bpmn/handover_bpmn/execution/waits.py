@@ -8,14 +8,7 @@ from typing import Any
 from handover_bpmn.execution.machine import Machine
 from handover_bpmn.execution.state import Frame, Token, Wait, WaitType
 from handover_bpmn.languages.base import ExpressionError, Variables
-from handover_bpmn.model import (
-    ConditionalEvent,
-    MessageEvent,
-    Node,
-    SignalEvent,
-    TimerEvent,
-    TimerType,
-)
+from handover_bpmn.model import ConditionalEvent, MessageEvent, Node, SignalEvent, TimerEvent, TimerType
 from handover_bpmn.timing.timers import due_at, parse_cycle
 
 Owner = Token | Frame

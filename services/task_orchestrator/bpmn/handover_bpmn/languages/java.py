@@ -11,17 +11,11 @@ from functools import lru_cache
 from typing import ClassVar
 
 from handover_bpmn.languages.base import ExpressionError, Json, Variables
-from handover_bpmn.languages.juel import (
-    BINARY,
-    JuelExpression,
-    Node,
-    Operators,
-    Parser,
-    parse,
-    read_set_variable,
-)
-from handover_bpmn.languages.juel_methods import VARIABLE_FUNCTIONS, bind_method
-from handover_bpmn.languages.juel_values import (
+from handover_bpmn.languages.juel import JuelExpression, parse, read_set_variable
+from handover_bpmn.languages.juel.methods import VARIABLE_FUNCTIONS, bind_method
+from handover_bpmn.languages.juel.nodes import Node
+from handover_bpmn.languages.juel.parser import BINARY, JuelParser, Operators
+from handover_bpmn.languages.juel.values import (
     add,
     coerce_to_boolean,
     coerce_to_number,
@@ -114,7 +108,7 @@ def _has(value: Json, method: str, part: Json) -> Json:
     return value is not None and bind_method(method, 1)(coerce_to_string(value), coerce_to_string(part))
 
 
-class _JavaParser(Parser):
+class _JavaParser(JuelParser):
     """The parser of JUEL with `+` and the static methods of Java."""
 
     operators: ClassVar[Operators] = tuple(

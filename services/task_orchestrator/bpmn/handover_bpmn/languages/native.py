@@ -22,13 +22,7 @@ from handover_bpmn.languages.base import (
     quote_names,
     within_limits,
 )
-from handover_bpmn.languages.native_grammar import (
-    CONSTANTS,
-    in_words,
-    is_name,
-    is_variable_name,
-    parse,
-)
+from handover_bpmn.languages.native_grammar import CONSTANTS, in_words, is_name, is_variable_name, parse
 
 __all__ = [
     "ExpressionError",

@@ -2,8 +2,9 @@
 
 Modules, lowest first: `faults` (collection of faults and warnings), `document` (safe parsing of the XML),
 `elements` (the structure of BPMN: contents of scopes, definitions of messages and errors, pools),
-`dialects` (extension elements and expression languages: ours, Camunda 7, Zeebe), `events`, `activities` and
-`scopes` (nodes of the model), `rules` (checks of the model), `file` (`read_bpmn`).
+`dialects` (extension elements and expression languages: ours, Camunda 7, Zeebe, jBPM), `nodes` (a table of
+the flow nodes, each with its reader and rules), `scopes` and `rules` (subprocesses and processes), `file`
+(`read_bpmn`).
 
 An element that changes the execution and is not supported is a fault that names it: a process never does
 less than its drawing. An element without effect on the execution is a warning. The reader continues after a

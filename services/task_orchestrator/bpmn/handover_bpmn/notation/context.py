@@ -9,13 +9,7 @@ from handover_bpmn.notation.dialects.choice import Dialects
 from handover_bpmn.notation.document import local
 from handover_bpmn.notation.elements import Collaboration, Declarations
 from handover_bpmn.notation.faults import Findings
-from handover_bpmn.notation.names import (
-    MAX_NODE_ID,
-    is_foreign_id,
-    is_node_id,
-    is_process_id,
-    variable_of,
-)
+from handover_bpmn.notation.names import MAX_NODE_ID, is_foreign_id, is_node_id, is_process_id, variable_of
 
 
 @dataclass

@@ -7,14 +7,7 @@ from lxml import etree
 
 from handover.messages import message
 from handover_bpmn.model import Kind
-from handover_bpmn.notation.document import (
-    children,
-    flag,
-    is_bpmn,
-    local,
-    namespace,
-    text,
-)
+from handover_bpmn.notation.document import children, flag, is_bpmn, local, namespace, text
 from handover_bpmn.notation.faults import Findings
 
 KINDS: Mapping[str, Kind] = {kind.value: kind for kind in Kind}

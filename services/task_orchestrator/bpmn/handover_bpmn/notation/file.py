@@ -19,10 +19,10 @@ from handover_bpmn.notation.elements import (
 )
 from handover_bpmn.notation.faults import BadBpmn, Findings
 from handover_bpmn.notation.names import process_name
+from handover_bpmn.notation.nodes.data import collect_properties
 from handover_bpmn.notation.rules import check_process, fault_of_size
 from handover_bpmn.notation.scopes import collect_associations, collect_data, read_scope
 from handover_bpmn.notation.spans import check_spans
-from handover_bpmn.notation.task_data import collect_properties
 
 MAX_PROCESSES = 100
 

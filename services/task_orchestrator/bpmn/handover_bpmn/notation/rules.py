@@ -4,36 +4,30 @@ Each fault names the element and the way out. Elements with faults of their own 
 node or sequence flow has a fault, the rules that follow the flows are skipped in its scope.
 """
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from handover.messages import message
 from handover_bpmn.model import (
     ACTIVITIES,
     GATEWAYS,
     CompensateEvent,
-    ConditionalEvent,
-    ErrorEvent,
-    EscalationEvent,
     Fault,
     Flow,
     Kind,
     LinkEvent,
-    MessageEvent,
     Node,
     Scope,
-    SignalEvent,
-    TimerEvent,
 )
+from handover_bpmn.notation.nodes.table import NODE_TYPES
 from handover_bpmn.notation.paths import Dominators, dominators
+from handover_bpmn.notation.scope_graph import ScopeGraph, flow_fault, node_fault
 
 MAX_NODES = 3_000
 MAX_FLOWS = 6_000
 """Of a process with all its scopes."""
 
 _CONDITIONAL = ACTIVITIES | {Kind.EXCLUSIVE, Kind.INCLUSIVE}
-_AWAITED = (MessageEvent, TimerEvent, SignalEvent, ConditionalEvent)
 
 
 @dataclass
@@ -74,46 +68,25 @@ def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
         node.scope.id: node for inner in scopes for node in inner.nodes.values() if node.scope is not None
     }
     for inner in scopes:
-        rules = _Rules(inner, hosts.get(inner.id), line, broken, everywhere, checked.warnings)
+        rules = _Rules(ScopeGraph(inner, hosts.get(inner.id), line, broken, everywhere), checked.warnings)
         checked.faults += rules.faults()
     return checked
 
 
-def _fault(node: Node, text: str) -> Fault:
-    return Fault(node.id, node.line, text, node.name if node.name != node.id else None)
-
-
-def _flow_fault(flow: Flow, text: str) -> Fault:
-    return Fault(flow.id, flow.line, text, flow.name or None)
-
-
 @dataclass
 class _Rules:
-    """The rules of one scope; `host` is its subprocess, None for the process."""
+    """The rules of one scope."""
 
-    scope: Scope
-    host: Node | None
-    line: int
-    broken: Set[str]
-    everywhere: Set[str]
-    """The nodes of all scopes of the process."""
+    graph: ScopeGraph
     warnings: list[Fault]
 
-    @cached_property
-    def incoming(self) -> Mapping[str, list[Flow]]:
-        """Return the incoming flows of each node."""
-        return self._flows_by("target")
+    @property
+    def scope(self) -> Scope:
+        return self.graph.scope
 
-    @cached_property
-    def outgoing(self) -> Mapping[str, list[Flow]]:
-        """Return the outgoing flows of each node."""
-        return self._flows_by("source")
-
-    def _flows_by(self, end: str) -> Mapping[str, list[Flow]]:
-        flows: dict[str, list[Flow]] = {name: [] for name in self.scope.nodes}
-        for flow in self.scope.flows.values():
-            flows.setdefault(getattr(flow, end), []).append(flow)
-        return flows
+    @property
+    def broken(self) -> Set[str]:
+        return self.graph.broken
 
     def faults(self) -> Iterator[Fault]:
         """Yield the faults of this scope, and add its warnings."""
@@ -141,8 +114,8 @@ class _Rules:
             for end, name in (("sourceRef", flow.source), ("targetRef", flow.target)):
                 if name in self.scope.nodes:
                     continue
-                if name in self.everywhere:
-                    yield _flow_fault(
+                if name in self.graph.everywhere:
+                    yield flow_fault(
                         flow,
                         message(
                             "bpmn.flow_between_scopes",
@@ -153,7 +126,7 @@ class _Rules:
                         ),
                     )
                 else:
-                    yield _flow_fault(
+                    yield flow_fault(
                         flow,
                         message(
                             "bpmn.dangling_flow",
@@ -169,7 +142,7 @@ class _Rules:
             return
         if source.kind not in _CONDITIONAL:
             self.warnings.append(
-                _flow_fault(
+                flow_fault(
                     flow,
                     message(
                         "bpmn.condition_without_effect",
@@ -182,7 +155,7 @@ class _Rules:
             )
         elif flow.id == source.default:
             self.warnings.append(
-                _flow_fault(
+                flow_fault(
                     flow,
                     message(
                         "bpmn.condition_of_default",
@@ -195,8 +168,8 @@ class _Rules:
 
     def _starts(self) -> Iterator[Fault]:
         starts = [node for node in self.scope.nodes.values() if node.kind is Kind.START_EVENT]
-        owner = self.host
-        name, line = (self.scope.id, self.line) if owner is None else (owner.id, owner.line)
+        owner = self.graph.host
+        name, line = (self.scope.id, self.graph.line) if owner is None else (owner.id, owner.line)
         drawn = None if owner is None or owner.name == owner.id else owner.name
         if name in self.broken and not self.scope.nodes:
             return
@@ -215,7 +188,7 @@ class _Rules:
             return
         plain = [start for start in starts if start.event is None and start.id not in self.broken]
         for start in plain[1:]:
-            yield _fault(
+            yield node_fault(
                 start,
                 message(
                     "bpmn.second_none_start",
@@ -226,7 +199,7 @@ class _Rules:
         if owner is not None:
             for start in starts:
                 if start.event is not None:
-                    yield _fault(
+                    yield node_fault(
                         start,
                         message(
                             "bpmn.triggered_subprocess_start",
@@ -239,7 +212,7 @@ class _Rules:
                 "bpmn.empty_subprocess", "the subprocess is empty; draw its content, or make it a task"
             )
             yield Fault(name, line, text, drawn)
-        elif not starts and not any(self._can_start(node) for node in self.scope.nodes.values()):
+        elif not starts and not any(self.graph.can_start(node) for node in self.scope.nodes.values()):
             yield Fault(
                 name,
                 line,
@@ -250,19 +223,13 @@ class _Rules:
                 drawn,
             )
 
-    def _can_start(self, node: Node) -> bool:
-        if self.incoming[node.id] or node.kind is Kind.BOUNDARY_EVENT or node.triggered_by_event:
-            return False
-        is_link = node.kind is Kind.CATCH_EVENT and isinstance(node.event, LinkEvent)
-        return not (node.is_for_compensation or is_link)
-
     # Nodes
 
     def _of_node(self, node: Node) -> Iterator[Fault]:
-        incoming, outgoing = self.incoming[node.id], self.outgoing[node.id]
-        kind = node.kind.value
-        if node.kind in {Kind.START_EVENT, Kind.BOUNDARY_EVENT} and incoming:
-            yield _fault(
+        incoming, outgoing = self.graph.incoming[node.id], self.graph.outgoing[node.id]
+        kind, type_ = node.kind.value, NODE_TYPES[node.kind]
+        if not type_.has_incoming and incoming:
+            yield node_fault(
                 node,
                 message(
                     "bpmn.incoming_flow_forbidden",
@@ -270,12 +237,12 @@ class _Rules:
                     kind=kind,
                 ),
             )
-        if node.kind is Kind.END_EVENT and outgoing:
-            yield _fault(
+        if not type_.has_outgoing and outgoing:
+            yield node_fault(
                 node, message("bpmn.outgoing_flow_forbidden", "no sequence flow may leave an endEvent")
             )
         if (node.triggered_by_event or node.is_for_compensation) and (incoming or outgoing):
-            yield _fault(
+            yield node_fault(
                 node,
                 message(
                     "bpmn.flows_forbidden",
@@ -285,7 +252,7 @@ class _Rules:
             )
         is_join = node.kind in GATEWAYS - {Kind.EVENT_BASED} and len(incoming) > 1
         if node.kind in GATEWAYS and not outgoing and not is_join:
-            yield _fault(
+            yield node_fault(
                 node,
                 message(
                     "bpmn.no_outgoing_flow",
@@ -295,7 +262,7 @@ class _Rules:
                 ),
             )
         if node.default is not None and node.default not in {flow.id for flow in outgoing}:
-            yield _fault(
+            yield node_fault(
                 node,
                 message(
                     "bpmn.wrong_default_flow",
@@ -303,17 +270,12 @@ class _Rules:
                     default=node.default,
                 ),
             )
-        if node.kind is Kind.BOUNDARY_EVENT:
-            yield from self._of_boundary(node)
-        if node.kind is Kind.EXCLUSIVE:
-            yield from self._of_choice(node, outgoing)
-        if node.kind is Kind.EVENT_BASED:
-            yield from self._of_event_gateway(node, outgoing)
+        yield from type_.check(node, self.graph)
         if isinstance(node.event, CompensateEvent) and node.event.activity is not None:
             yield from self._of_compensation(node, node.event.activity)
         if self._is_unintended_end(node):
             self.warnings.append(
-                _fault(
+                node_fault(
                     node,
                     message("bpmn.implicit_end", "no sequence flow leaves it, so this path ends here"),
                 )
@@ -321,9 +283,9 @@ class _Rules:
 
     def _is_unintended_end(self, node: Node) -> bool:
         """Return whether a path ends without an end event, in a scope that has end events."""
-        if self.outgoing[node.id] or node.kind is Kind.END_EVENT:
+        if self.graph.outgoing[node.id] or node.kind is Kind.END_EVENT:
             return False
-        if node.kind in GATEWAYS and len(self.incoming[node.id]) < 2:
+        if node.kind in GATEWAYS and len(self.graph.incoming[node.id]) < 2:
             return False  # a fault
         if node.triggered_by_event or node.is_for_compensation:
             return False
@@ -331,79 +293,11 @@ class _Rules:
             return False  # it may be a message end event
         if isinstance(node.event, CompensateEvent | LinkEvent):
             return False
-        return self._has_end_events
-
-    @cached_property
-    def _has_end_events(self) -> bool:
-        return any(node.kind is Kind.END_EVENT for node in self.scope.nodes.values())
-
-    def _of_boundary(self, node: Node) -> Iterator[Fault]:
-        host = self.scope.nodes.get(node.attached_to or "")
-        if host is None or host.kind not in ACTIVITIES:
-            yield _fault(
-                node,
-                message(
-                    "bpmn.unknown_attached_task",
-                    'attachedToRef "{attached_to}" names no task that can be interrupted',
-                    attached_to=node.attached_to,
-                ),
-            )
-            return
-        if isinstance(node.event, ErrorEvent) and not node.interrupting:
-            yield _fault(
-                node,
-                message(
-                    "bpmn.error_event_not_interrupting",
-                    'an error boundary event interrupts; set cancelActivity="true"',
-                ),
-            )
-        if isinstance(node.event, CompensateEvent):
-            yield from self._of_compensation_boundary(node)
-        elif isinstance(node.event, ErrorEvent | EscalationEvent):
-            first = self._catchers[node.attached_to, type(node.event), node.event.code]
-            if first is not node:
-                yield _fault(
-                    node,
-                    message(
-                        "bpmn.error_caught_twice",
-                        '"{name}" catches the same error of the same task already',
-                        name=first.name,
-                    ),
-                )
-
-    @cached_property
-    def _catchers(self) -> Mapping[tuple[str | None, type, str | None], Node]:
-        """Return the first boundary event that catches an error or escalation of an activity."""
-        catchers: dict[tuple[str | None, type, str | None], Node] = {}
-        for node in self.scope.nodes.values():
-            if node.kind is Kind.BOUNDARY_EVENT and isinstance(node.event, ErrorEvent | EscalationEvent):
-                catchers.setdefault((node.attached_to, type(node.event), node.event.code), node)
-        return catchers
-
-    def _of_compensation_boundary(self, node: Node) -> Iterator[Fault]:
-        handler = self.scope.nodes.get(self.scope.handlers.get(node.id, ""))
-        if handler is None or not handler.is_for_compensation:
-            yield _fault(
-                node,
-                message(
-                    "bpmn.no_compensation_handler",
-                    "the compensation boundary event has no handler; connect it by an association with an "
-                    'activity that has isForCompensation="true"',
-                ),
-            )
-        if self.outgoing[node.id]:
-            yield _fault(
-                node,
-                message(
-                    "bpmn.compensation_by_flow",
-                    "no sequence flow leaves a compensation boundary event; "
-                    "connect the compensation activity by an association",
-                ),
-            )
+        return self.graph.has_end_events
 
     def _of_compensation(self, node: Node, activity: str) -> Iterator[Fault]:
-        if activity not in self.everywhere:
-            yield _fault(
+        if activity not in self.graph.everywhere:
+            yield node_fault(
                 node,
                 message(
                     "bpmn.unknown_compensated",
@@ -411,45 +305,6 @@ class _Rules:
                     activity=activity,
                 ),
             )
-
-    def _of_choice(self, node: Node, outgoing: list[Flow]) -> Iterator[Fault]:
-        if len(outgoing) < 2:
-            return
-        for flow in outgoing:
-            if flow.condition is None and flow.id != node.default and flow.id not in self.broken:
-                rule = "has no condition and is not the gateway's default"
-                yield _fault(
-                    node,
-                    message(
-                        "bpmn.flow_without_condition",
-                        'its flow "{flow}" to "{target}" {rule}; give it one',
-                        flow=flow.name or flow.id,
-                        target=self._name(flow.target),
-                        rule=rule,
-                    ),
-                )
-
-    def _name(self, id_: str) -> str:
-        node = self.scope.nodes.get(id_)
-        return id_ if node is None else node.name
-
-    def _of_event_gateway(self, node: Node, outgoing: list[Flow]) -> Iterator[Fault]:
-        for flow in outgoing:
-            target = self.scope.nodes.get(flow.target)
-            if target is None or target.id in self.broken:
-                continue
-            is_event = target.kind is Kind.CATCH_EVENT and isinstance(target.event, _AWAITED)
-            is_receiver = target.kind is Kind.RECEIVE_TASK and isinstance(target.event, MessageEvent)
-            if not is_event and not is_receiver:
-                yield _fault(
-                    node,
-                    message(
-                        "bpmn.event_gateway_target",
-                        'its flow leads to "{target}"; behind an eventBasedGateway stand catching message, '
-                        "timer, signal and conditional events, and receive tasks",
-                        target=target.name,
-                    ),
-                )
 
     # Links
 
@@ -463,7 +318,7 @@ class _Rules:
         for name, nodes in throwing.items():
             if name not in catching:
                 for node in nodes:
-                    yield _fault(
+                    yield node_fault(
                         node,
                         message(
                             "bpmn.link_without_target",
@@ -471,11 +326,11 @@ class _Rules:
                             name=name,
                         ),
                     )
-                    if self.outgoing[node.id]:
+                    if self.graph.outgoing[node.id]:
                         break
         for name, nodes in catching.items():
             for node in nodes[1:]:
-                yield _fault(
+                yield node_fault(
                     node,
                     message(
                         "bpmn.link_target_twice",
@@ -487,7 +342,7 @@ class _Rules:
     # Paths
 
     def _unreachable(self) -> None:
-        reached = self._reached()
+        reached = self.graph.reached()
         led_to = {flow.target for flow in self.scope.flows.values()}
         for node in self.scope.nodes.values():
             if node.id in reached or node.triggered_by_event or node.is_for_compensation:
@@ -500,22 +355,24 @@ class _Rules:
                 text = message(
                     "bpmn.no_incoming_flow", "no sequence flow leads to this {kind}", kind=node.kind.value
                 )
-            self.warnings.append(_fault(node, text))
+            self.warnings.append(node_fault(node, text))
 
     def _waiting_for_themselves(self) -> Iterator[Fault]:
         """Yield the parallel joins that wait for a token that only comes after them."""
         joins = [
             node
             for node in self.scope.nodes.values()
-            if node.kind is Kind.PARALLEL and len(self.incoming[node.id]) > 1
+            if node.kind is Kind.PARALLEL and len(self.graph.incoming[node.id]) > 1
         ]
-        dominated = dominators(self._successors, self._start_nodes()) if joins else Dominators({}, {})
+        dominated = (
+            dominators(self.graph.successors, self.graph.start_nodes()) if joins else Dominators({}, {})
+        )
         for node in joins:
-            for flow in self.incoming[node.id]:
+            for flow in self.graph.incoming[node.id]:
                 if dominated.dominates(node.id, flow.source):
                     rule = "comes only after the gateway itself, so the gateway would never continue"
                     way_out = "put an exclusive gateway before it, where the loop returns"
-                    yield _fault(
+                    yield node_fault(
                         node,
                         message(
                             "bpmn.wrong_flow",
@@ -525,40 +382,3 @@ class _Rules:
                             way_out=way_out,
                         ),
                     )
-
-    def _start_nodes(self) -> list[str]:
-        starts = [node.id for node in self.scope.nodes.values() if node.kind is Kind.START_EVENT]
-        return starts or [node.id for node in self.scope.nodes.values() if self._can_start(node)]
-
-    def _successors(self, id_: str) -> list[str]:
-        """Return the nodes that a token can reach from a node in one step."""
-        event = self.scope.nodes[id_].event
-        links = self._link_targets.get(event.name, []) if isinstance(event, LinkEvent) else []
-        return [*(flow.target for flow in self.outgoing[id_]), *self._attached.get(id_, []), *links]
-
-    def _reached(self) -> Set[str]:
-        """Return the nodes that a token can reach from the start events."""
-        reached: set[str] = set()
-        stack = self._start_nodes()
-        while stack:
-            here = stack.pop()
-            if here not in reached:
-                reached.add(here)
-                stack += self._successors(here)
-        return reached
-
-    @cached_property
-    def _attached(self) -> Mapping[str, list[str]]:
-        attached: dict[str, list[str]] = {}
-        for node in self.scope.nodes.values():
-            if node.attached_to is not None:
-                attached.setdefault(node.attached_to, []).append(node.id)
-        return attached
-
-    @cached_property
-    def _link_targets(self) -> Mapping[str, list[str]]:
-        targets: dict[str, list[str]] = {}
-        for node in self.scope.nodes.values():
-            if isinstance(node.event, LinkEvent) and node.kind is Kind.CATCH_EVENT:
-                targets.setdefault(node.event.name, []).append(node.id)
-        return targets

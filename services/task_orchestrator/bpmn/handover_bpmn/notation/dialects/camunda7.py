@@ -12,12 +12,7 @@ from lxml import etree
 
 from handover.messages import message
 from handover_bpmn.languages import native
-from handover_bpmn.languages.base import (
-    Expression,
-    ExpressionError,
-    Json,
-    within_limits,
-)
+from handover_bpmn.languages.base import Expression, ExpressionError, Json, within_limits
 from handover_bpmn.languages.juel import read_juel
 from handover_bpmn.languages.native_grammar import is_name, is_variable_name
 from handover_bpmn.model import Assignment, Call, FormBinding, FormReference, StartForm, Value
@@ -51,13 +46,7 @@ from handover_bpmn.notation.dialects.camunda7_listeners import (
 )
 from handover_bpmn.notation.dialects.camunda7_values import connector_input_output, input_output, text_value
 from handover_bpmn.notation.dialects.scripts import assigned_by
-from handover_bpmn.notation.document import (
-    attributes_of,
-    child_text,
-    is_none_start,
-    local,
-    text,
-)
+from handover_bpmn.notation.document import attributes_of, child_text, is_none_start, local, text
 from handover_bpmn.notation.elements import warn_without_effect
 from handover_bpmn.notation.faults import Findings
 

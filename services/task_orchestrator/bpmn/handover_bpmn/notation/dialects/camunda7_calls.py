@@ -7,20 +7,10 @@ from lxml import etree
 from handover.messages import message
 from handover_bpmn.languages.native_grammar import is_name
 from handover_bpmn.model import Assignment, Call, Value
-from handover_bpmn.notation.dialects.base import (
-    attempt,
-    variable_named,
-)
-from handover_bpmn.notation.dialects.camunda7_elements import (
-    NAMESPACES,
-    has_expression,
-    own_extensions,
-)
+from handover_bpmn.notation.dialects.base import attempt, variable_named
+from handover_bpmn.notation.dialects.camunda7_elements import NAMESPACES, has_expression, own_extensions
 from handover_bpmn.notation.dialects.camunda7_values import text_value
-from handover_bpmn.notation.document import (
-    attributes_of,
-    local,
-)
+from handover_bpmn.notation.document import attributes_of, local
 from handover_bpmn.notation.elements import referenced
 from handover_bpmn.notation.faults import Findings
 

@@ -4,12 +4,7 @@ from collections.abc import Iterator
 
 from lxml import etree
 
-from handover_bpmn.notation.document import (
-    extensions,
-    local,
-    namespace,
-    text,
-)
+from handover_bpmn.notation.document import extensions, local, namespace, text
 
 NAMESPACES = (
     "http://camunda.org/schema/1.0/bpmn",

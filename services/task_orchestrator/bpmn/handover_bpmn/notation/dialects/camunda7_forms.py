@@ -4,14 +4,9 @@ from collections.abc import Mapping
 
 from lxml import etree
 
-from handover_bpmn.languages.base import (
-    Json,
-)
+from handover_bpmn.languages.base import Json
 from handover_bpmn.model import Value
-from handover_bpmn.notation.dialects.base import (
-    attempt,
-    composed,
-)
+from handover_bpmn.notation.dialects.base import attempt, composed
 from handover_bpmn.notation.dialects.camunda7_elements import children_named, has_expression
 from handover_bpmn.notation.dialects.camunda7_values import default_of_type, text_value
 from handover_bpmn.notation.elements import warn_without_effect

@@ -11,11 +11,7 @@ from handover_bpmn.model import Assignment, Value
 from handover_bpmn.notation.dialects.camunda7_elements import children_named, own_extensions
 from handover_bpmn.notation.dialects.camunda7_values import default_of_type
 from handover_bpmn.notation.dialects.scripts import JAVA_LIKE, assigned_by, set_variables
-from handover_bpmn.notation.document import (
-    children,
-    local,
-    text,
-)
+from handover_bpmn.notation.document import children, local, text
 from handover_bpmn.notation.elements import referenced
 
 _DATA_TYPES = {

@@ -5,22 +5,13 @@ from collections.abc import Iterator
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.languages.base import (
-    MAX_NUMBER,
-    Json,
-)
+from handover_bpmn.languages.base import MAX_NUMBER, Json
 from handover_bpmn.languages.juel import read_template
 from handover_bpmn.languages.native_grammar import is_name
 from handover_bpmn.model import Assignment, Value
-from handover_bpmn.notation.dialects.base import (
-    attempt,
-    composed,
-)
+from handover_bpmn.notation.dialects.base import attempt, composed
 from handover_bpmn.notation.dialects.camunda7_elements import children_named, has_expression, own_extensions
-from handover_bpmn.notation.document import (
-    local,
-    text,
-)
+from handover_bpmn.notation.document import local, text
 from handover_bpmn.notation.faults import Findings
 
 

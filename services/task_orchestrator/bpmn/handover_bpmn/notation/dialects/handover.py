@@ -101,13 +101,7 @@ from handover_bpmn.notation.dialects.handover_values import (
     used_entities,
 )
 from handover_bpmn.notation.dialects.translations import read_translations
-from handover_bpmn.notation.document import (
-    child_text,
-    extensions,
-    is_none_start,
-    local,
-    namespace,
-)
+from handover_bpmn.notation.document import child_text, extensions, is_none_start, local, namespace
 from handover_bpmn.notation.elements import referenced, warn_without_effect
 from handover_bpmn.notation.faults import Findings
 

@@ -8,11 +8,7 @@ from lxml import etree
 from handover.messages import message
 from handover.tasks.specification import FIELDS
 from handover_bpmn.notation.dialects.translations import PLACEHOLDER
-from handover_bpmn.notation.document import (
-    extensions,
-    local,
-    namespace,
-)
+from handover_bpmn.notation.document import extensions, local, namespace
 from handover_bpmn.notation.faults import Findings
 
 NAMESPACE = "urn:handover:bpmn"

@@ -11,18 +11,9 @@ from handover_bpmn.forms.form import form_fault
 from handover_bpmn.languages import native
 from handover_bpmn.languages.base import Json
 from handover_bpmn.languages.native_grammar import is_variable_name
-from handover_bpmn.model import (
-    FormBinding,
-    FormReference,
-    Value,
-)
-from handover_bpmn.notation.dialects.base import (
-    attempt,
-)
-from handover_bpmn.notation.document import (
-    local,
-    text,
-)
+from handover_bpmn.model import FormBinding, FormReference, Value
+from handover_bpmn.notation.dialects.base import attempt
+from handover_bpmn.notation.document import local, text
 from handover_bpmn.notation.faults import Findings
 from handover_bpmn.references import is_reference
 

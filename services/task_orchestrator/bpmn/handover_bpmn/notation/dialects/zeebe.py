@@ -25,15 +25,7 @@ from handover_bpmn.notation.dialects.base import (
     named_form,
     written_form,
 )
-from handover_bpmn.notation.document import (
-    BPMN,
-    child_text,
-    extensions,
-    flag,
-    local,
-    namespace,
-    text,
-)
+from handover_bpmn.notation.document import BPMN, child_text, extensions, flag, local, namespace, text
 from handover_bpmn.notation.elements import refuse, warn_without_effect
 from handover_bpmn.notation.faults import Findings
 

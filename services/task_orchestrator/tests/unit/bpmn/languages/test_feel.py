@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from handover_bpmn.languages.base import NOW, ExpressionError, within_limits
 from handover_bpmn.languages.feel import read_feel
-from handover_bpmn.languages.feel_functions import FUNCTIONS
+from handover_bpmn.languages.feel.functions import FUNCTIONS
 from handover_bpmn.languages.tokens import MAX_CHARACTERS
 from services.task_orchestrator.tests.unit.bpmn.languages.values import JSON
 

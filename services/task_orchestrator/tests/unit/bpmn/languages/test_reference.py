@@ -10,9 +10,9 @@ import pytest
 
 from handover_bpmn.languages.base import Expression
 from handover_bpmn.languages.feel import read_feel
-from handover_bpmn.languages.feel_functions import FUNCTIONS
+from handover_bpmn.languages.feel.functions import FUNCTIONS
 from handover_bpmn.languages.juel import read_juel
-from handover_bpmn.languages.juel_methods import EXECUTION_PROPERTIES, METHODS
+from handover_bpmn.languages.juel.methods import EXECUTION_PROPERTIES, METHODS
 from handover_bpmn.languages.native import read
 from handover_bpmn.timing.timers import due_at, parse_cycle
 from tests.kit.paths import REPOSITORY

@@ -8,19 +8,10 @@ the budget of the evaluation, so that no expression runs for ever.
 from dataclasses import dataclass
 from functools import lru_cache
 
-from handover_bpmn.languages.base import (
-    ExpressionError,
-    Json,
-    Variables,
-    evaluation_error,
-    within_limits,
-)
-from handover_bpmn.languages.feel_nodes import NameScope, Node
-from handover_bpmn.languages.feel_parser import FeelParser
-from handover_bpmn.languages.feel_values import (
-    Budget,
-    to_json,
-)
+from handover_bpmn.languages.base import ExpressionError, Json, Variables, evaluation_error, within_limits
+from handover_bpmn.languages.feel.nodes import NameScope, Node
+from handover_bpmn.languages.feel.parser import FeelParser
+from handover_bpmn.languages.feel.values import Budget, to_json
 from handover_bpmn.languages.tokens import excerpt
 
 

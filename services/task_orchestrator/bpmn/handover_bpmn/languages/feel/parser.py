@@ -4,12 +4,10 @@ import math
 import re
 from collections.abc import Callable
 
-from handover_bpmn.languages.base import (
-    MAX_NUMBER,
-    Json,
-)
-from handover_bpmn.languages.feel_functions import FUNCTIONS, Function
-from handover_bpmn.languages.feel_nodes import (
+from handover_bpmn.languages.base import MAX_NUMBER, Json
+from handover_bpmn.languages.feel.function import Function
+from handover_bpmn.languages.feel.functions import FUNCTIONS
+from handover_bpmn.languages.feel.nodes import (
     COMPARISONS,
     ITSELF,
     PRODUCTS,
@@ -39,14 +37,7 @@ from handover_bpmn.languages.feel_nodes import (
     variable,
     weigh,
 )
-from handover_bpmn.languages.feel_values import (
-    TYPES,
-    FeelValue,
-    has_type,
-    number,
-    to_datetime,
-    to_duration,
-)
+from handover_bpmn.languages.feel.values import TYPES, FeelValue, has_type, number, to_datetime, to_duration
 from handover_bpmn.languages.tokens import Tokens, unquote
 
 _PATTERN = re.compile(

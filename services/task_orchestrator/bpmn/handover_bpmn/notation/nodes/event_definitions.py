@@ -4,18 +4,13 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import Enum, auto
 
 from lxml import etree
 
 from handover.messages import message, text_of
 from handover_bpmn.languages import native
-from handover_bpmn.languages.base import (
-    Expression,
-    ExpressionError,
-    Json,
-    Variables,
-    quote_names,
-)
+from handover_bpmn.languages.base import Expression, ExpressionError, Json, Variables, quote_names
 from handover_bpmn.model import (
     CompensateEvent,
     ConditionalEvent,
@@ -34,38 +29,31 @@ from handover_bpmn.model import (
 from handover_bpmn.notation.conditions import read_condition
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import Dialect, Occurrence, attempt
-from handover_bpmn.notation.document import (
-    child,
-    children,
-    flag,
-    is_bpmn,
-    local,
-    text,
-)
+from handover_bpmn.notation.document import child, children, flag, is_bpmn, local, text
 from handover_bpmn.notation.elements import message_of, referenced, refuse, warn_without_effect
 from handover_bpmn.timing.timers import due_at, is_time, parse_cycle
 
-_NAMES = (
-    "message",
-    "timer",
-    "signal",
-    "error",
-    "escalation",
-    "conditional",
-    "compensate",
-    "link",
-    "terminate",
-)
-_START = frozenset({"", "message", "timer", "signal", "conditional"})
-_SUBPROCESS_START = frozenset(
-    {"message", "timer", "signal", "conditional", "error", "escalation", "compensate"}
-)
-_ALLOWED: Mapping[Kind, frozenset[str]] = {
-    Kind.END_EVENT: frozenset({"", "message", "signal", "error", "escalation", "compensate", "terminate"}),
-    Kind.CATCH_EVENT: frozenset({"message", "timer", "signal", "conditional", "link"}),
-    Kind.THROW_EVENT: frozenset({"", "message", "signal", "escalation", "compensate", "link"}),
-    Kind.BOUNDARY_EVENT: _SUBPROCESS_START,
+
+class _Place(Enum):
+    """Where an event definition may stand."""
+
+    START = auto()
+    """A start event of a process or subprocess."""
+    HANDLER = auto()
+    """A boundary event, or the start event of an event subprocess."""
+    CATCH = auto()
+    THROW = auto()
+    END = auto()
+
+
+_PLACES: Mapping[Kind, _Place] = {
+    Kind.BOUNDARY_EVENT: _Place.HANDLER,
+    Kind.CATCH_EVENT: _Place.CATCH,
+    Kind.THROW_EVENT: _Place.THROW,
+    Kind.END_EVENT: _Place.END,
 }
+_NONE_PLACES = frozenset({_Place.START, _Place.THROW, _Place.END})
+"""Where an event needs no event definition."""
 _ZONELESS = re.compile(r"(\d{4}-\d\d-\d\d)(T\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?)?(?=/|\Z)", re.ASCII)
 """A moment without a time zone, also within a cycle."""
 _EXAMPLES: Mapping[TimerType, str] = {
@@ -112,20 +100,22 @@ def read_event(
         return None
     definition = definitions[0] if definitions else None
     name = "" if definition is None else local(definition).removesuffix("EventDefinition")
-    allowed = _allowed(kind, in_event_subprocess=in_event_subprocess)
-    if name not in allowed:
+    place = _place(kind, in_event_subprocess=in_event_subprocess)
+    type_ = EVENT_TYPES.get(name)
+    is_allowed = place in _NONE_PLACES if definition is None else type_ is not None and place in type_.places
+    if not is_allowed:
         if name == "" and element.get("id") in context.findings.broken:
             return None
-        _refuse_event(element, kind, name, allowed, context)
+        _refuse_event(element, kind, name, place, context)
         return None
     dialect = context.dialects.of(element)
-    if definition is None:
+    if definition is None or type_ is None:
         dialect.occurrence(element, None, context.findings)
         return None
     occurrence = dialect.occurrence(element, definition, context.findings)
     if occurrence.on is not None and name not in {"message", "signal", "conditional"}:
         context.findings.fault(element, "handover:on stands in message, signal and conditional events")
-    event = _READERS[name](_Source(element, definition, occurrence, dialect, context))
+    event = type_.read(_Source(element, definition, occurrence, dialect, context))
     if kind is Kind.START_EVENT and not in_event_subprocess and isinstance(event, TimerEvent):
         _warn_of_variables(element, event, context)
     return event
@@ -145,15 +135,13 @@ def _warn_of_variables(element: etree._Element, event: TimerEvent, context: Cont
         )
 
 
-def _allowed(kind: Kind, *, in_event_subprocess: bool) -> frozenset[str]:
+def _place(kind: Kind, *, in_event_subprocess: bool) -> _Place:
     if kind is Kind.START_EVENT:
-        return _SUBPROCESS_START if in_event_subprocess else _START
-    return _ALLOWED[kind]
+        return _Place.HANDLER if in_event_subprocess else _Place.START
+    return _PLACES[kind]
 
 
-def _refuse_event(
-    element: etree._Element, kind: Kind, name: str, allowed: frozenset[str], context: Context
-) -> None:
+def _refuse_event(element: etree._Element, kind: Kind, name: str, place: _Place, context: Context) -> None:
     if name == "cancel":
         refuse(
             element,
@@ -162,8 +150,8 @@ def _refuse_event(
             context.findings,
         )
         return
-    supported = [f"{event}EventDefinition" for event in _NAMES if event in allowed]
-    if "" in allowed:
+    supported = [f"{event}EventDefinition" for event, type_ in EVENT_TYPES.items() if place in type_.places]
+    if place in _NONE_PLACES:
         supported.append("none")
     context.findings.fault(
         element,
@@ -395,14 +383,28 @@ def _time(type_: TimerType, time: str, dialect: Dialect) -> Value:
     return Value(expression=dialect.expression(time))
 
 
-_READERS: Mapping[str, Callable[[_Source], Event | None]] = {
-    "timer": _timer,
-    "message": lambda source: read_message(source.element, source.occurrence, source.context),
-    "signal": lambda source: SignalEvent(_signal_name(source), source.occurrence.on),
-    "error": _error,
-    "escalation": _escalation,
-    "conditional": _conditional,
-    "compensate": _compensation,
-    "link": _link,
-    "terminate": lambda _: TerminateEvent(),
+@dataclass(frozen=True, slots=True)
+class EventType:
+    """How an event definition is read, and which events may have it."""
+
+    read: Callable[[_Source], Event | None]
+    places: frozenset[_Place]
+
+
+_EVERYWHERE = frozenset(_Place)
+_CAUGHT = frozenset({_Place.START, _Place.HANDLER, _Place.CATCH})
+
+EVENT_TYPES: Mapping[str, EventType] = {
+    "message": EventType(
+        lambda source: read_message(source.element, source.occurrence, source.context), _EVERYWHERE
+    ),
+    "timer": EventType(_timer, _CAUGHT),
+    "signal": EventType(lambda source: SignalEvent(_signal_name(source), source.occurrence.on), _EVERYWHERE),
+    "error": EventType(_error, frozenset({_Place.HANDLER, _Place.END})),
+    "escalation": EventType(_escalation, frozenset({_Place.HANDLER, _Place.THROW, _Place.END})),
+    "conditional": EventType(_conditional, _CAUGHT),
+    "compensate": EventType(_compensation, frozenset({_Place.HANDLER, _Place.THROW, _Place.END})),
+    "link": EventType(_link, frozenset({_Place.CATCH, _Place.THROW})),
+    "terminate": EventType(lambda _: TerminateEvent(), frozenset({_Place.END})),
 }
+"""The event definitions by the name of their elements, without `EventDefinition`."""

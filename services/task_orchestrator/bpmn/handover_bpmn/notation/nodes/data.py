@@ -11,17 +11,10 @@ from dataclasses import dataclass, field
 from lxml import etree
 
 from handover_bpmn.languages.native_grammar import is_variable_name
-from handover_bpmn.model import Value
+from handover_bpmn.model import DataAssociation, Value
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.base import attempt, native_variable
-from handover_bpmn.notation.document import (
-    assigned_text,
-    child,
-    child_text,
-    children,
-    local,
-    own_data,
-)
+from handover_bpmn.notation.document import assigned_text, child, child_text, children, local, own_data
 from handover_bpmn.notation.elements import referenced, warn_without_effect
 
 
@@ -111,3 +104,33 @@ def associated_variable(element: etree._Element, data: str, context: Context) ->
             object_ = context.data.get(other, other)
             return context.properties.get(other) or context.data_names.get(object_) or other or None
     return None
+
+
+def read_data(
+    element: etree._Element, context: Context, *, is_event: bool = False
+) -> tuple[tuple[DataAssociation, ...], tuple[DataAssociation, ...]]:
+    """Return the data objects that an activity or event reads and writes.
+
+    The Task of an activity has the associations with variables; at an event they have no effect.
+    """
+    names = own_data(element)
+    inputs: list[DataAssociation] = []
+    outputs: list[DataAssociation] = []
+    for association in children(element, "dataInputAssociation", "dataOutputAssociation"):
+        is_input = local(association) == "dataInputAssociation"
+        source = referenced(child_text(association, "sourceRef"))
+        target = referenced(child_text(association, "targetRef"))
+        outer, inner = (source, target) if is_input else (target, source)
+        data = context.data.get(outer, outer)
+        if data not in context.data_names:
+            if is_event or not has_variable(association, context):
+                warn_without_effect(association, context.findings)
+            continue
+        for part in ("transformation", "assignment"):
+            if child(association, part) is not None:
+                warn_without_effect(association, context.findings, f"{part} of a {local(association)}")
+        if is_input:
+            inputs.append(DataAssociation(data, names.get(inner) or context.data_names[data]))
+        else:
+            outputs.append(DataAssociation(data, names.get(inner)))
+    return tuple(inputs), tuple(outputs)

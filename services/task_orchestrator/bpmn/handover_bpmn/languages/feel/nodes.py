@@ -5,10 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import date, datetime
 from typing import Any, TypeAlias
 
-from handover_bpmn.languages.base import (
-    ExpressionError,
-)
-from handover_bpmn.languages.feel_values import (
+from handover_bpmn.languages.base import ExpressionError
+from handover_bpmn.languages.feel.values import (
     Budget,
     FeelValue,
     Range,

@@ -11,14 +11,8 @@ from datetime import timedelta
 from typing import Any, NamedTuple
 
 from handover.formats.durations import Duration
-from handover_bpmn.languages.base import (
-    ExpressionError,
-    Json,
-    describe,
-    quote_names,
-    within_limits,
-)
-from handover_bpmn.languages.juel_values import (
+from handover_bpmn.languages.base import ExpressionError, Json, describe, quote_names, within_limits
+from handover_bpmn.languages.juel.values import (
     MAX_STRING,
     check_number,
     check_string,
