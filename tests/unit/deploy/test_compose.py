@@ -391,6 +391,20 @@ def test_a_container_has_the_image_of_its_distribution(name: str) -> None:
         assert last in MEMBERS[project]["project"]["entry-points"]["handover.services"]
 
 
+def test_the_release_and_the_cluster_have_the_same_images() -> None:
+    ours = {OURS[name]["build"]["args"]["DISTRIBUTION"] for name in OURS.keys() - {INIT, "ros-bridge"}}
+    workflow = yaml.safe_load((REPOSITORY / ".github/workflows/release.yml").read_text())
+    released = {
+        image["distribution"]
+        for job in workflow["jobs"].values()
+        for image in job.get("strategy", {}).get("matrix", {}).get("include", [])
+    }
+    assert released == ours | {"handover-cell", "handover-ros"}
+    (parts,) = re.findall(r"for part in (.*); do", (REPOSITORY / "deploy/kubernetes/README.md").read_text())
+    cluster = {f"handover-{part}" for part in parts.replace('"', "").split()}
+    assert cluster == {name for name in ours if not name.startswith("handover-robots")}
+
+
 def test_the_image_with_motion_and_physics_can_plan_and_simulate() -> None:
     packages = subset([OURS["trajectory-tool"]["build"]["args"]["DISTRIBUTION"]])
     assert all(re.search(rf"^{name}==", packages, re.MULTILINE) for name in ("coal", "ompl", "mujoco-core"))
