@@ -103,13 +103,13 @@ def test_a_mapping_survives_a_restart_with_its_versions(allocating: Cell) -> Non
 def test_the_command_line_shows_and_sets_the_mapping(
     allocating: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handover_processes.command_line import process
+    from handover_processes.command_line import mapping
 
     monkeypatch.setenv("HANDOVER_ORCHESTRATOR_PORT", str(allocating.api.base_url.port))
     file = tmp_path / "mapping.yaml"
     file.write_text("entries:\n- {kind: lane, name: Robot, role: robot}\n")
-    process.set_mapping(file, by="Anna", why="new cell")
-    process.show_mapping()
+    mapping.set_mapping(file, by="Anna", why="new cell")
+    mapping.show_mapping()
     shown = capsys.readouterr().out
     assert "by: Anna" in shown
     assert "role: robot" in shown
