@@ -60,14 +60,14 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
                 yield f"{planned.name}: {publisher.shown_node} will not be received: {unmet}; {CHANGE_QOS}"
     for to_ros in plan.ngsild_to_ros:
         topic = topics.get(to_ros.rule.topic.with_settings(plan.settings).constant or "")
-        for publisher in topic.subscribers if topic else ():
+        for subscriber in topic.subscribers if topic else ():
             if (
-                not publisher.ours
-                and (why := _other_type(plan, to_ros.rule.type, publisher, "subscribes to")) is not None
+                not subscriber.ours
+                and (why := _other_type(plan, to_ros.rule.type, subscriber, "subscribes to")) is not None
             ):
                 yield f"{to_ros.name}: {why}"
-            if not publisher.ours and (unmet := publisher.qos.unmet(to_ros.qos)) is not None:
-                node = publisher.shown_node
+            if not subscriber.ours and (unmet := subscriber.qos.unmet(to_ros.qos)) is not None:
+                node = subscriber.shown_node
                 yield f"{to_ros.name}: {node} will not receive messages: {unmet}; {CHANGE_QOS}"
     for asked in plan.requests:
         yield from _request_problems(asked, graph)
