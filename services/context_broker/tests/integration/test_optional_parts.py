@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.metadata import distribution
 from pathlib import Path
 
 import httpx
@@ -47,15 +46,12 @@ print(*sorted(sys.modules))
 def without_plugin(tmp_path: Path) -> dict[str, str]:
     """Return the environment of a process in which `handover_federation` is not installed."""
     folder = tmp_path / "path"
-    information = folder / "handover_cell-0.1.0.dist-info"
+    information = folder / "handover_federation-0.1.0.dist-info"
     information.mkdir(parents=True)
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: handover-cell\nVersion: 0.1.0\n")
-    kept = (
-        f"[{point.group}]\n{point.name} = {point.value}\n"
-        for point in distribution("handover-cell").entry_points
-        if point.group != PLUGINS.group
+    (information / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: handover-federation\nVersion: 0.1.0\n"
     )
-    (information / "entry_points.txt").write_text("".join(kept))
+    (information / "entry_points.txt").touch()
     (folder / "handover_federation.py").write_text('raise SystemExit("handover_federation was imported")')
     return {"PYTHONPATH": str(folder)}
 
