@@ -122,9 +122,11 @@ def own_calls(node: ast.AST) -> Iterator[str]:
 def sources(service: str) -> dict[str, str]:
     """Return the modules of all packages of a service, by their names."""
     root = REPOSITORY / "services" / service
+    packages = [*root.glob("handover_*"), *root.glob("*/handover_*")]
     return {
-        ".".join(path.relative_to(root).with_suffix("").parts): path.read_text(encoding="utf-8")
-        for path in sorted(root.glob("handover_*/**/*.py"))
+        ".".join(path.relative_to(package.parent).with_suffix("").parts): path.read_text(encoding="utf-8")
+        for package in sorted(packages)
+        for path in sorted(package.rglob("*.py"))
     }
 
 
