@@ -24,7 +24,7 @@ def export(process: Mapping[str, Any]) -> bytes:
     trace = ET.SubElement(log, "trace")
     _add(trace, "string", "concept:name", process["id"])
     changes = [(change, task) for task in process["tasks"] for change in _changes(task)]
-    for change, task in sorted(changes, key=lambda one: one[0]["at"]):
+    for change, task in sorted(changes, key=lambda pair: pair[0]["at"]):
         event = ET.SubElement(trace, "event")
         _add(event, "string", "concept:name", task["name"] or task["element"])
         _add(event, "string", "concept:instance", task["id"])

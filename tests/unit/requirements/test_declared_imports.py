@@ -4,6 +4,7 @@ import ast
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -120,6 +121,16 @@ def test_a_dependency_has_the_same_bounds_everywhere() -> None:
     assert {name: lines for name, lines in bounds.items() if len(lines) > 1} == {}
 
 
+@pytest.mark.parametrize("example", sorted((REPOSITORY / "examples").glob("*/pyproject.toml")), ids=str)
+def test_an_example_depends_on_the_part_that_it_extends(example: Path) -> None:
+    declared = set(map(_name, tomllib.loads(example.read_text(encoding="utf-8"))["project"]["dependencies"]))
+    assert len(declared) == 1
+    assert "handover-cell" not in declared
+    needed = {*declared, *map(_name, MEMBERS[next(iter(declared))]["project"]["dependencies"])}
+    imported = {module for file in example.parent.glob("*.py") for module in _modules(file)}
+    assert {name for module in imported for name in _providers().get(module, [])} & MEMBERS.keys() <= needed
+
+
 @pytest.mark.parametrize("name", MEMBERS)
 def test_every_distribution_has_a_readme_with_its_use_and_the_licence(name: str) -> None:
     folder = REPOSITORY / MEMBERS[name]["folder"]
@@ -133,15 +144,18 @@ def _imports(member: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the file and the first name of each imported module that is not of the package itself."""
     for package in _packages(member):
         for path in python_sources(package):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                modules = []
-                if isinstance(node, ast.Import):
-                    modules = [alias.name for alias in node.names]
-                elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                    modules = [node.module]
-                for module in {imported.partition(".")[0] for imported in modules}:
-                    if module not in sys.stdlib_module_names and module != package.name:
-                        yield path.relative_to(REPOSITORY).as_posix(), module
+            for module in _modules(path):
+                if module not in sys.stdlib_module_names and module != package.name:
+                    yield path.relative_to(REPOSITORY).as_posix(), module
+
+
+def _modules(path: Path) -> Iterator[str]:
+    """Yield the first name of each module that a file imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.partition(".")[0]
 
 
 def _packages(member: Mapping[str, Any]) -> list[Path]:
