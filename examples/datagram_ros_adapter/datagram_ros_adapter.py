@@ -157,9 +157,9 @@ class DatagramGraph(BaseGraph, asyncio.DatagramProtocol):
         except (orjson.JSONDecodeError, KeyError, TypeError):
             self._refused += 1
             return
-        for one in self._endpoints(DatagramSubscription):
-            if one.topic == topic:
-                one.receive(message)
+        for subscription in self._endpoints(DatagramSubscription):
+            if subscription.topic == topic:
+                subscription.receive(message)
 
     def send(self, datagram: bytes) -> None:
         """Send a datagram to the peer."""
@@ -206,10 +206,10 @@ class DatagramGraph(BaseGraph, asyncio.DatagramProtocol):
     def topics(self) -> Sequence[TopicInfo]:
         """Return our own topics: those of peers have no type until they are subscribed to."""
         ours: dict[str, tuple[str, list[Endpoint], list[Endpoint]]] = {}
-        for one in self._endpoints((DatagramSubscription, DatagramPublisher)):
-            end = Endpoint(self.node_name, one.type_name, one.qos, None, "datagram", ours=True)
-            _, publishers, subscribers = ours.setdefault(one.topic, (one.type_name, [], []))
-            (publishers if isinstance(one, DatagramPublisher) else subscribers).append(end)
+        for endpoint in self._endpoints((DatagramSubscription, DatagramPublisher)):
+            end = Endpoint(self.node_name, endpoint.type_name, endpoint.qos, None, "datagram", ours=True)
+            _, publishers, subscribers = ours.setdefault(endpoint.topic, (endpoint.type_name, [], []))
+            (publishers if isinstance(endpoint, DatagramPublisher) else subscribers).append(end)
         return [
             TopicInfo(name, (type_name,), tuple(publishers), tuple(subscribers))
             for name, (type_name, publishers, subscribers) in sorted(ours.items())
@@ -242,4 +242,4 @@ class DatagramGraph(BaseGraph, asyncio.DatagramProtocol):
             self._transport.close()
 
     def _endpoints(self, kind: Any) -> list[Any]:
-        return [one for one in self._opened.values() if isinstance(one, kind)]
+        return [endpoint for endpoint in self._opened.values() if isinstance(endpoint, kind)]
