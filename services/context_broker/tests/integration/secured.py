@@ -88,7 +88,7 @@ def secured_broker(folder: Path, extra: Mapping[str, str] | None = None) -> Iter
         broker = SecuredBroker(cell)
         broker.set_up()
         broker.start()
-        # Until it has heard from accounts, it reads for others, and changes nothing (503).
+        # Until it has the revocations of accounts, it changes nothing (503).
         nothing = "/entities/urn:ngsi-ld:Nothing:1?local=true"
         wait_for(lambda: broker.service().delete(nothing).status_code == 404)
         try:
