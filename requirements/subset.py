@@ -45,12 +45,15 @@ def subset(distributions: Iterable[str], groups: Iterable[str] = (), lock: Path 
         if name in ours:
             project = ours[name]["project"]
             wanted += project.get("dependencies", [])
-            wanted += (needed for extra in extras for needed in project["optional-dependencies"][extra])
+            wanted += (needed for extra in extras for needed in _extra(project, extra))
         elif name in packages:
             chosen.add(name)
             wanted += needs[name]
         else:
-            raise ValueError(f"{name} is not in {lock.name}; run make lock")
+            raise ValueError(
+                f"{name} is none of our distributions, and not in {lock.name}; a new dependency gets there "
+                "by make lock"
+            )
     return "".join(packages[name] for name in sorted(chosen))
 
 
@@ -65,8 +68,15 @@ def members_of(distributions: Iterable[str]) -> list[str]:
         if name not in folders:
             folders[name] = ours[name]["folder"]
             wanted += project.get("dependencies", [])
-        wanted += (needed for extra in extras for needed in project["optional-dependencies"][extra])
+        wanted += (needed for extra in extras for needed in _extra(project, extra))
     return sorted(folders.values())
+
+
+def _extra(project: dict[str, Any], extra: str) -> list[str]:
+    extras: dict[str, list[str]] = project.get("optional-dependencies", {})
+    if extra not in extras:
+        raise ValueError(f"{project['name']} has no extra {extra}; it has {', '.join(extras) or 'none'}")
+    return extras[extra]
 
 
 def members() -> dict[str, dict[str, Any]]:

@@ -17,6 +17,11 @@ def install_command(*extras: str) -> str:
     return f'pip install --find-links dist "{DISTRIBUTION}[{",".join(extras)}]"'
 
 
+def install_part(distribution: str) -> str:
+    """Return the command that installs another of our distributions."""
+    return f"pip install --find-links dist {distribution}"
+
+
 def version() -> str:
     """Return the version of all distributions; raise `PackageNotFoundError` where none is installed."""
     return version_of(KIT)

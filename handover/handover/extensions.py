@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from handover.distribution import DISTRIBUTION, install_command
+from handover.distribution import DISTRIBUTION, install_command, install_part
 from handover.errors import UsageError
 from handover.settings import Settings
 
@@ -29,11 +29,15 @@ class UnknownExtension(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class ExtensionPoint:
-    """The things of one `kind`: `own` are those of ours that no package registers, as `module:attribute`."""
+    """The things of one `kind`: `own` are those of ours that no package registers, as `module:attribute`.
+
+    `parts` are those that a distribution of ours registers, which need not be installed, by their names.
+    """
 
     kind: str
     group: str
     own: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, str] = field(default_factory=dict)
 
     def names(self) -> list[str]:
         """Return all names, ours first."""
@@ -54,6 +58,10 @@ class ExtensionPoint:
     def _load(self, name: str, registered: Mapping[str, Sequence[EntryPoint]]) -> Any:
         own = self.own.get(name)
         points = (EntryPoint(name, own, self.group),) if own else registered.get(name, ())
+        if not points and name in self.parts:
+            raise UnknownExtension(
+                f'the {self.kind} "{name}" is not installed; install it: {install_part(self.parts[name])}'
+            )
         if not points:
             raise UnknownExtension(
                 f'there is no {self.kind} "{name}"; there are: {", ".join(self.names()) or "none"}. '
@@ -133,7 +141,25 @@ class Service:
         return all(map(find_spec, self.needs)) and (self.runs_if is None or self.runs_if())
 
 
-SERVICES = ExtensionPoint("service", "handover.services")
+SERVICES = ExtensionPoint(
+    "service",
+    "handover.services",
+    parts={
+        "accounts": "handover-accounts",
+        "alert-router": "handover-alerts",
+        "assistive-devices": "handover-cases",
+        "context-broker": "handover-broker",
+        "device-gateway": "handover-devices",
+        "gesture-controller": "handover-gloves",
+        "human-state": "handover-body",
+        "ros-bridge": "handover-ros",
+        "study": "handover-study",
+        "task-orchestrator": "handover-processes",
+        "trajectory-tool": "handover-robots",
+        "webui": "handover-web",
+        "whole-body-control": "handover-humanoid",
+    },
+)
 """The services that are installed, ours and those of other packages; each entry point is a `Service`."""
 
 

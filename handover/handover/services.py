@@ -33,9 +33,9 @@ def wanted_services() -> tuple[Service, ...]:
 
 
 def service_named(name: str) -> Service:
-    """Return the service called `name`; raise `UsageError` with the known names."""
+    """Return the service called `name`; raise `UsageError` with the names there are, or what to install."""
     names = (*(name for name in OWN_SERVICES if name in SERVICES.names()), *_names_of_others())
-    if name not in names:
+    if name not in names and name not in SERVICES.parts:
         raise UsageError(f'there is no service "{name}"; the services are {", ".join(names)}')
     return load_service(name)
 

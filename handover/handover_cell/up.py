@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from handover.command_line.foreground import DataDir, say, settings_in, until_stopped
+from handover.extensions import load_service
+from handover.service_addresses import ROS_BRIDGE
 from handover.services import let_broker_fetch_context, service_named, wanted_services
 from handover.settings import Settings
 from handover_cell.launching.launcher import Launcher
@@ -46,6 +48,7 @@ def up(
 ) -> None:
     """Run all services with the simulated robot, without a glove and without a process."""
     if ros is not None:
+        load_service(ROS_BRIDGE)  # or says what to install
         os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
     let_broker_fetch_context()
     until_stopped(_up(settings_in(data_dir)))

@@ -18,7 +18,35 @@ from typer.main import get_command
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
 
-COMMANDS: Final = ExtensionPoint("command", "handover.commands")
+COMMANDS: Final = ExtensionPoint(
+    "command",
+    "handover.commands",
+    parts={
+        "accounts": "handover-accounts",
+        "audit": "handover-accounts",
+        "backup": "handover-cell",
+        "body": "handover-body",
+        "bridge": "handover-ros",
+        "broker": "handover-broker",
+        "case": "handover-cell",
+        "check": "handover-cell",
+        "component": "handover-accounts",
+        "demo": "handover-cell",
+        "device": "handover-devices",
+        "doctor": "handover-cell",
+        "edge": "handover-devices",
+        "glove": "handover-gloves",
+        "humanoid": "handover-humanoid",
+        "process": "handover-processes",
+        "restore": "handover-cell",
+        "robot": "handover-robots",
+        "robot.simulate-ur": "handover-ur",
+        "secure": "handover-cell",
+        "specification": "handover-gloves",
+        "task": "handover-processes",
+        "up": "handover-cell",
+    },
+)
 COMPLETION: Final = frozenset({"install_completion", "show_completion"})
 """The options that Typer adds to each app; `handover` has them for all."""
 
@@ -39,7 +67,8 @@ class InstalledCommands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; None if there is none of this name."""
         command = super().get_command(ctx, cmd_name)
-        if command is None and "." not in cmd_name and cmd_name in self.registered:
+        is_ours = cmd_name in self.registered or cmd_name in COMMANDS.parts
+        if command is None and "." not in cmd_name and is_ours:
             command = _load(cmd_name, cmd_name, self.registered)
             self.add_command(command, cmd_name)
         return command

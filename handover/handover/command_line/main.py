@@ -15,12 +15,12 @@ from handover.command_line.commands import COMMANDS, InstalledCommands
 from handover.command_line.foreground import DataDir, say, settings_in
 from handover.command_line.output import AsJson, print_json
 from handover.command_line.waiting import wait_for_secrets, wait_for_security
-from handover.distribution import version
+from handover.distribution import install_part, version
 from handover.errors import HandoverError, Problem, UsageError
 from handover.extensions import SERVICES
 from handover.services import all_services, service_named
 from handover.serving.supervisor import run_watched
-from handover.settings import origins
+from handover.settings import Settings, origins
 from handover.telemetry import log_to_stderr
 
 app = typer.Typer(
@@ -56,8 +56,10 @@ def handover(
         say("People and robots hand work to each other. What to do next:\n")
         commands = COMMANDS.names()
         steps = {name: text for name, text in NEXT_STEPS.items() if name in commands}
-        for name, text in (steps or {f"run {name}": "run this service" for name in SERVICES.names()}).items():
-            say(f"  handover {name:<7} {text}")
+        steps = steps or {f"run {name}": "run this service" for name in SERVICES.names()}
+        width = max(map(len, steps or ["settings"]))
+        for name, text in (steps or {"settings": "print every setting with its value and source"}).items():
+            say(f"  handover {name:<{width}}  {text}")
         say("\nAll commands: handover --help")
 
 
@@ -86,7 +88,7 @@ def run(
 @app.command()
 def settings(as_json: AsJson = False) -> None:
     """Print every setting with its value and source."""
-    listed = list(origins([service.settings for service in all_services()]))
+    listed = list(origins([Settings, *(service.settings for service in all_services())]))
     if as_json:
         print_json([asdict(setting) for setting in listed])
         return
@@ -106,6 +108,12 @@ def main() -> None:
         raise SystemExit(_one_line(error, 2)) from None
     except HandoverError as error:
         raise SystemExit(_one_line(error, 1)) from None
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if not package.startswith("handover_"):
+            raise
+        missing = UsageError(f"{package} is not installed: {install_part(package.replace('_', '-'))}")
+        raise SystemExit(_one_line(missing, 2)) from None
 
 
 def _one_line(error: HandoverError, code: int) -> int:

@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from handover.command_line.commands import commands_of
-from handover.command_line.main import app
+from handover.command_line.commands import COMMANDS, commands_of
+from handover.command_line.main import app, main
 from handover.errors import UsageError
+from handover.extensions import SERVICES, ExtensionPoint
+from requirements.subset import members
 
 MODULE = """
 import typer
@@ -84,3 +86,39 @@ def test_a_command_that_two_packages_register_names_both_and_leaves_the_others_a
 @pytest.mark.usefixtures("package")
 def test_a_package_cannot_replace_a_command_of_the_kit() -> None:
     assert "Run one service" in dict(commands_of(app))[("run",)].help
+
+
+def test_a_command_of_a_missing_part_names_its_distribution(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = [name for name in COMMANDS.names() if name != "humanoid"]
+    monkeypatch.setattr(ExtensionPoint, "names", lambda self: names)
+    monkeypatch.setattr(ExtensionPoint, "_registered", lambda self: {})
+    fault = CliRunner().invoke(app, ["humanoid", "list"]).exception
+    assert isinstance(fault, UsageError)
+    assert "pip install --find-links dist handover-humanoid" in str(fault)
+
+
+def test_a_missing_part_is_named_instead_of_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise ModuleNotFoundError("No module named 'handover_cases'", name="handover_cases.machine")
+
+    monkeypatch.setattr("handover.command_line.main.app", fail)
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "pip install --find-links dist handover-cases" in capsys.readouterr().err
+
+
+def test_every_part_is_named_with_its_distribution() -> None:
+    """What a message says to install is what registers the name."""
+    for point in (COMMANDS, SERVICES):
+        registered = {
+            name: member
+            for member, document in members().items()
+            for name in document["project"].get("entry-points", {}).get(point.group, {})
+        }
+        kept = {name: member for name, member in registered.items() if name != "secrets"}
+        assert {name: kept[name] for name in point.parts} == point.parts
+        assert {name for name in kept if "." not in name} <= point.parts.keys()

@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from handover.distribution import install_part
 from handover.extensions import ExtensionPoint
 from handover.telemetry import get_logger
 from handover_broker.model.problems import not_supported
@@ -50,10 +51,7 @@ class Plugin:
         """Return why an operation is refused without the plugin, and the way out."""
         way_out = f"start it with {self.setting}=true to use them"
         if self.name not in PLUGINS.names():
-            way_out = (
-                f'install a package with the entry point "{self.name}" in "{PLUGINS.group}", such as '
-                f"handover_federation, and {way_out}"
-            )
+            way_out = f"install the plugin, and start it again: {install_part('handover-federation')}"
         return f"this broker runs without {self.content}; {way_out}"
 
 

@@ -291,13 +291,15 @@ def test_a_batch_makes_one_notification_for_a_subscription(
         http, kind, subscriber.url, notification={"endpoint": endpoint}, notificationTrigger=triggers
     )
     ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(200)]
-    for act, value in (("create", 0), ("upsert", 1), ("update", 2), ("merge", 3)):
-        batch(http, act, [{"id": one, "type": kind, "a": value} for one in ids])
+    entities = [{"id": entity_id, "type": kind, "a": 0} for entity_id in ids]
+    for number, act in enumerate(("create", "upsert", "update", "merge"), start=1):
+        batch(http, act, [{**entity, "a": number} for entity in entities])
+        eventually(lambda wanted=number: len(subscriber.received) >= wanted)
     batch(http, "delete", ids)
     eventually(lambda: len(subscriber.received) >= 5)
     parts = [one["data"] for one in subscriber.received]
-    entities = [part["features"] if isinstance(part, dict) else part for part in parts]
-    assert [[one["id"] for one in part] for part in entities] == [ids] * 5
+    received = [part["features"] if isinstance(part, dict) else part for part in parts]
+    assert [[entity["id"] for entity in part] for part in received] == [ids] * 5
     assert len({one["id"] for one in subscriber.received}) == 5
     eventually(lambda: change_data(http, subscription)["timesSent"] == 5)
 

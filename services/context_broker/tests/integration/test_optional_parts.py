@@ -116,12 +116,12 @@ def test_a_broker_without_its_plugin_refuses_what_needs_it_and_says_what_to_inst
             client.get("/entityMaps", params={"type": "Room"}),
             client.get("/entities", params={"type": "Room", "options": "entityMap"}),
         ):
-            require_unsupported(missing, 'the entry point "federation" in "handover.broker_plugins"')
+            require_unsupported(missing, "pip install --find-links dist handover-federation")
         for missing in (
             client.post("/snapshots", json=SNAPSHOT),
             client.get("/entities", params={"type": "Room"}, headers=INSIDE),
         ):
-            require_unsupported(missing, 'the entry point "snapshots" in "handover.broker_plugins"')
+            require_unsupported(missing, "pip install --find-links dist handover-federation")
 
 
 def test_what_the_plugin_has_stored_is_kept_without_it(

@@ -20,4 +20,5 @@ DRIVERS = ExtensionPoint(
         "physics": "handover_robots.physics.robot:PhysicsRobot.from_context",
         "ros": "handover_robots.drivers.ros_robot:RosRobot.from_context",
     },
+    parts={"ur": "handover-ur"},
 )
