@@ -69,9 +69,9 @@ def test_no_text_installs_the_distribution_of_others() -> None:
 def test_no_package_depends_on_the_distribution_of_others() -> None:
     documents = [tomllib.loads((REPOSITORY / name).read_text()) for name in files("*pyproject.toml")]
     projects = [document["project"] for document in documents if "project" in document]
-    required = [each for project in projects for each in project.get("dependencies", [])]
-    assert len([each for each in required if each.startswith(distribution.DISTRIBUTION)]) > 4
-    assert not [each for each in required if REQUIRES.fullmatch(f'"{each}"')]
+    required = [name for project in projects for name in project.get("dependencies", [])]
+    assert len([name for name in required if name.startswith("handover-")]) > 4
+    assert not [name for name in required if REQUIRES.fullmatch(f'"{name}"')]
 
 
 def test_the_distribution_is_ours() -> None:
