@@ -39,8 +39,7 @@ def second(cell: Cell, service: str, **settings: str) -> tuple[processes.Process
 @pytest.mark.nightly
 @pytest.mark.parametrize("service", sorted(set(SERVICES) - NOT_SERVICES))
 def test_each_service_is_refused_in_one_line_while_its_folder_is_held(cell: Cell, service: str) -> None:
-    main = Path(importlib.import_module(MODULES[service]).__path__[0], "__main__.py").read_text()
-    name = main.rpartition("run(")[2].split('"')[1]
+    name = importlib.import_module(f"{MODULES[service]}.settings").SERVICE.name
     release = hold(cell.data_dir / name, name)
     try:
         process, log = second(cell, service)
