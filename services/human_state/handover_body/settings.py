@@ -86,10 +86,4 @@ class HumanStateSettings(HumanStateAddress, TrajectoryAddress, Settings):
         return None if key is None else base64.b64decode(key.get_secret_value())
 
 
-SERVICE = Service(
-    HUMAN_STATE,
-    "handover_body",
-    HumanStateSettings,
-    "human_state_port",
-    needs=("numpy", "scipy", "neurokit2"),  # of the extra human-state
-)
+SERVICE = Service(HUMAN_STATE, "handover_body", HumanStateSettings, "human_state_port")

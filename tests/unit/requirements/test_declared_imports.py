@@ -44,6 +44,10 @@ NOT_A_DEPENDENCY = {
     "rosbags": "as handover_ros",
     "unique_identifier_msgs": "a dependency of rclpy",
 }
+BY_NAME = {"find_spec", "import_module", "required"}
+"""Functions whose first argument is the name of a module, which is imported or must be there."""
+LIBRARY_OF = {"handover.formats.mcap_files": "mcap"}
+"""Modules of the kit whose library belongs to who uses them."""
 NOT_IMPORTED = {
     "fastapi-offline": "the files of Swagger UI in it",
     "paho-mqtt": "the version that aiomqtt brings may be too old",
@@ -150,12 +154,22 @@ def _imports(member: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _modules(path: Path) -> Iterator[str]:
-    """Yield the first name of each module that a file imports."""
+    """Yield the first name of each module that a file imports, by a statement or by its name."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             yield node.module.partition(".")[0]
+            if (library := LIBRARY_OF.get(node.module)) is not None and "handover/handover" not in str(path):
+                yield library
+        elif isinstance(node, ast.Call):
+            function = ast.unparse(node.func).rpartition(".")[2]
+            if function in BY_NAME and node.args and isinstance(node.args[0], ast.Constant):
+                yield str(node.args[0].value).partition(".")[0]
+            for needs in (
+                word.value for word in node.keywords if (function, word.arg) == ("Service", "needs")
+            ):
+                yield from ast.literal_eval(needs)
 
 
 def _packages(member: Mapping[str, Any]) -> list[Path]:
