@@ -8,6 +8,7 @@ comments (`# via`) what needs what in turn. Only the standard library is used, s
 """
 
 import argparse
+import functools
 import re
 import sys
 import tomllib
@@ -32,44 +33,39 @@ def subset(distributions: Iterable[str], groups: Iterable[str] = (), lock: Path 
         for line in text.splitlines():
             if via := _VIA.search(line.strip()):
                 needs[via[1]].add(package)
-    wanted = [*distributions]
-    for group in groups:
-        wanted += ours["handover-cell"]["dependency-groups"][group]
-    chosen, seen = set[str](), set[str]()
+    of_groups = (name for group in groups for name in ours["handover-cell"]["dependency-groups"][group])
+    wanted, chosen = _closure([*distributions, *of_groups], ours) - ours.keys(), set[str]()
     while wanted:
-        requirement = wanted.pop()
-        name, extras = _parsed(requirement)
-        if requirement in seen:
-            continue
-        seen.add(requirement)
-        if name in ours:
-            project = ours[name]["project"]
-            wanted += project.get("dependencies", [])
-            wanted += (needed for extra in extras for needed in _extra(project, extra))
-        elif name in packages:
-            chosen.add(name)
-            wanted += needs[name]
-        else:
+        name = wanted.pop()
+        if name not in packages:
             raise ValueError(
                 f"{name} is none of our distributions, and not in {lock.name}; a new dependency gets there "
                 "by make lock"
             )
+        if name not in chosen:
+            chosen.add(name)
+            wanted |= needs[name]
     return "".join(packages[name] for name in sorted(chosen))
 
 
 def members_of(distributions: Iterable[str]) -> list[str]:
     """Return the folders of our `distributions` and of those of ours that they need."""
-    ours, wanted, folders = members(), [*distributions], dict[str, str]()
+    ours = members()
+    return sorted(ours[name]["folder"] for name in _closure(distributions, ours) & ours.keys())
+
+
+def _closure(requirements: Iterable[str], ours: dict[str, dict[str, Any]]) -> set[str]:
+    """Return the names of `requirements`, and of what those of them that are ours need, in turn."""
+    wanted, seen = [*requirements], set[str]()
     while wanted:
-        name, extras = _parsed(wanted.pop())
-        if name not in ours:
-            continue
-        project = ours[name]["project"]
-        if name not in folders:
-            folders[name] = ours[name]["folder"]
+        requirement = wanted.pop()
+        name, extras = _parsed(requirement)
+        if requirement not in seen and name in ours:
+            project = ours[name]["project"]
             wanted += project.get("dependencies", [])
-        wanted += (needed for extra in extras for needed in _extra(project, extra))
-    return sorted(folders.values())
+            wanted += (needed for extra in extras for needed in _extra(project, extra))
+        seen.add(requirement)
+    return {_parsed(requirement)[0] for requirement in seen}
 
 
 def _extra(project: dict[str, Any], extra: str) -> list[str]:
@@ -79,6 +75,7 @@ def _extra(project: dict[str, Any], extra: str) -> list[str]:
     return extras[extra]
 
 
+@functools.cache
 def members() -> dict[str, dict[str, Any]]:
     """Return the `pyproject.toml` of each member by the name of its distribution, and its folder."""
     root = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

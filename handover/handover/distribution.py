@@ -12,14 +12,14 @@ KIT: Final = "handover-kit"
 """A part of every installation; all distributions have one version."""
 
 
-def install_command(*extras: str) -> str:
-    """Return the command that installs our wheel with `extras`; `dist` is the folder of our wheels."""
-    return f'pip install --find-links dist "{DISTRIBUTION}[{",".join(extras)}]"'
-
-
 def install_part(distribution: str) -> str:
-    """Return the command that installs another of our distributions."""
+    """Return the command that installs one of our distributions; `dist` is the folder of our wheels."""
     return f"pip install --find-links dist {distribution}"
+
+
+def install_command(*extras: str) -> str:
+    """Return the command that installs the distribution of a cell with `extras`."""
+    return install_part(f'"{DISTRIBUTION}[{",".join(extras)}]"')
 
 
 def version() -> str:

@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from handover.distribution import DISTRIBUTION, install_command, install_part
+from handover.distribution import install_part
 from handover.errors import UsageError
 from handover.settings import Settings
 
@@ -77,7 +77,7 @@ class ExtensionPoint:
         except Exception as error:  # a package of somebody else may fail in any way when it is imported
             raise UnknownExtension(
                 f'the {self.kind} "{name}" ({points[0].value}) cannot be loaded: {type(error).__name__}: '
-                f"{error}; {_remedy(points[0])}"
+                f"{error}; repair or remove the package that registers it"
             ) from error
 
     def _registered(self) -> Mapping[str, Sequence[EntryPoint]]:
@@ -86,13 +86,6 @@ class ExtensionPoint:
         for point in entry_points(group=self.group):
             points.setdefault(point.name, {}).setdefault(point.value, point)
         return {name: list(by_value.values()) for name, by_value in points.items()}
-
-
-def _remedy(point: EntryPoint) -> str:
-    """Return what to do about an entry point that cannot be loaded: it may need an extra (`… [extra]`)."""
-    if point.extras and point.dist is not None and point.dist.name == DISTRIBUTION:
-        return f"install what it needs: {install_command(*point.extras)}"
-    return "repair or remove the package that registers it"
 
 
 def _owner(point: EntryPoint) -> str:

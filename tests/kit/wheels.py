@@ -25,6 +25,13 @@ def run(*words: str | Path, cwd: Path = REPOSITORY, env: dict[str, str] | None =
     return done.stdout
 
 
+def packages_of(name: str) -> list[Path]:
+    """Return the folders of the import packages of a distribution."""
+    member = members()[name]
+    packages = member["tool"]["hatch"]["build"]["targets"]["wheel"].get("packages", ["."])
+    return [REPOSITORY / member["folder"] / package for package in packages]
+
+
 @functools.cache
 def wheel_of(name: str, place: Path) -> Path:
     """Build the wheel of a distribution in a folder of its own in `place`."""

@@ -40,7 +40,6 @@ COMMANDS: Final = ExtensionPoint(
         "process": "handover-processes",
         "restore": "handover-cell",
         "robot": "handover-robots",
-        "robot.simulate-ur": "handover-ur",
         "secure": "handover-cell",
         "specification": "handover-gloves",
         "task": "handover-processes",
@@ -67,8 +66,8 @@ class InstalledCommands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; None if there is none of this name."""
         command = super().get_command(ctx, cmd_name)
-        is_ours = cmd_name in self.registered or cmd_name in COMMANDS.parts
-        if command is None and "." not in cmd_name and is_ours:
+        exists = cmd_name in self.registered or cmd_name in COMMANDS.parts
+        if command is None and "." not in cmd_name and exists:
             command = _load(cmd_name, cmd_name, self.registered)
             self.add_command(command, cmd_name)
         return command

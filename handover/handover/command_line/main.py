@@ -57,8 +57,9 @@ def handover(
         commands = COMMANDS.names()
         steps = {name: text for name, text in NEXT_STEPS.items() if name in commands}
         steps = steps or {f"run {name}": "run this service" for name in SERVICES.names()}
-        width = max(map(len, steps or ["settings"]))
-        for name, text in (steps or {"settings": "print every setting with its value and source"}).items():
+        steps = steps or {"settings": "print every setting with its value and source"}
+        width = max(map(len, steps))
+        for name, text in steps.items():
             say(f"  handover {name:<{width}}  {text}")
         say("\nAll commands: handover --help")
 

@@ -9,7 +9,7 @@ import pytest
 
 from requirements.subset import members, members_of
 from tests.kit.paths import REPOSITORY
-from tests.kit.wheels import install, run
+from tests.kit.wheels import install, packages_of, run
 
 pytestmark = [pytest.mark.nightly, pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -47,27 +47,28 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("wheels")
 
 
-def environment_of(name: str, place: Path, tmp_path: Path) -> Path:
-    """Return an environment with one distribution."""
-    install([name], tmp_path / "venv", place)
-    return tmp_path / "venv" / "bin"
+@pytest.fixture(scope="module", params=MEMBERS)
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
-@pytest.mark.parametrize("name", MEMBERS)
+@pytest.fixture(scope="module")
+def programs(name: str, place: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of an environment with one distribution."""
+    environment = tmp_path_factory.mktemp(name) / "venv"
+    install([name], environment, place)
+    return environment / "bin"
+
+
 def test_a_distribution_alone_can_be_imported_and_used_as_its_readme_says(
-    name: str, place: Path, tmp_path: Path
+    name: str, programs: Path, tmp_path: Path
 ) -> None:
-    programs = environment_of(name, place, tmp_path)
     variables = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    package = Path(
-        MEMBERS[name]["tool"]["hatch"]["build"]["targets"]["wheel"].get("packages", ["glove_sdk_bridge"])[0]
-    )
+    (package,) = packages_of(name)
     said = run(programs / "python", "-c", IMPORT_ALL, package.name, cwd=tmp_path, env=variables)
     missing = json.loads(said.splitlines()[-1])
     optional = OPTIONAL.get(package.name, set())
-    assert {
-        module: lacks for module, lacks in missing.items() if lacks.partition(".")[0] not in optional
-    } == {}
+    assert {module: name for module, name in missing.items() if name.partition(".")[0] not in optional} == {}
     readme = (REPOSITORY / MEMBERS[name]["folder"] / "README.md").read_text(encoding="utf-8")
     for number, code in enumerate(re.findall(r"^```python\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)):
         program = tmp_path / f"example_{number}.py"
@@ -75,11 +76,12 @@ def test_a_distribution_alone_can_be_imported_and_used_as_its_readme_says(
         run(programs / "python", program, cwd=tmp_path, env=variables)
 
 
-@pytest.mark.parametrize("name", [name for name in MEMBERS if "handover" in members_of([name])])
 def test_the_command_line_of_a_distribution_alone_lists_its_commands(
-    name: str, place: Path, tmp_path: Path
+    name: str, programs: Path, tmp_path: Path
 ) -> None:
-    programs = environment_of(name, place, tmp_path)
+    if "handover" not in members_of([name]):
+        assert not (programs / "handover").exists(), "the command is part of the kit"
+        return
     said = run(programs / "handover", "--help", cwd=tmp_path)
     for command in MEMBERS[name]["project"].get("entry-points", {}).get("handover.commands", {}):
         assert command.partition(".")[0] in said

@@ -9,12 +9,9 @@ import pytest
 
 from requirements.subset import members
 from tests.kit.paths import REPOSITORY
+from tests.kit.wheels import packages_of
 
-PACKAGES = [
-    REPOSITORY / member["folder"] / package
-    for member in members().values()
-    for package in member["tool"]["hatch"]["build"]["targets"]["wheel"].get("packages", ["."])
-]
+PACKAGES = [package for name in members() for package in packages_of(name)]
 MEANINGLESS = {"one", "each", "found", "given", "known"}
 
 

@@ -15,6 +15,7 @@ import pytest
 from handover_web.messages import python_sources
 from requirements.subset import members
 from tests.kit.paths import REPOSITORY
+from tests.kit.wheels import packages_of
 
 MEMBERS = members()
 VERSION = MEMBERS["handover-cell"]["project"]["version"]
@@ -68,7 +69,7 @@ DISTRIBUTIONS = {"rclpy": "ros-jazzy-rclpy", "pinocchio": "pin", "coal": "coal",
 
 def _providers() -> dict[str, list[str]]:
     """Return the distributions by the modules that they contain."""
-    ours = {package.name: [name] for name, member in MEMBERS.items() for package in _packages(member)}
+    ours = {package.name: [name] for name in MEMBERS for package in packages_of(name)}
     others = {module: [name] for module, name in DISTRIBUTIONS.items()}
     return {**others, **packages_distributions(), **ours}
 
@@ -77,7 +78,7 @@ def _providers() -> dict[str, list[str]]:
 def test_every_import_is_declared(name: str) -> None:
     project, providers = MEMBERS[name]["project"], _providers()
     undeclared = []
-    for path, module in _imports(MEMBERS[name]):
+    for path, module in _imports(name):
         extras = {extra for place, extras in EXTRAS.items() if path.startswith(place) for extra in extras}
         lines = [*project["dependencies"], *(line for extra in extras for line in _extra(project, extra))]
         names = providers.get(module, [module])
@@ -91,7 +92,7 @@ def test_every_dependency_is_needed(name: str) -> None:
     providers = _providers()
     imported = {
         _normal(distribution)
-        for _, module in _imports(MEMBERS[name])
+        for _, module in _imports(name)
         for distribution in providers.get(module, [module])
     }
     declared = set(map(_name, MEMBERS[name]["project"]["dependencies"]))
@@ -144,9 +145,9 @@ def test_every_distribution_has_a_readme_with_its_use_and_the_licence(name: str)
     assert (folder / "LICENSE").read_text() == (REPOSITORY / "LICENSE").read_text()
 
 
-def _imports(member: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _imports(name: str) -> Iterator[tuple[str, str]]:
     """Yield the file and the first name of each imported module that is not of the package itself."""
-    for package in _packages(member):
+    for package in packages_of(name):
         for path in python_sources(package):
             for module in _modules(path):
                 if module not in sys.stdlib_module_names and module != package.name:
@@ -170,11 +171,6 @@ def _modules(path: Path) -> Iterator[str]:
                 word.value for word in node.keywords if (function, word.arg) == ("Service", "needs")
             ):
                 yield from ast.literal_eval(needs)
-
-
-def _packages(member: Mapping[str, Any]) -> list[Path]:
-    wheel = member["tool"]["hatch"]["build"]["targets"]["wheel"]
-    return [REPOSITORY / member["folder"] / package for package in wheel.get("packages", ["."])]
 
 
 def _extra(project: Mapping[str, Any], extra: str) -> list[str]:

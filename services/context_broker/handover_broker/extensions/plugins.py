@@ -23,7 +23,11 @@ from handover_broker.storage.journal import Journal
 
 log = get_logger(__name__)
 
-PLUGINS: Final = ExtensionPoint("broker plugin", "handover.broker_plugins")
+PLUGINS: Final = ExtensionPoint(
+    "broker plugin",
+    "handover.broker_plugins",
+    parts={"federation": "handover-federation", "snapshots": "handover-federation"},
+)
 """The plugins that are installed; each entry point is a function or class that makes the part."""
 
 PerformByName = Callable[[str, RequestContext], Awaitable[Response]]
@@ -51,7 +55,7 @@ class Plugin:
         """Return why an operation is refused without the plugin, and the way out."""
         way_out = f"start it with {self.setting}=true to use them"
         if self.name not in PLUGINS.names():
-            way_out = f"install the plugin, and start it again: {install_part('handover-federation')}"
+            way_out = f"install the plugin, and start it again: {install_part(PLUGINS.parts[self.name])}"
         return f"this broker runs without {self.content}; {way_out}"
 
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import hashlib
-import importlib.util
 import pickle
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -11,7 +10,6 @@ from typing import Annotated, Any, cast
 from fastapi import Body, FastAPI, Query, Request, Response
 from pydantic import Field
 
-from handover.distribution import install_command
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
 from handover.http.api_description import sends
@@ -155,7 +153,6 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         """Return the report of a study on A4."""
         from handover_study.report.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
-        _require_installed("reportlab")
         result = await analyses.of(study)
         today = datetime.now(UTC).date().isoformat()
         pdf = await asyncio.to_thread(pdf_of, result, study, language, today)
@@ -197,7 +194,6 @@ class _Analyses:
 
     async def of(self, study: str) -> AnalysisView:
         """Return the analysis of `study`."""
-        _require_installed("scipy")
         sessions = await self._study_sessions.sessions(study)
         key = hashlib.sha256(pickle.dumps(sessions)).digest()
         kept = self._kept.pop(key, None)
@@ -214,20 +210,6 @@ class _Analyses:
             return await self._offload.run(analysis_of, sessions)
         except OffloadFailed as error:
             raise Problem(503, "Cannot be analysed", f"{error}; try again later") from None
-
-
-def _require_installed(library: str) -> None:
-    if importlib.util.find_spec(library) is None:
-        raise Problem(
-            501,
-            "Not installed",
-            message(
-                "study.not_installed",
-                "the analysis needs {library}; install the extra: {command}",
-                library=library,
-                command=install_command("study"),
-            ),
-        )
 
 
 def _file(content: bytes, media_type: str, study: str, kind: str) -> Response:
