@@ -521,23 +521,22 @@ class Settings(BaseSettings):
         return init_settings, SecretFiles(settings_cls), env_settings, dotenv_settings
 
 
-_warned: set[str] = set()
+_looked_for: set[str] = set()
 
 
 def _warn_of(removed: Mapping[str, str]) -> None:
     """Warn once of each removed setting that the environment or `.env` still has."""
-    if not removed:
-        return
+    names = {f"{PREFIX}{field}".upper(): instead for field, instead in removed.items()}
+    if names.keys() <= _looked_for:
+        return  # settings are loaded often, and reading `.env` takes a while
+    _looked_for.update(names)
     present = {name.upper() for name in (*os.environ, *dotenv_values(ENV_FILE))}
-    for field, instead in removed.items():
-        name = f"{PREFIX}{field}".upper()
-        if name in present and name not in _warned:
-            _warned.add(name)
-            warnings.warn(
-                f"{name} has no effect any more: {instead}; remove it from the environment or {ENV_FILE}",
-                FutureWarning,  # shown to users, other than DeprecationWarning
-                stacklevel=3,
-            )
+    for name in sorted(names.keys() & present):
+        warnings.warn(
+            f"{name} has no effect any more: {names[name]}; remove it from the environment or {ENV_FILE}",
+            FutureWarning,  # shown to users, other than DeprecationWarning
+            stacklevel=3,
+        )
 
 
 Source = Literal["environment", "secret file", ".env", "default"]

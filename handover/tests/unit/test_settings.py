@@ -33,7 +33,7 @@ def test_a_value_comes_from_the_environment_before_the_file_before_the_default(
 def test_a_removed_setting_raises_one_warning_that_names_what_holds_instead(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handover.settings._warned", set())
+    monkeypatch.setattr("handover.settings._looked_for", set())
     monkeypatch.chdir(tmp_path)
     if place == "environment":
         monkeypatch.setenv("HANDOVER_LAMP_GLOW_S", "any text")
