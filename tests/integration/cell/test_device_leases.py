@@ -313,6 +313,8 @@ def test_a_performer_that_dies_in_progress_is_an_alert_and_then_what_the_definit
         wait_for(lambda: shown()["incidents"], 60, lambda: str(shown()))
         wait_for(lambda: alerts_of(cell, "processIncident"), 60)
         wait_for(lambda: not alerts_of(cell, "taskPerformerLost"), 60)
+    if choice == "retry":  # a performer that is back before the grace period is over decides by itself
+        wait_for(lambda: len(shown()["tasks"]) == 2, 60, lambda: str(shown()))
     again = Motor(cell, "again", first.folder, MOTOR_REPEATS="yes" if choice == "wait" else "no").wait_ready()
     if choice == "ask":
         assert shown()["incidents"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from handover.errors import HandoverError
 from handover_robots.model.faults import Unreachable
-from handover_robots.model.obstacles import Attached, Box, World
+from handover_robots.model.obstacles import Attached, Box, Obstacle, World
 from handover_robots.model.poses import Pose, pointing_down
 from handover_robots.planning.planner import NoPath, Options, Plan, Planner
 from handover_robots.planning.tilt import Tilt
@@ -134,9 +134,7 @@ def test_a_held_part_is_carried_clear_of_the_obstacles(planner: Planner) -> None
 def test_the_changed_world_is_avoided(planner: Planner) -> None:
     before = planner.world
     free = planner.to_pose(planner.model.home, over_the_bin(0.3))
-    middle = planner.arm.tool_pose(free.trajectory.positions(0.01)[len(free.trajectory.positions(0.01)) // 2])
-    ball = before.obstacles[0].__class__("crate", Box((0.05, 0.05, 0.05)), middle)
-    planner.world = replace(before, obstacles=(*before.obstacles, ball))
+    planner.world = with_a_crate_on(planner, free)
     try:
         with pytest.raises(NoPath, match="crate"):
             planner.check(free.trajectory, 0.002)
@@ -144,6 +142,24 @@ def test_the_changed_world_is_avoided(planner: Planner) -> None:
     finally:
         planner.world = before
     planner.check(free.trajectory, 0.002)
+
+
+def with_a_crate_on(planner: Planner, plan: Plan) -> World:
+    """Return the world with a crate on the way of the tool, clear of the arm at its start.
+
+    How far the search came when its time was over decides about the way, and so about the place.
+    """
+    before = planner.world
+    way = plan.trajectory.positions(0.01)
+    try:
+        for joints in sorted(way, key=lambda joints: np.abs(joints - way[len(way) // 2]).max()):
+            crate = Obstacle("crate", Box((0.05, 0.05, 0.05)), planner.arm.tool_pose(joints))
+            planner.world = replace(before, obstacles=(*before.obstacles, crate))
+            if planner.collisions.is_free(way[0], 0.01):
+                return planner.world
+    finally:
+        planner.world = before
+    raise AssertionError("the whole way is near its start")
 
 
 def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner: Planner) -> None:
