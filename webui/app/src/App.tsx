@@ -1,32 +1,21 @@
-/** The pages and their paths. Each page but the first loads when it is opened. */
-import { lazy, Suspense } from "react";
+/** The page of each address. */
+import { Suspense, lazy } from "react";
 import { useTranslation } from "react-i18next";
-import { Link, Route, Switch, useLocation, useSearch } from "wouter";
+import { Link, Redirect, Route, Switch, useLocation, useSearch } from "wouter";
 import { RouterProvider } from "react-aria-components";
 import { EmptyState } from "~/design/EmptyState";
-import { Shell } from "~/shell/Shell";
+import { useHasSnapshot } from "~/live/hooks";
+import { useGloveNames, useRobotNames } from "~/live/names";
+import { addresses } from "~/places/addresses";
+import { presentAddress } from "~/places/formerAddresses";
+import { PAGES } from "~/places/places";
 import { ErrorBoundary } from "~/shell/ErrorBoundary";
-import StartPage from "~/start/StartPage";
+import { Shell } from "~/shell/Shell";
 import { useParticipantMode } from "~/study/participantMode";
 
-const WorkPage = lazy(() => import("~/work/WorkPage"));
-const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
-const CockpitPage = lazy(() => import("~/cockpit/CockpitPage"));
-const TasksPage = lazy(() => import("~/tasks/TasksPage"));
-const SystemPage = lazy(() => import("~/system/SystemPage"));
-const PeoplePage = lazy(() => import("~/people/PeoplePage"));
-const HealthPage = lazy(() => import("~/health/HealthPage"));
-const CasesPage = lazy(() => import("~/cases/CasesPage"));
-const HumanoidPage = lazy(() => import("~/humanoid/HumanoidPage"));
-const VrPage = lazy(() => import("~/humanoid/vr/VrPage"));
-const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
-const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
-const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
-const ControlPage = lazy(() => import("~/control/ControlPage"));
-const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
-const TestPage = lazy(() => import("~/test/TestPage"));
 const ParticipantFrame = lazy(() => import("~/study/ParticipantFrame"));
 const StudyPage = lazy(() => import("~/study/StudyPage"));
+const WorkPage = lazy(() => import("~/work/WorkPage"));
 
 export function App() {
   const [path, go] = useLocation();
@@ -37,7 +26,7 @@ export function App() {
       <RouterProvider navigate={go}>
         <Suspense fallback={null}>
           <ParticipantFrame mode={participant}>
-            <ErrorBoundary key={path} address={address}>{path === "/work" ? <WorkPage /> : <StudyPage />}</ErrorBoundary>
+            <ErrorBoundary key={path} address={address}>{path === addresses.work() ? <WorkPage /> : <StudyPage />}</ErrorBoundary>
           </ParticipantFrame>
         </Suspense>
       </RouterProvider>
@@ -46,27 +35,12 @@ export function App() {
   return (
     <RouterProvider navigate={go}>
       <Shell>
-        <ErrorBoundary key={path.split("/")[1]} address={address}>
+        <ErrorBoundary key={path.split("/").slice(1, 3).join("/")} address={address}>
           <Switch>
-            <Route path="/" component={StartPage} />
-            <Route path="/work" component={WorkPage} />
-            <Route path="/processes/*?" component={ProcessesPage} />
-            <Route path="/cockpit" component={CockpitPage} />
-            <Route path="/tasks" component={TasksPage} />
-            <Route path="/system" component={SystemPage} />
-            <Route path="/people" component={PeoplePage} />
-            <Route path="/sensors" component={SensorsPage} />
-            <Route path="/health" component={HealthPage} />
-            <Route path="/cases" component={CasesPage} />
-            <Route path="/humanoid" component={HumanoidPage} />
-            <Route path="/humanoid/vr" component={VrPage} />
-            <Route path="/devices" component={DevicesPage} />
-            <Route path="/alerting" component={AlertingPage} />
-            <Route path="/control" component={ControlPage} />
-            <Route path="/calibrate" component={CalibratePage} />
-            <Route path="/test" component={TestPage} />
-            <Route path="/study" component={StudyPage} />
-            <Route component={UnknownPage} />
+            {PAGES.map((page) => (
+              <Route key={page.path} path={`${page.path}${page.below ?? ""}`} component={page.component} />
+            ))}
+            <Route component={FormerOrUnknown} />
           </Switch>
         </ErrorBoundary>
       </Shell>
@@ -74,7 +48,15 @@ export function App() {
   );
 }
 
-function UnknownPage() {
+/** An address of a former version leads to the present one; any other is named as unknown. */
+function FormerOrUnknown() {
   const { t } = useTranslation("common");
-  return <EmptyState title={t("unknownPage.title")} act={<Link href="/">{t("unknownPage.act")}</Link>} />;
+  const [path] = useLocation();
+  const search = useSearch();
+  const [robot] = useRobotNames();
+  const [glove] = useGloveNames();
+  const hasSnapshot = useHasSnapshot();
+  const to = presentAddress(path, search, { robot, glove });
+  if (to === null) return <EmptyState title={t("unknownPage.title")} act={<Link href={addresses.home()}>{t("unknownPage.act")}</Link>} />;
+  return hasSnapshot ? <Redirect to={to} replace /> : <p className="quiet shell__loading">{t("loading")}</p>;
 }

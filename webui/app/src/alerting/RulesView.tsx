@@ -13,6 +13,7 @@ import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { exactTime } from "~/design/times";
 import { digits, isoOf, titleOf, valuesOf } from "~/devices/values";
 import { useRegisteredDevices } from "~/live/hooks";
+import { addresses } from "~/places/addresses";
 import { mayDo } from "~/session/session";
 import { deleteRule, GATEWAY, saveRule, testRule, type AnomalyView, type Rule, type RuleTestView, type RuleView } from "./api";
 import { checkOf, draftOfRule, enteredRule, fieldsOfRule, fits, withCheck, type CheckType } from "./rule";
@@ -142,7 +143,7 @@ function Watches({ watches }: { watches: readonly AnomalyView[] }) {
           <tbody>
             {sorted.slice(0, MAX_SHOWN).map((one) => (
               <tr key={`${one.device} ${one.value}`}>
-                <th scope="row"><a href={`/devices?device=${encodeURIComponent(one.device)}&part=history&values=${encodeURIComponent(one.value)}`}>{one.device} · {one.value}</a></th>
+                <th scope="row"><a href={addresses.device(one.device, { part: "history", values: one.value })}>{one.device} · {one.value}</a></th>
                 <td><StatusBadge tone={one.active ? "stop" : "ok"}>{one.active ? t("watches.abnormal") : t("watches.normal")}</StatusBadge></td>
                 <td data-number>{one.measured === null ? "–" : digits(one.measured, i18n.language)}</td>
                 <td data-number>{one.limit === null ? "–" : digits(one.limit, i18n.language)}</td>

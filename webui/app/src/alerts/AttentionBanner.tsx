@@ -3,6 +3,7 @@ import { OctagonAlert, TriangleAlert } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { useFamily } from "~/live/hooks";
+import { addresses } from "~/places/addresses";
 import { attentionOf, isUrgent } from "./attention";
 import { useAlertTitle, useSourceName } from "./titles";
 import "./AttentionBanner.css";
@@ -26,7 +27,7 @@ export function AttentionBanner({ large }: { large: boolean }) {
           {titleOf(worst)} · {sourceOf(worst.source)}
         </span>
       </p>
-      <Link href="/system?tab=alerts" className="attention__link">
+      <Link href={addresses.alerts()} className="attention__link">
         {t("attention.show")}
       </Link>
     </div>

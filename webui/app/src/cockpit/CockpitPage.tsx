@@ -25,7 +25,7 @@ export default function CockpitPage() {
   return (
     <div className="cockpit">
       <header className="cockpit__head">
-        <h1>{t("common:pages.cockpit")}</h1>
+        <h1>{t("common:pages.statistics")}</h1>
         <SegmentedControl label={t("view.label")} value={view} options={views.map((value) => ({ value, name: t(`view.${value}`) }))} onChange={setView} />
         {view === "statistics" && <ScopeBar state={state} />}
       </header>

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { valueInWords } from "~/system/devices/value";
+import { valueInWords } from "~/cell/devices/value";
 import { number, percent, typedNumber } from "./numbers";
 
 test("numbers are grouped and have the decimal sign of the language, never a mix", () => {

@@ -10,7 +10,7 @@ import { SegmentedControl } from "~/design/SegmentedControl";
 import type { RegisteredDeviceView } from "~/live/messages";
 import { useChoice } from "~/route/choice";
 import { mayDo } from "~/session/session";
-import { Battery } from "~/system/Battery";
+import { Battery } from "~/cell/Battery";
 import { CommandsPart } from "./commands/CommandsPart";
 import { ConditionBadge } from "./ConditionBadge";
 import { EditDevice } from "./form/DeviceForm";

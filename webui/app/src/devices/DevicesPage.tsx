@@ -2,7 +2,7 @@
 import { Cpu, Plus, SearchX } from "lucide-react";
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { Link } from "wouter";
+import { Link, useLocation, useParams } from "wouter";
 import type { CertificateView, TokenView } from "~/api/generated/device-gateway";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
@@ -12,6 +12,7 @@ import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { useRegisteredDevices } from "~/live/hooks";
 import type { RegisteredDeviceView } from "~/live/messages";
+import { addresses } from "~/places/addresses";
 import { UnknownName } from "~/route/UnknownName";
 import { useChoice } from "~/route/choice";
 import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
@@ -33,7 +34,8 @@ export default function DevicesPage() {
   const { t } = useTranslation(["devices", "common", "system", "tasks"]);
   const { devices, isCurrent } = useRegisteredDevices();
   const { units, symbolOf } = useUnits();
-  const [chosen] = useQueryParameter("device");
+  const { name: chosen = "" } = useParams();
+  const [, go] = useLocation();
   const [adding] = useChoice("add", ["", "yes"], "");
   const change = useQueryChange();
   const [token, setToken] = useState<TokenView | null>(null);
@@ -42,7 +44,7 @@ export default function DevicesPage() {
   const isAdding = adding === "yes" && mayConfigure;
   const device = devices?.find(({ name }) => name === chosen) ?? null;
   const add = () => change({ add: "yes" });
-  const open = (name: string) => change({ add: "", device: name, time: "", values: "" });
+  const open = (name: string) => go(name === "" ? addresses.devices() : addresses.device(name));
   useKeys(mayConfigure ? [{ key: "n", does: t("add.act"), act: add }] : []);
   return (
     <div className="devices-page" data-open={isAdding || device !== null || undefined}>
@@ -55,7 +57,7 @@ export default function DevicesPage() {
             </Button>
           )}
         </header>
-        {!isCurrent && <ErrorMessage act={<Link href="/system">{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
+        {!isCurrent && <ErrorMessage act={<Link href={addresses.services()}>{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
         {devices === null && <p className="quiet">{t("common:loading")}</p>}
         {devices !== null && devices.length > 0 && (
           <DeviceTable
@@ -78,7 +80,7 @@ export default function DevicesPage() {
         ) : device !== null ? (
           <DevicePanel key={device.name} device={device} units={units} symbolOf={symbolOf} onToken={setToken} onCertificate={setCertificate} onClose={() => open("")} />
         ) : chosen !== "" ? (
-          devices !== null && <UnknownName thing="device" name={chosen} parameter="device" />
+          devices !== null && <UnknownName thing="device" name={chosen} />
         ) : devices?.length === 0 && isCurrent ? (
           <EmptyState
             icon={<Cpu aria-hidden size={32} />}

@@ -11,6 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { Select } from "~/design/Select";
 import { useNow } from "~/live/clock";
 import { shortName } from "~/live/urn";
+import { addresses } from "~/places/addresses";
 import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
@@ -61,7 +62,7 @@ export default function HealthPage() {
         )}
       </header>
       <p className="health__notice small quiet">{t("notMedical")}</p>
-      {failure !== null && <ErrorMessage act={<Link href="/system">{t("toSystem")}</Link>}>{failure}</ErrorMessage>}
+      {failure !== null && <ErrorMessage act={<Link href={addresses.services()}>{t("toSystem")}</Link>}>{failure}</ErrorMessage>}
       {isNew ? (
         <ConsentForm
           person={null}

@@ -10,6 +10,7 @@ import { Card } from "~/design/Card";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { number, percent } from "~/design/numbers";
 import { StatusBadge } from "~/design/StatusBadge";
+import { addresses } from "~/places/addresses";
 import { mayDo } from "~/session/session";
 import { useWithName } from "~/shell/userName";
 import { limitTone, pathOf, reasonOf, SERVICE } from "./health";
@@ -39,7 +40,7 @@ export function LimitCard({ person, limit, onChange }: { person: PersonView; lim
         <ul className="health__list">
           {limit.robots.map(({ robot, problem }) => (
             <li key={robot}>
-              <Link href={`/control?robot=${encodeURIComponent(robot)}`}>{robot}</Link>
+              <Link href={addresses.robot(robot, "control")}>{robot}</Link>
               <StatusBadge tone={problem === "" ? "ok" : "attention"}>{problem === "" ? t("limit.received") : t("limit.notReceived", { problem })}</StatusBadge>
               {mayDo("moveRobots") && <UnbindRobot person={person} robot={robot} onChange={onChange} />}
             </li>

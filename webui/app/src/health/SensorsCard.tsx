@@ -10,7 +10,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { localizedText } from "~/i18n/server";
 import { mayDo } from "~/session/session";
-import { Battery } from "~/system/Battery";
+import { Battery } from "~/cell/Battery";
 import { SERVICE, sensorFault } from "./health";
 
 const SIMULATED = ["ecg", "respiration", "acceleration", "pressureMap", "heartRate"];

@@ -10,6 +10,7 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
+import { addresses } from "~/places/addresses";
 import { mayDo } from "~/session/session";
 import { ForcesCard, ModelCard, SolverCard, StackCard } from "./EngineCards";
 import { GainsCard } from "./GainsCard";
@@ -37,10 +38,10 @@ export default function HumanoidPage() {
   const shown = humanoids?.find(({ name }) => name !== null) ?? null;
   return (
     <div className="humanoid">
-      {failure !== null && <ErrorMessage act={<Link href="/system">{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
+      {failure !== null && <ErrorMessage act={<Link href={addresses.services()}>{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
       {shown === null ? (
         <>
-          <h1>{t("common:pages.humanoid")}</h1>
+          <h1>{t("common:pages.exercises")}</h1>
           {humanoids === null ? failure === null && <p className="quiet">{t("common:loading")}</p> : <EmptyState icon={<Bot aria-hidden size={32} />} title={t("none")} />}
         </>
       ) : (
@@ -88,12 +89,12 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
   return (
     <>
       <header className="humanoid__head">
-        <h1>{t("common:pages.humanoid")}</h1>
+        <h1>{t("common:pages.exercises")}</h1>
         <p className="quiet">
           {name} · {t("simulated", { model: humanoid.model })}
         </p>
         <StatusBadge tone={phase === "open" ? modeTone(mode) : "attention"}>{phase === "open" ? t(`mode.${mode}`) : t(`link.${phase}`)}</StatusBadge>
-        <Link href="/humanoid/vr">{t("humanoidVr:title")}</Link>
+        <Link href={addresses.humanoidInVr()}>{t("humanoidVr:title")}</Link>
       </header>
       <p className="small quiet">{t("notSafe")}</p>
       <div className="humanoid__body">

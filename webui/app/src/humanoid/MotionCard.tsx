@@ -14,7 +14,7 @@ import { localizedText } from "~/i18n/server";
 import { keyName } from "~/control/keyName";
 import { Slider } from "~/control/Slider";
 import { useKeyboard, useRelease } from "~/control/useControl";
-import "~/control/ControlPage.css";
+import "~/control/RobotControl.css";
 import { InputLink } from "./inputLink";
 import type { LiveDocument, Place, Side } from "./humanoid";
 import { useAct } from "./useAct";

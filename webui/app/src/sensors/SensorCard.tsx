@@ -12,7 +12,8 @@ import { KindIcon } from "~/devices/KindIcon";
 import { digits, isoOf, outOfRange, spaced, titleOf, valuesOf, type ShownValue } from "~/devices/values";
 import { useCoarseNow } from "~/live/clock";
 import type { RegisteredDeviceView } from "~/live/messages";
-import { Battery } from "~/system/Battery";
+import { addresses } from "~/places/addresses";
+import { Battery } from "~/cell/Battery";
 import { SPARK_POINTS, SPARK_S, Sparkline } from "./Sparkline";
 import type { SparkPoint } from "./spark";
 
@@ -51,7 +52,7 @@ export const SensorCard = memo(function SensorCard({ device, symbolOf }: { devic
       )}
       <footer className="sensor-card__foot">
         {values.length > shown.length && <span className="quiet small">{t("sensors.more", { count: values.length - shown.length })}</span>}
-        <Link href={`/devices?device=${encodeURIComponent(device.name)}&part=history`} className="sensor-card__link" aria-label={t("sensors.historyOf", { name: title })}>
+        <Link href={addresses.device(device.name, { part: "history" })} className="sensor-card__link" aria-label={t("sensors.historyOf", { name: title })}>
           <ChartLine aria-hidden size={18} />
           {t("part.history")}
         </Link>

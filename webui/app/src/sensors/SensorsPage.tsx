@@ -12,6 +12,7 @@ import { useUnits, type SymbolOf } from "~/devices/gateway";
 import { conditionOf } from "~/devices/values";
 import { useConnectionState, useRegisteredDevices } from "~/live/hooks";
 import type { RegisteredDeviceView } from "~/live/messages";
+import { addresses } from "~/places/addresses";
 import { useChoice } from "~/route/choice";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
@@ -46,11 +47,11 @@ export default function SensorsPage() {
           onChange={setShow}
         />
       </header>
-      {!isCurrent && <ErrorMessage act={<Link href="/system">{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
+      {!isCurrent && <ErrorMessage act={<Link href={addresses.services()}>{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
       {devices === null ? (
         <p className="quiet">{t("common:loading")}</p>
       ) : devices.length === 0 && isCurrent ? (
-        <EmptyState icon={<Thermometer aria-hidden size={32} />} title={t("none.title")} act={mayDo("configure") && <Link href="/devices?add=yes">{t("add.act")}</Link>}>
+        <EmptyState icon={<Thermometer aria-hidden size={32} />} title={t("none.title")} act={mayDo("configure") && <Link href={addresses.devices({ add: "yes" })}>{t("add.act")}</Link>}>
           {t("none.means")}
         </EmptyState>
       ) : shown.length === 0 && devices.length > 0 ? (

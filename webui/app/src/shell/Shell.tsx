@@ -1,41 +1,22 @@
 /** The frame of every page: navigation, connection state and preferences. */
-import {
-  BellRing, Bot, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HandHelping, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
-} from "lucide-react";
+import { Bell, CircleHelp, Settings2 } from "lucide-react";
 import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import { useLocation } from "wouter";
-import { AttentionBanner } from "~/alerts/AttentionBanner";
+import { Link, useLocation } from "wouter";
+import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
 import { useConnectionState, useTopicSelector } from "~/live/hooks";
 import { AccountMenu } from "~/session/AccountMenu";
-import { mayDo, useSession } from "~/session/session";
+import { ALERTS_PAGE, offeredPlaces, pageAt, placeOf, type Place } from "~/places/places";
+import { useSession } from "~/session/session";
 import { KeyList } from "./KeyList";
 import { listenForKeys, usePageKeys } from "./keys";
-import { Navigation } from "./Navigation";
 import { Preferences } from "./Preferences";
+import { PagesOfPlace, Rail } from "./Rail";
 import "./Shell.css";
 
-const allPages = [
-  { path: "/", name: "start", icon: House, key: "h" },
-  { path: "/work", name: "work", icon: HardHat, key: "w" },
-  { path: "/processes", name: "processes", icon: Workflow, key: "p" },
-  { path: "/cockpit", name: "cockpit", icon: Gauge, key: "k" },
-  { path: "/tasks", name: "tasks", icon: ListTodo, key: "t" },
-  { path: "/system", name: "system", icon: Cog, key: "s" },
-  { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
-  { path: "/health", name: "health", icon: HeartPulse, key: "b" },
-  { path: "/cases", name: "cases", icon: HandHelping, key: "y" },
-  { path: "/humanoid", name: "humanoid", icon: Bot, key: "o" },
-  { path: "/devices", name: "devices", icon: Cpu, key: "d" },
-  { path: "/alerting", name: "alerting", icon: BellRing, key: "a" },
-  { path: "/control", name: "control", icon: Gamepad2, key: "c" },
-  { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "l" },
-  { path: "/test", name: "test", icon: Crosshair, key: "x" },
-  { path: "/people", name: "people", icon: Users, key: "e" },
-  { path: "/study", name: "study", icon: ClipboardList, key: "u" },
-] as const;
+const PRODUCT = "Handover";
 
 export function Shell({ children }: { children: ReactNode }) {
   const { t } = useTranslation("common");
@@ -43,16 +24,21 @@ export function Shell({ children }: { children: ReactNode }) {
   const [showsKeys, setShowsKeys] = useState(false);
   const [showsPreferences, setShowsPreferences] = useState(false);
   const pageKeys = usePageKeys();
-  const pages = useOfferedPages();
+  const places = useOfferedPlaces();
   useAlertSound();
-  const here = allPages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
+  const here = pageAt(path);
+  const placeName = placeOf(here)?.name;
+  const place = places.find(({ name }) => name === placeName);
+  const cell = useTopicSelector("cell", (view) => view?.factory);
 
   const everywhere = useMemo(
     () => [
-      ...pages.map((page) => ({ key: page.key, does: t("keys.goTo", { page: t(`pages.${page.name}`) }), act: () => go(page.path) })),
+      ...[...places.flatMap(({ pages }) => pages), ALERTS_PAGE].flatMap(({ key, name, path: to }) =>
+        key === undefined ? [] : [{ key, does: t("keys.goTo", { page: t(`pages.${name}`) }), act: () => go(to) }],
+      ),
       { key: "?", does: t("keys.open"), act: () => setShowsKeys(true) },
     ],
-    [pages, go, t],
+    [places, go, t],
   );
   useEffect(() => listenForKeys([...pageKeys, ...everywhere]), [pageKeys, everywhere]);
 
@@ -65,24 +51,31 @@ export function Shell({ children }: { children: ReactNode }) {
       <a className="shell__skip" href="#content">
         {t("skip")}
       </a>
-      <header className="shell__bar">
-        <Navigation pages={pages} here={here?.name} />
-        <div className="shell__aside">
-          <AccountMenu />
-          <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
-          <Button
-            kind="quiet"
-            label={t("settings")}
-            icon={<Settings2 aria-hidden size={20} />}
-            onPress={() => setShowsPreferences(true)}
-          />
-        </div>
-      </header>
-      <LinkBanner />
-      {(here?.name === "start" || here?.name === "work") && <AttentionBanner large={here.name === "work"} />}
-      <main id="content" className="shell__content" tabIndex={-1}>
-        <Suspense fallback={<p className="shell__loading quiet">{t("loading")}</p>}>{children}</Suspense>
-      </main>
+      <Rail places={places} here={place} />
+      <div className="shell__side">
+        <header className="shell__bar">
+          <p className="shell__cell">
+            <strong>{PRODUCT}</strong>
+            {cell !== undefined && <span className="quiet">{cell}</span>}
+          </p>
+          {place !== undefined && place.pages.length > 1 && <PagesOfPlace place={place} here={here} />}
+          <div className="shell__aside">
+            <Link href={ALERTS_PAGE.path} className="shell__alerts" aria-current={here === ALERTS_PAGE ? "page" : undefined}>
+              <Bell aria-hidden size={20} />
+              <span className="visually-hidden">{t("pages.alerts")}</span>
+              <AttentionCount />
+            </Link>
+            <AccountMenu />
+            <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
+            <Button kind="quiet" label={t("settings")} icon={<Settings2 aria-hidden size={20} />} onPress={() => setShowsPreferences(true)} />
+          </div>
+        </header>
+        <LinkBanner />
+        {(here?.name === "start" || here?.name === "work") && <AttentionBanner large={here.name === "work"} />}
+        <main id="content" className="shell__content" tabIndex={-1}>
+          <Suspense fallback={<p className="shell__loading quiet">{t("loading")}</p>}>{children}</Suspense>
+        </main>
+      </div>
       <KeyList
         isOpen={showsKeys}
         onClose={() => setShowsKeys(false)}
@@ -94,23 +87,10 @@ export function Shell({ children }: { children: ReactNode }) {
   );
 }
 
-/** The pages of optional services, which are offered while those run. */
-const SERVICE_OF: Readonly<Record<string, string>> = { health: "human-state", cases: "assistive-devices", humanoid: "whole-body-control" };
-
-/** Health and Cases are offered to who may read data of others or, for Health, has own. */
-function useOfferedPages(): readonly (typeof allPages)[number][] {
+function useOfferedPlaces(): readonly Place[] {
   const { user } = useSession();
   const running = useTopicSelector("services", (services) => services?.map(({ name }) => name).join() ?? "");
-  const maySee = mayDo("readHealthData");
-  const hasOwn = user?.person != null;
-  return useMemo(() => {
-    const names = running.split(",");
-    return allPages.filter(({ name }) => {
-      const service = SERVICE_OF[name];
-      if (service !== undefined && !names.includes(service)) return false;
-      return name === "health" ? maySee || hasOwn : name !== "cases" || maySee;
-    });
-  }, [running, maySee, hasOwn]);
+  return useMemo(() => offeredPlaces({ services: running.split(","), hasOwnHealth: user?.person != null }), [running, user]);
 }
 
 function LinkBanner() {

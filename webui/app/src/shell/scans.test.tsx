@@ -148,7 +148,7 @@ const HANDLERS: Readonly<Record<string, string>> = {
   "processes/incidents/Incidents.tsx": "Escape leaves a choice",
   "robot3d/Robot3d.tsx": "turns the view",
   "session/StationMenu.tsx": "only sees that somebody is there",
-  "shell/Navigation.tsx": "Escape closes a menu",
+  "shell/Rail.tsx": "Escape closes a menu",
   "shell/keys.tsx": "navigation: g, then a letter",
   "shell/scans.ts": "discards scans",
   "study/TlxForm.tsx": "Space and Enter mark a focused scale",

@@ -11,6 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { useFamily, useTopic } from "~/live/hooks";
+import { addresses } from "~/places/addresses";
 import { MayNot } from "~/session/MayNot";
 
 const DEMO = "bin-picking";
@@ -56,7 +57,7 @@ function ProcessCard() {
       {!isReady && <p className="quiet">{definition?.unusable ?? t("start.process.missing")}</p>}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {running ? (
-        <Button kind="main" onPress={() => go("/work")}>
+        <Button kind="main" onPress={() => go(addresses.work())}>
           {t("start.process.see")}
         </Button>
       ) : (
@@ -66,7 +67,7 @@ function ProcessCard() {
           isDisabled={!isReady || busy}
           onPress={() => perform(async () => {
             await startProcess(DEMO);
-            go("/work");
+            go(addresses.work());
           })}
         >
           {t("start.process.act")}
@@ -129,7 +130,7 @@ function RobotCard() {
       {robot === undefined ? (
         <Command words={t("start.robot.start")}>{".venv/bin/handover run trajectory-tool"}</Command>
       ) : (
-        <Link href="/system?tab=robots">{t("start.robot.see")}</Link>
+        <Link href={addresses.robots()}>{t("start.robot.see")}</Link>
       )}
     </StartCard>
   );

@@ -18,6 +18,7 @@ import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import { processState } from "~/live/processState";
+import { addresses } from "~/places/addresses";
 import { pathOf } from "~/processes/address";
 import { FirstSteps } from "./FirstSteps";
 import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
@@ -110,7 +111,7 @@ function Running() {
     .filter((process) => process.endedAt === null)
     .sort((a, b) => (a.startedAt > b.startedAt ? -1 : 1));
   return (
-    <Listing title={t("start.running.title")} all={running} href="/processes" none={t("start.running.none")}>
+    <Listing title={t("start.running.title")} all={running} href={addresses.processes()} none={t("start.running.none")}>
       {(process) => (
         <li key={process.id}>
           <ProcessName process={process} />
@@ -127,7 +128,7 @@ function WaitingFor() {
   const waiting = waitingTasks(useFamily("process"));
   const who = byPerformer(waiting);
   return (
-    <Listing title={t("start.waiting.title")} all={waiting} href="/processes" none={t("start.waiting.none")}
+    <Listing title={t("start.waiting.title")} all={waiting} href={addresses.processes()} none={t("start.waiting.none")}
       lead={who.length > 0 && (
         <p className="start__who small">
           {who.slice(0, MAX_LISTED).map((each) => (
@@ -172,7 +173,7 @@ function Wrong() {
       <ul className="start__list">
         {worst !== null && (
           <li>
-            <Link href={`/system?tab=alerts&alert=${encodeURIComponent(worst.id)}`}>{titleOf(worst)}</Link>
+            <Link href={addresses.alerts({ alert: worst.id })}>{titleOf(worst)}</Link>
             <StatusBadge tone={priorityTone[worst.priority]}>{t(`severity.${worst.severity}`)}</StatusBadge>
             <span>{sourceOf(worst.source)}</span>
             <span className="quiet small">
@@ -182,7 +183,7 @@ function Wrong() {
         )}
         {count > 1 && (
           <li>
-            <Link href="/system?tab=alerts">{t("start.wrong.alerts", { count })}</Link>
+            <Link href={addresses.alerts()}>{t("start.wrong.alerts", { count })}</Link>
             <span className="quiet small">
               {(["critical", "high", "medium", "low"] as const).filter((priority) => byPriority[priority] > 0).map((priority) => `${t(`priority.${priority}`)} ${byPriority[priority]}`).join(" · ")}
             </span>
@@ -190,7 +191,7 @@ function Wrong() {
         )}
         {services.map((service) => (
           <li key={service.name}>
-            <Link href="/system">{t(`services.${service.name}`, { defaultValue: service.name })}</Link>
+            <Link href={addresses.services()}>{t(`services.${service.name}`, { defaultValue: service.name })}</Link>
             <StatusBadge tone={healthTone[service.state]}>{t(`health.${service.state}`)}</StatusBadge>
             <span className="quiet small">
               <RelativeTime at={service.since} />
@@ -212,8 +213,8 @@ function Wrong() {
           </li>
         ))}
       </ul>
-      {stopped.length > MAX_LISTED && <Link href="/processes?state=incident">{t("start.more", { count: stopped.length - MAX_LISTED })}</Link>}
-      {failed.length > MAX_LISTED && <Link href="/processes?state=failed">{t("start.more", { count: failed.length - MAX_LISTED })}</Link>}
+      {stopped.length > MAX_LISTED && <Link href={addresses.processes({ state: "incident" })}>{t("start.more", { count: stopped.length - MAX_LISTED })}</Link>}
+      {failed.length > MAX_LISTED && <Link href={addresses.processes({ state: "failed" })}>{t("start.more", { count: failed.length - MAX_LISTED })}</Link>}
     </Card>
   );
 }

@@ -10,6 +10,7 @@ import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { preferredLanguage } from "~/i18n";
+import { addresses } from "~/places/addresses";
 import { pauseGlove, resumeGlove } from "~/work/actions";
 import { leaderCode, leaveParticipantMode, setPaused, type ParticipantMode } from "./participantMode";
 import { deleteSession } from "./study";
@@ -22,13 +23,13 @@ export default function ParticipantFrame({ mode, children }: { mode: Participant
   const [query] = useSearchParams();
   const [withdrawn, setWithdrawn] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
-  const atWork = path === "/work";
-  const study = `/study?session=${encodeURIComponent(mode.session)}`;
+  const atWork = path === addresses.work();
+  const study = addresses.study({ session: mode.session });
   const isElsewhere = atWork
     ? mode.glove !== null && query.get("glove") !== mode.glove
-    : path !== "/study" || query.get("session") !== mode.session;
+    : path !== addresses.study() || query.get("session") !== mode.session;
   useEffect(() => {
-    if (isElsewhere) go(atWork && mode.glove !== null ? `/work?glove=${encodeURIComponent(mode.glove)}` : study, { replace: true });
+    if (isElsewhere) go(atWork && mode.glove !== null ? addresses.work({ glove: mode.glove }) : study, { replace: true });
   }, [isElsewhere, atWork, study, mode.glove, go]);
   useEffect(() => {
     if (i18next.language !== mode.language) void i18next.changeLanguage(mode.language);
@@ -40,7 +41,7 @@ export default function ParticipantFrame({ mode, children }: { mode: Participant
     (paused ? pauseGlove : resumeGlove)(mode.glove).catch((error: unknown) => setFailure(errorText(error)));
   };
   return (
-    <div className="shell">
+    <div className="shell__side shell__side--alone">
       <header className="shell__bar participant-bar">
         <strong>{mode.pseudonym}</strong>
         <div className="participant-bar__actions">
@@ -138,7 +139,7 @@ export function LeaveButton({ mode }: { mode: ParticipantMode }) {
           if (code.trim() !== leaderCode()) throw new Error(t("frame.wrongCode"));
           if (mode.glove !== null && mode.paused) await resumeGlove(mode.glove).catch(() => undefined);
           leaveParticipantMode();
-          history.replaceState(null, "", "/study");
+          history.replaceState(null, "", addresses.study());
           await i18next.changeLanguage(preferredLanguage());
         }}
       >

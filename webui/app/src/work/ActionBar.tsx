@@ -7,6 +7,7 @@ import { cancelProcess, declareGlove } from "~/api/actions";
 import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import type { ProcessView } from "~/api/generated/task-orchestrator";
+import { addresses } from "~/places/addresses";
 import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
 import type { ReportedOutcome } from "./ReportPanel";
@@ -59,7 +60,7 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
       return (
         <>
           {mayLeave && (
-            <Button size="large" onPress={() => go(`/processes/${situation.process.id}`)}>
+            <Button size="large" onPress={() => go(addresses.process(situation.process.id))}>
               {t("by.processes")}
             </Button>
           )}
@@ -69,7 +70,7 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
     case "serviceLost":
       return (
         mayLeave && (
-          <Button size="large" onPress={() => go("/system")}>
+          <Button size="large" onPress={() => go(addresses.services())}>
             {t("by.system")}
           </Button>
         )

@@ -9,6 +9,7 @@ import { duration } from "~/design/times";
 import { useGestureName } from "~/hand/Hand";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { GloveView } from "~/live/messages";
+import { addresses } from "~/places/addresses";
 import { MayNot } from "~/session/MayNot";
 import { mayDo } from "~/session/session";
 import { startCode, waitAfter, waiting } from "./confirmation";
@@ -60,7 +61,7 @@ export function StartStage({ glove, startable, completed, acting, onStart }: Sta
         )}
         {first === undefined ? (
           <p className="work__message">
-            {t("idle.none")} <Link href="/processes">{t("idle.noneDo")}</Link>
+            {t("idle.none")} <Link href={addresses.processes()}>{t("idle.noneDo")}</Link>
           </p>
         ) : (
           mayDo("runProcesses") && <p className="work__task">

@@ -12,6 +12,7 @@ import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { StatusBadge } from "~/design/StatusBadge";
+import { addresses } from "~/places/addresses";
 import { InvalidDescription } from "~/robot3d/urdf";
 import { mayDo } from "~/session/session";
 import { SERVICE, type HumanoidModel, type LiveDocument } from "../humanoid";
@@ -43,11 +44,11 @@ export default function VrPage() {
   return (
     <div className="vr">
       <p>
-        <Link href="/humanoid">{t("back")}</Link>
+        <Link href={addresses.humanoid()}>{t("back")}</Link>
       </p>
       <h1>{t("title")}</h1>
       <p className="small quiet">{t("notSafe")}</p>
-      {failure !== null && <ErrorMessage act={<Link href="/system">{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
+      {failure !== null && <ErrorMessage act={<Link href={addresses.services()}>{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
       {model !== null && urdf !== null ? <PersonView model={model} urdf={urdf} /> : failure === null && <p className="quiet">{t("common:loading")}</p>}
     </div>
   );

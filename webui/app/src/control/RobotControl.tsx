@@ -1,14 +1,11 @@
-/** The Control page: one person moves one robot by hand, alone or together with it. */
-import { Gamepad2, TriangleAlert } from "lucide-react";
+/** The control of a robot: one person moves one robot by hand, alone or together with it. */
+import { TriangleAlert } from "lucide-react";
 import { useEffect, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
-import { Select } from "~/design/Select";
 import { useTopic, useTopicSelector } from "~/live/hooks";
 import { useRobotDescription, type JointDescription } from "~/robot/description";
-import { UnknownName } from "~/route/UnknownName";
-import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { ArrangeMenu, PanelActions } from "./Arrange";
 import { DevicesPanel } from "./DevicesPanel";
@@ -19,37 +16,20 @@ import { LatencyPanel } from "./LatencyPanel";
 import { LeaseCard } from "./LeaseCard";
 import { isArrangement, ordered, STANDARD, type PanelId } from "./panels";
 import { PresetsPanel } from "./PresetsPanel";
-import { useGatewayLease, useRegistered, useRobots, useToolLease, type ControlledRobot, type Lease } from "./robots";
+import { useGatewayLease, useRegistered, useToolLease, type ControlledRobot, type Lease } from "./robots";
 import { SharedPanel } from "./SharedPanel";
 import type { Driver } from "./driver";
 import { useControl, type Control } from "./useControl";
 import { useUserSetting } from "./useUserSetting";
 import { ViewPanel } from "./ViewPanel";
-import "./ControlPage.css";
+import "./RobotControl.css";
 
-export default function ControlPage() {
+export default function RobotControl({ robot }: { robot: ControlledRobot }) {
   const { t } = useTranslation(["control", "common"]);
-  const { robots, isLoaded } = useRobots();
-  const [wanted, setWanted] = useQueryParameter("robot");
-  const robot = wanted === "" ? robots[0] : robots.find((one) => one.name === wanted);
   if (!mayDo("moveRobots")) return <EmptyState title={t("notAllowed.title")}>{t("notAllowed.means")}</EmptyState>;
-  if (robot === undefined && wanted !== "") {
-    return isLoaded ? <UnknownName thing="robot" name={wanted} parameter="robot" /> : <p className="quiet">{t("common:loading")}</p>;
-  }
-  if (robot === undefined) {
-    return (
-      <EmptyState icon={<Gamepad2 aria-hidden size={32} />} title={t("none.title")}>
-        {t("none.means")} <code>{".venv/bin/handover run trajectory-tool"}</code>
-      </EmptyState>
-    );
-  }
   return (
     <div className="control">
-      <header className="control__head">
-        <h1 className="visually-hidden">{t("title")}</h1>
-        <Select label={t("robot")} value={robot.name} options={robots.map(({ name }) => ({ value: name, name }))} onChange={setWanted} />
-        <Notice />
-      </header>
+      <Notice />
       {robot.service === "trajectory-tool" ? <ControlOf key={robot.name} robot={robot.name} /> : <ControlRegistered key={robot.name} robot={robot.name} />}
     </div>
   );

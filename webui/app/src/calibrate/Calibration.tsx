@@ -1,4 +1,4 @@
-/** The Calibrate page: the thresholds of each finger over the live signal, and the guided calibration. */
+/** The calibration of a glove: the thresholds of each finger over the live signal, and the guided calibration. */
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { requestService, errorText } from "~/api/http";
@@ -7,7 +7,6 @@ import { Card } from "~/design/Card";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
-import { GloveSelect, NoGlove, useSelectedGlove } from "~/glove/GloveSelect";
 import { fingers } from "~/hand/geometry";
 import { useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
@@ -16,33 +15,18 @@ import { MayNot } from "~/session/MayNot";
 import { changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
 import { GuidedCard } from "./GuidedCard";
-import "./CalibratePage.css";
+import "./Calibration.css";
 
 const LivePlot = lazy(() => import("./LivePlot"));
 
-export default function CalibratePage() {
-  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
-  const { t } = useTranslation(["calibrate", "hand"]);
-  const glove = useSelectedGlove();
+export default function Calibration({ glove }: { glove: string }) {
   return (
     <div className="calibrate">
-      <header className="calibrate__head">
-        <h1>{t("title")}</h1>
-        {glove !== undefined && (
-          <>
-            <GloveSelect glove={glove} />
-            <Wearer glove={glove} />
-          </>
-        )}
-      </header>
-      {glove === undefined ? (
-        <NoGlove means={t("none")} />
-      ) : (
-        <div className="calibrate__ways" key={glove}>
-          <GuidedCard glove={glove} />
-          <ByHand glove={glove} />
-        </div>
-      )}
+      <Wearer glove={glove} />
+      <div className="calibrate__ways">
+        <GuidedCard glove={glove} />
+        <ByHand glove={glove} />
+      </div>
     </div>
   );
 }

@@ -1,0 +1,10 @@
+import { ListPage } from "./ListPage";
+import { ServicesPanel } from "./services/ServicesPanel";
+
+export default function ServicesPage() {
+  return (
+    <ListPage name="services">
+      <ServicesPanel />
+    </ListPage>
+  );
+}

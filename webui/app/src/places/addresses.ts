@@ -1,0 +1,45 @@
+/** The addresses of the page. A link takes its address from here, so that one that does not exist is no program. */
+
+export const ROBOT_TABS = ["state", "control"] as const;
+export type RobotTab = (typeof ROBOT_TABS)[number];
+
+export const GLOVE_TABS = ["state", "calibrate", "test"] as const;
+export type GloveTab = (typeof GLOVE_TABS)[number];
+
+type Query = Readonly<Record<string, string | undefined>>;
+
+export const addresses = {
+  home: () => "/",
+  alerts: (query: { alert?: string } = {}) => withQuery("/alerts", query),
+
+  work: (query: { glove?: string } = {}) => withQuery("/work", query),
+  tasks: (query: { task?: string } = {}) => withQuery("/work/tasks", query),
+
+  processes: (query: { state?: string } = {}) => withQuery("/processes", query),
+  process: (id: string) => `/processes/${encodeURIComponent(id)}`,
+  statistics: () => "/processes/statistics",
+
+  cell: () => "/cell",
+  robots: () => "/cell/robots",
+  robot: (name: string, tab: RobotTab = "state") => object("/cell/robots", name, tab),
+  gloves: () => "/cell/gloves",
+  glove: (name: string, tab: GloveTab = "state", query: Query = {}) => withQuery(object("/cell/gloves", name, tab), query),
+  devices: (query: { add?: "yes" } = {}) => withQuery("/cell/devices", query),
+  device: (name: string, query: { part?: string; values?: string } = {}) => withQuery(`/cell/devices/${encodeURIComponent(name)}`, query),
+  sensors: () => "/cell/sensors",
+  humanoid: () => "/care/exercises",
+  humanoidInVr: () => "/care/exercises/vr",
+  services: () => "/admin/services",
+  study: (query: { session?: string } = {}) => withQuery("/admin/studies", query),
+} as const;
+
+/** The first tab has the address of the object itself. */
+function object(list: string, name: string, tab: string): string {
+  const path = `${list}/${encodeURIComponent(name)}`;
+  return tab === "state" ? path : `${path}/${tab}`;
+}
+
+function withQuery(path: string, query: Query): string {
+  const parameters = new URLSearchParams(Object.entries(query).filter((entry): entry is [string, string] => entry[1] !== undefined && entry[1] !== ""));
+  return parameters.size === 0 ? path : `${path}?${parameters.toString()}`;
+}
