@@ -76,7 +76,7 @@ def test_a_rule_is_tested_on_history_saved_and_raises_an_alert(
     oven = Oven(cell, "alerting-oven")
     for ago_s, temperature in ((3000, 20), (2000, 95), (1000, 20), (500, 99), (100, 20)):
         oven.send(temperature, ago_s)
-    page = open_page("/alerting")
+    page = open_page("/admin/alerts")
     page.get_by_role("heading", name="Alerting").wait_for()
     type_slowly(page, "g", "n")
     page.get_by_role("textbox", name="Name", exact=True).fill("too-hot")
@@ -108,7 +108,7 @@ def test_a_rule_is_tested_on_history_saved_and_raises_an_alert(
     saved = httpx.get(f"{oven.url}/rules/too-hot", **REST).json()["rule"]
     assert saved["check"] == {"type": "silence", "afterS": 300.0}
     for theme, language, viewport in (("dark", "de", None), ("light", "en", PHONE)):
-        other = open_page("/alerting?name=too-hot", theme=theme, language=language, viewport=viewport)
+        other = open_page("/admin/alerts?name=too-hot", theme=theme, language=language, viewport=viewport)
         other.get_by_role("table").first.wait_for()
         sideways = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert other.evaluate(sideways) <= 0
@@ -128,7 +128,7 @@ def test_a_route_sends_alerts_to_a_tested_channel_and_the_log_shows_them(
     receiver: tuple[str, list[bytes]],
 ) -> None:
     url, received = receiver
-    page = open_page("/alerting?view=channels", forgives=("status of 409",))
+    page = open_page("/admin/alerts?view=channels", forgives=("status of 409",))
     page.get_by_role("heading", name="Alerting").wait_for()
     page.get_by_role("button", name="Add a channel").click()
     page.get_by_role("textbox", name="Name", exact=True).fill("pager")

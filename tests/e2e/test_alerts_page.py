@@ -139,7 +139,7 @@ def test_an_alert_is_explained_shelved_and_unshelved(
 ) -> None:
     cell = alert_screen
     write(cell, alert(1, "critical"))
-    page = open_page("/system?tab=alerts", who="", forgives=AWAY)
+    page = open_page("/alerts", who="", forgives=AWAY)
     detail = page.get_by_role("complementary", name="Conveyor 1 is blocked")
     expect(detail).to_contain_text("conveyor-1")
     accessible(page)
@@ -162,7 +162,7 @@ def test_an_alert_is_explained_shelved_and_unshelved(
 def test_new_alerts_do_not_move_the_list(alert_screen: Cell, open_page: OpenPage) -> None:
     cell = alert_screen
     write(cell, *(alert(number) for number in range(10, 13)))
-    page = open_page("/system?tab=alerts", forgives=AWAY)
+    page = open_page("/alerts", forgives=AWAY)
     rows = page.get_by_role("grid", name="Alerts").locator(".vgrid__line")
     expect(rows).to_have_count(3)
     rows.nth(1).focus()
@@ -177,7 +177,7 @@ def test_new_alerts_do_not_move_the_list(alert_screen: Cell, open_page: OpenPage
 
 def test_alert_sounds_are_optional_and_played_once_for_many(alert_screen: Cell, open_page: OpenPage) -> None:
     cell = alert_screen
-    page = open_page("/system?tab=alerts", forgives=AWAY)
+    page = open_page("/alerts", forgives=AWAY)
     page.add_init_script(COUNT_TONES)
     page.reload()
     page.get_by_text("No alerts", exact=True).wait_for()

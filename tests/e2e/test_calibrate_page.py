@@ -35,7 +35,7 @@ def test_saved_thresholds_apply_and_can_be_reverted(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     before = thresholds(cell)
-    page = open_page("/calibrate?glove=glove-1&finger=index")
+    page = open_page("/cell/gloves/glove-1/calibrate?finger=index")
     upper = page.get_by_role("textbox", name="Upper threshold of the index finger")
     expect(upper).to_have_value(f"{before['index']['upper']:,g}")
     upper.press("ArrowUp")
@@ -56,7 +56,7 @@ def test_saved_thresholds_apply_and_can_be_reverted(
 @pytest.mark.usefixtures("glove_screen")
 def test_a_dragged_threshold_can_be_discarded(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
-    page = open_page("/calibrate?glove=glove-1&finger=ring")
+    page = open_page("/cell/gloves/glove-1/calibrate?finger=ring")
     plot = page.get_by_role("img", name="Signal of the ring finger")
     plot.wait_for()
     area = plot.locator(".u-over").bounding_box()
@@ -84,7 +84,7 @@ def test_a_dragged_threshold_can_be_discarded(cell: Cell, open_page: OpenPage) -
 @pytest.mark.usefixtures("glove_screen")
 def test_invalid_thresholds_are_not_sent(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
-    page = open_page("/calibrate?glove=glove-1&finger=thumb")
+    page = open_page("/cell/gloves/glove-1/calibrate?finger=thumb")
     lower = page.get_by_role("textbox", name="Lower threshold of the thumb")
     lower.fill("many")
     lower.press("Enter")
@@ -101,7 +101,7 @@ def test_a_guided_calibration_names_the_unreliable_finger(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    page = open_page("/calibrate?glove=glove-1")
+    page = open_page("/cell/gloves/glove-1/calibrate")
     with TcpGlove(glove_screen.ports["glove"]) as glove:
         page.get_by_role("button", name="Start calibration").click()
         page.get_by_text("Make a fist", exact=True).wait_for()  # the text beside the button contains it too
@@ -127,7 +127,9 @@ def test_a_guided_calibration_names_the_unreliable_finger(
 def test_numbers_are_not_truncated_on_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], language: str
 ) -> None:
-    page = open_page("/calibrate?glove=glove-1", language=language, viewport={"width": 390, "height": 844})
+    page = open_page(
+        "/cell/gloves/glove-1/calibrate", language=language, viewport={"width": 390, "height": 844}
+    )
     page.locator(".calibrate__steps input").first.wait_for()
     page.evaluate("document.fonts.ready.then(() => true)")
     fields = page.locator(".calibrate__steps input").all()

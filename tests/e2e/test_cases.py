@@ -85,7 +85,7 @@ def test_trials_pass_on_the_page_and_a_killed_human_state_stops_a_wheelchair(
             rest.post(f"/machines/{name}/trial", json={"durationS": SHORT_S}).raise_for_status()
         assert rest.post("/machines/bed/trial", json={}).status_code == 409, "one runs already"
         assert rest.post("/machines/boat/stop").status_code == 404
-        page = open_page("/cases?case=bed")
+        page = open_page("/care/cases?case=bed")
         for name in ("bed", "bin-picking"):
             wait_for(lambda name=name: not seen(name)["trial"]["isRunning"], PATIENCE_S)  # type: ignore[misc]
             trial = seen(name)["trial"]

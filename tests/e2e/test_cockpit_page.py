@@ -135,7 +135,7 @@ def cockpit(cell: Cell) -> Cell:
 def test_an_engineer_finds_where_processes_are_slow_or_stuck(
     cockpit: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/cockpit", viewport=SIZES["laptop"], forgives=AWAY)
+    page = open_page("/processes/statistics", viewport=SIZES["laptop"], forgives=AWAY)
     definitions = page.get_by_role("grid", name="Definitions")
     expect(definitions.get_by_role("row").filter(has_text="Assembly")).to_contain_text(str(STOPPED))
     accessible(page)
@@ -188,7 +188,7 @@ def test_the_cockpit_fits_every_screen(
     for size, theme, language in looks:
         page = open_page(viewport=SIZES[size], theme=theme, language=language, forgives=AWAY)
         for view in ("statistics&of=assembly", "statistics", "agents", "mapping"):
-            page.goto(f"/cockpit?view={view}")
+            page.goto(f"/processes/statistics?view={view}")
             page.locator(".vgrid__line").first.wait_for()
             if "of=" in view:
                 page.locator(".diagram__badge--incident").wait_for()
@@ -203,7 +203,7 @@ def test_the_cockpit_fits_every_screen(
 
 def test_an_engineer_confirms_who_gets_the_work(cockpit: Cell, open_page: OpenPage, keep: Keep) -> None:
     url = cockpit.url("task_orchestrator")
-    page = open_page("/cockpit", viewport=SIZES["laptop"], forgives=(*AWAY, "409"))
+    page = open_page("/processes/statistics", viewport=SIZES["laptop"], forgives=(*AWAY, "409"))
     page.get_by_role("grid", name="Definitions").wait_for()
     page.get_by_role("radio", name="Agents").click()
     agents = page.get_by_role("grid", name="Agents")
@@ -253,6 +253,6 @@ def test_an_engineer_confirms_who_gets_the_work(cockpit: Cell, open_page: OpenPa
     for status in ("inProgress", "completed"):
         attributes = {"status": {**prop(status), "observedAt": iso(datetime.now(UTC))}}
         httpx.post(f"{broker}/{task['id']}/attrs", json=attributes, timeout=120).raise_for_status()
-    page.goto("/cockpit?of=assembly&state=unallocated")
+    page.goto("/processes/statistics?of=assembly&state=unallocated")
     waiting = page.get_by_role("grid", name="Processes")
     expect(waiting.locator(".vgrid__line")).to_contain_text("Assemble: nobody has skill:assemble skill:fly")

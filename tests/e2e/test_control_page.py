@@ -82,7 +82,7 @@ def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[]
 
 
 def test_each_way_to_let_go_stops_the_robot(control: Cell, open_page: OpenPage) -> None:
-    page = open_page("/control?robot=ur10-1")
+    page = open_page("/cell/robots/ur10-1/control")
     page.add_init_script(FAKE_PAD)
     page.reload()
     taken(page)
@@ -138,7 +138,10 @@ def test_each_way_to_let_go_stops_the_robot(control: Cell, open_page: OpenPage) 
 
 
 def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: OpenPage) -> None:
-    anna, ben = taken(open_page("/control?robot=ur10-1")), open_page("/control?robot=ur10-1", who="Ben")
+    anna, ben = (
+        taken(open_page("/cell/robots/ur10-1/control")),
+        open_page("/cell/robots/ur10-1/control", who="Ben"),
+    )
     ben.get_by_role("button", name="Ask for control").click()
     anna.get_by_role("button", name=re.compile("Hand over to")).click()
     expect(ben.get_by_role("heading", name="You control ur10-1")).to_be_visible()
@@ -151,7 +154,7 @@ def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: Ope
 
 
 def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_page: OpenPage) -> None:
-    page = open_page("/control?robot=ur10-1")
+    page = open_page("/cell/robots/ur10-1/control")
     page.get_by_role("button", name="Hide Latency").click()
     page.get_by_role("button", name="Move Joints forward").click()
 
@@ -161,7 +164,7 @@ def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_
         return kept.get("hidden") == ["view", "latency"] and order.index("joints") < order.index("jog")
 
     wait_for(is_stored, 180)
-    other = open_page("/control?robot=ur10-1")  # another browser
+    other = open_page("/cell/robots/ur10-1/control")  # another browser
     expect(other.get_by_role("heading", name="Joints")).to_be_visible()
     expect(other.get_by_role("heading", name="Latency")).to_have_count(0)
     titles = other.locator(".control__panels h2").all_inner_texts()
@@ -205,7 +208,7 @@ def test_the_position_of_a_hand_moves_the_tool(
         client.human_input({"handX": 0.4, "handY": 0.1, "handZ": 1.2 + height}, held.is_set())
 
     with repeated(client, wave):
-        page = open_page("/control?robot=ur10-1")
+        page = open_page("/cell/robots/ur10-1/control")
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
         page.get_by_role("radio", name="Positions of the hand").click()
@@ -243,7 +246,7 @@ def test_a_glove_and_the_tilt_of_a_phone_move_the_tool(
         client.human_input({"thumbBend": 0.0, "indexBend": 0.8 if held.is_set() else 0.0}, held.is_set())
 
     with repeated(client, bend):
-        page = open_page("/control?robot=ur10-1")
+        page = open_page("/cell/robots/ur10-1/control")
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
         page.get_by_label("Up", exact=True).select_option(label="indexBend")

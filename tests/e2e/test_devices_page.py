@@ -37,7 +37,7 @@ def test_the_key_of_a_certificate_is_there_until_it_is_saved_and_values_are_save
     client.send({"temperature": 21.5}, time.time())
     wait_for(lambda: client.waiting() == 0)
     client.stop()
-    page = open_page("/devices?device=press-1&part=history", viewport=PANEL, forgives=("WebSocket", "Failed"))
+    page = open_page("/cell/devices/press-1?part=history", viewport=PANEL, forgives=("WebSocket", "Failed"))
     with page.expect_download(timeout=90_000) as saved:
         page.get_by_role("button", name="Parquet").click()
     assert Path(saved.value.path()).read_bytes().startswith(b"PAR1")

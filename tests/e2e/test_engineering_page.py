@@ -173,7 +173,7 @@ def test_a_comment_appears_on_other_pages_at_once(
 ) -> None:
     deploy(url, bpmn("commented", ">"))
     process = begun("commented", "order c1")
-    anna = open_page("/tasks", who="Anna", forgives=AWAY)
+    anna = open_page("/work/tasks", who="Anna", forgives=AWAY)
     ben = open_page(f"/processes/{process}", who="Ben", forgives=AWAY)
     row(anna, "order c1").click()
     ben.get_by_role("radio", name="Comments").click()
@@ -193,7 +193,7 @@ def test_fields_of_a_form_appear_as_they_are_needed(
     ask("POST", f"{url}/forms", json={**FORM, "id": "seen-form"})
     deploy(url, bpmn("formed", 'camunda:formRef="seen-form" camunda:formRefBinding="latest">'))
     process = begun("formed", "order f1")
-    page = open_page("/tasks", forgives=AWAY)
+    page = open_page("/work/tasks", forgives=AWAY)
     row(page, "order f1").click()
     page.get_by_role("button", name="Claim this task").click()
     form = page.get_by_role("form", name="Result")

@@ -40,21 +40,26 @@ LOOKS = [("light", "en", "panel"), ("dark", "de", "panel"), ("light", "fi", "des
 PAGES = {
     "start": "/",
     "work": "/work",
+    "tasks": "/work/tasks",
     "processes": "/processes",
-    "tasks": "/tasks",
-    "cockpit": "/cockpit",
-    "system": "/system",
-    "control": "/control",
-    "calibrate": "/calibrate",
-    "people": "/people",
-    "test": "/test",
-    "study": "/study",
-    "sensors": "/sensors",
-    "health": "/health",
-    "cases": "/cases?case=treadmill",
-    "humanoid": "/humanoid",
-    "devices": "/devices?device=page-arm",
-    "alerting": "/alerting?add=yes",
+    "statistics": "/processes/statistics",
+    "overview": "/cell",
+    "robots": "/cell/robots",
+    "control": "/cell/robots/ur10-1/control",
+    "gloves": "/cell/gloves",
+    "calibrate": "/cell/gloves/glove-1/calibrate",
+    "test": "/cell/gloves/glove-1/test",
+    "devices": "/cell/devices/page-arm",
+    "sensors": "/cell/sensors",
+    "events": "/cell/events",
+    "health": "/care/health",
+    "cases": "/care/cases?case=treadmill",
+    "exercises": "/care/exercises",
+    "people": "/admin/people",
+    "services": "/admin/services",
+    "alerting": "/admin/alerts?add=yes",
+    "study": "/admin/studies",
+    "alerts": "/alerts",
 }
 URDF = """<robot name="two">
 <link name="base"><visual><geometry><box size="0.2 0.2 0.1"/></geometry></visual></link>
@@ -166,17 +171,17 @@ def test_engineer_pages_fit_a_phone(
 ) -> None:
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
     device = PAGES["devices"]
-    devices = ("/sensors", "/devices", device, f"{device}&part=history", f"{device}&part=settings")
+    devices = ("/cell/sensors", "/cell/devices", device, f"{device}?part=history", f"{device}?part=settings")
     for path in (
         "/",
-        "/system",
-        "/calibrate",
-        "/people",
-        "/test",
-        "/study",
-        "/health",
-        "/cases",
-        "/humanoid",
+        "/admin/services",
+        "/cell/gloves/glove-1/calibrate",
+        "/admin/people",
+        "/cell/gloves/glove-1/test",
+        "/admin/studies",
+        "/care/health",
+        "/care/cases",
+        "/care/exercises",
         *devices,
     ):
         page.goto(path)
@@ -192,7 +197,7 @@ def test_sensors_show_rooms_and_what_needs_attention(
     open_page: OpenPage, keep: Callable[[Page, str], Path], keep_sending: Callable[..., None]
 ) -> None:
     keep_sending("page-oven", {"temperature": 260})
-    page = open_page("/sensors")
+    page = open_page("/cell/sensors")
     oven = page.get_by_role("article", name="Oven")
     expect(oven).to_contain_text("Above 250 °C")
     expect(oven).to_contain_text("Out of range")
@@ -216,7 +221,7 @@ def test_sensors_show_rooms_and_what_needs_attention(
 def test_a_device_is_added_described_and_deleted_on_the_page(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/devices", forgives=("status of 409", "status of 422"))
+    page = open_page("/cell/devices", forgives=("status of 409", "status of 422"))
     page.get_by_role("button", name="Add a device").first.click()
     page.get_by_label("Template").select_option(label="Franka Emika Panda")
     name = page.get_by_role("textbox", name="Name", exact=True).first
@@ -273,12 +278,12 @@ def test_a_device_is_added_described_and_deleted_on_the_page(
 def test_tables_do_not_overlap_on_a_tablet(open_page: OpenPage, keep: Callable[[Page, str], Path]) -> None:
     for language in ("fi", "de"):
         page = open_page(language=language, viewport=TABLET)
-        for tab in ("services", "devices", "alerts"):
-            page.goto(f"/system?tab={tab}")
+        for name in ("services", "overview", "alerts"):
+            page.goto(PAGES[name])
             page.locator("[role=row], .empty-state").first.wait_for()
             nothing_is_cut_off(page)
             assert page.evaluate(COLLIDING) == []
-            keep(page, f"tablet-{tab}-{language}")
+            keep(page, f"tablet-{name}-{language}")
         page.goto("/processes")
         settled(page)
         nothing_is_cut_off(page)
@@ -293,7 +298,7 @@ def test_tables_do_not_overlap_on_a_tablet(open_page: OpenPage, keep: Callable[[
 @pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
 def test_table_rows_are_tab_stops_and_their_times_are_not(open_page: OpenPage) -> None:
-    page = open_page("/system")
+    page = open_page("/admin/services")
     rows = page.get_by_role("grid", name="Services").locator(".vgrid__line")
     rows.first.wait_for()
     assert page.locator("time[tabindex='0']").count() == 0
@@ -351,20 +356,17 @@ def test_the_keyboard_reaches_every_page_and_lists_its_keys(
     rows = dict(row.split("\n", 1) for row in listed.locator(".key-list__rows > div").all_inner_texts())
     page.keyboard.press("Escape")
     page.get_by_role("dialog").wait_for(state="detached")
-    links = page.get_by_role("navigation", name="Handover").locator("a")
-    places = links.evaluate_all("links => links.map(link => [link.textContent, link.getAttribute('href')])")
     keys = {does.removeprefix("Go to "): key for key, does in rows.items() if does.startswith("Go to ")}
     documented = re.findall(r"`g` `(.)` \| ([^|]*?) \|", (REPOSITORY / "docs/how-to/keys.md").read_text())
     assert {name: key[-1] for name, key in keys.items()}.items() <= {
         name: key for key, name in documented
     }.items()
-    assert len(set(keys.values())) == len(keys) == len({path for _, path in places})
-    for name, path in places:
-        key = keys[name.rstrip("0123456789")]
+    assert len(set(keys.values())) == len(keys)
+    for name, key in keys.items():
         assert re.fullmatch(r"g ?[a-z]", key), key
 
-        def is_there(key: str = key, path: str = path) -> bool:
-            if urlsplit(page.url).path == path:
+        def is_there(key: str = key, name: str = name) -> bool:
+            if page.title() == f"{name} · Handover":
                 return True
             type_slowly(
                 page, "g", key[-1]
@@ -391,12 +393,13 @@ def test_the_keyboard_reaches_every_page_and_lists_its_keys(
 
 SCANNED_PAGES = (
     *PAGES.values(),
-    *(f"/system?tab={tab}" for tab in ("gloves", "robots", "devices", "alerts", "events")),
-    *(f"/people?view={view}" for view in ("gestures", "users", "stations", "tokens")),
+    "/cell/robots/ur10-1",
+    "/cell/gloves/glove-1",
+    *(f"/admin/people?view={view}" for view in ("gestures", "users", "stations", "tokens")),
     "/processes/upload",
     "/work?glove=glove-1",
-    "/alerting?view=routes",
-    "/humanoid/vr",
+    "/admin/alerts?view=routes",
+    "/care/exercises/vr",
 )
 ACTING = """
     [...document.querySelectorAll(
@@ -490,7 +493,7 @@ def test_a_scan_goes_into_the_field_that_has_the_input_and_does_not_submit(open_
     search.focus()
     scan(page, "4006381333932")
     expect(search).to_have_value("4006381333932")
-    page.goto("/devices")
+    page.goto("/cell/devices")
     page.get_by_role("button", name="Add a device").first.click()
     name = page.get_by_role("textbox", name="Name", exact=True).first
     name.focus()
@@ -523,43 +526,48 @@ def started(cell: Cell) -> str:
 
 
 UNKNOWN = {
-    "accounts/AuditView.tsx": ["/people?view=audit&service=nope", "/people?view=audit&outcome=nope"],
-    "alerting/AlertingPage.tsx": ["/alerting?view=nope"],
-    "alerting/MessagesView.tsx": ["/alerting?view=sent&state=nope"],
-    "alerting/SettingsView.tsx": ["/alerting?name=nope", "/alerting?add=nope"],
-    "calibrate/CalibratePage.tsx": ["/calibrate?step=nope", "/calibrate?finger=nope"],
-    "cases/CasesPage.tsx": ["/cases?case=nope"],
-    "cockpit/CockpitPage.tsx": ["/cockpit?view=nope"],
+    "accounts/AuditView.tsx": [
+        "/admin/people?view=audit&service=nope",
+        "/admin/people?view=audit&outcome=nope",
+    ],
+    "alerting/AlertingPage.tsx": ["/admin/alerts?view=nope"],
+    "alerting/MessagesView.tsx": ["/admin/alerts?view=sent&state=nope"],
+    "alerting/SettingsView.tsx": ["/admin/alerts?name=nope", "/admin/alerts?add=nope"],
+    "calibrate/Calibration.tsx": [
+        "/cell/gloves/glove-1/calibrate?step=nope",
+        "/cell/gloves/glove-1/calibrate?finger=nope",
+    ],
+    "cases/CasesPage.tsx": ["/care/cases?case=nope"],
+    "cockpit/CockpitPage.tsx": ["/processes/statistics?view=nope"],
     "cockpit/processes/ProcessTable.tsx": [
-        "/cockpit?state=nope",
-        "/cockpit?involves=nope",
-        "/cockpit?time=nope",
+        "/processes/statistics?state=nope",
+        "/processes/statistics?involves=nope",
+        "/processes/statistics?time=nope",
     ],
     "cockpit/query.ts": [
-        "/cockpit?of=nope",
-        "/cockpit?of=bin-picking&version=nope",
-        "/cockpit?period=nope",
-        "/cockpit?from=nope",
-        "/cockpit?to=nope",
+        "/processes/statistics?of=nope",
+        "/processes/statistics?of=bin-picking&version=nope",
+        "/processes/statistics?period=nope",
+        "/processes/statistics?from=nope",
+        "/processes/statistics?to=nope",
     ],
-    "cockpit/statistics/HeatMap.tsx": ["/cockpit?of=bin-picking&heat=nope"],
-    "cockpit/statistics/StatisticsView.tsx": ["/cockpit?of=bin-picking&element=nope"],
-    "control/ControlPage.tsx": ["/control?robot=nope"],
-    "devices/DevicePanel.tsx": ["/devices?device=page-arm&part=nope"],
-    "devices/DevicesPage.tsx": ["/devices?device=nope", "/devices?add=nope"],
+    "cockpit/statistics/HeatMap.tsx": ["/processes/statistics?of=bin-picking&heat=nope"],
+    "cockpit/statistics/StatisticsView.tsx": ["/processes/statistics?of=bin-picking&element=nope"],
+    "cell/RobotsPage.tsx": ["/cell/robots/nope", "/cell/robots/ur10-1/nope"],
+    "devices/DevicePanel.tsx": ["/cell/devices/page-arm?part=nope"],
+    "devices/DevicesPage.tsx": ["/cell/devices/nope", "/cell/devices?add=nope"],
     "devices/history/HistoryPart.tsx": [
-        f"/devices?device=page-arm&part=history&{name}=nope"
-        for name in ("values", "span", "time", "forecast")
+        f"/cell/devices/page-arm?part=history&{name}=nope" for name in ("values", "span", "time", "forecast")
     ],
     "devices/messages/MessagesPart.tsx": [
-        f"/devices?device=page-arm&part=messages&{name}=nope" for name in ("direction", "type")
+        f"/cell/devices/page-arm?part=messages&{name}=nope" for name in ("direction", "type")
     ],
-    "glove/GloveSelect.tsx": ["/test?glove=nope", "/calibrate?glove=nope"],
-    "health/HealthPage.tsx": ["/health?person=nope"],
-    "health/HistoryCard.tsx": ["/health?value=nope", "/health?span=nope"],
-    "humanoid/SessionCard.tsx": ["/humanoid?person=nope", "/humanoid?session=nope"],
-    "people/GesturesView.tsx": ["/people?person=nope"],
-    "people/PeoplePage.tsx": ["/people?view=nope"],
+    "cell/GlovesPage.tsx": ["/cell/gloves/nope/test", "/cell/gloves/glove-1/nope"],
+    "health/HealthPage.tsx": ["/care/health?person=nope"],
+    "health/HistoryCard.tsx": ["/care/health?value=nope", "/care/health?span=nope"],
+    "humanoid/SessionCard.tsx": ["/care/exercises?person=nope", "/care/exercises?session=nope"],
+    "people/GesturesView.tsx": ["/admin/people?person=nope"],
+    "people/PeoplePage.tsx": ["/admin/people?view=nope"],
     "processes/address.ts": [
         "/processes/nope",
         "/processes/definition/nope",
@@ -575,21 +583,22 @@ UNKNOWN = {
     ],
     "processes/process/ProcessPanel.tsx": ["/processes/PROCESS?view=nope", "/processes/PROCESS?task=nope"],
     "processes/timeline/chosen.ts": ["/processes/PROCESS?status=nope", "/processes/PROCESS?who=nope"],
-    "sensors/SensorsPage.tsx": ["/sensors?show=nope"],
-    "study/StudyPage.tsx": ["/study?session=nope"],
-    "system/SystemPage.tsx": ["/system?tab=nope"],
-    "system/alerts/AlertsPanel.tsx": [
-        f"/system?tab=alerts&{name}=nope"
-        for name in ("alert", "group", "state", "severity", "category", "from")
+    "sensors/SensorsPage.tsx": ["/cell/sensors?show=nope"],
+    "study/StudyPage.tsx": ["/admin/studies?session=nope"],
+    "alerts/list/AlertsPanel.tsx": [
+        f"/alerts?{name}=nope" for name in ("alert", "group", "state", "severity", "category", "from")
     ],
-    "system/events/EventsPanel.tsx": ["/system?tab=events&level=nope", "/system?tab=events&source=nope"],
-    "tasks/TaskList.tsx": [f"/tasks?{name}=nope" for name in ("show", "sort", "later")],
-    "tasks/TasksPage.tsx": ["/tasks?task=nope"],
-    "test/Accuracy.tsx": ["/test?part=accuracy&test=nope", "/test?part=accuracy&rounds=nope"],
-    "test/FreeTrial.tsx": ["/test?gesture=nope"],
-    "test/TestPage.tsx": ["/test?part=nope"],
+    "cell/events/EventsPanel.tsx": ["/cell/events?level=nope", "/cell/events?source=nope"],
+    "tasks/TaskList.tsx": [f"/work/tasks?{name}=nope" for name in ("show", "sort", "later")],
+    "tasks/TasksPage.tsx": ["/work/tasks?task=nope"],
+    "test/Accuracy.tsx": [
+        "/cell/gloves/glove-1/test?part=accuracy&test=nope",
+        "/cell/gloves/glove-1/test?part=accuracy&rounds=nope",
+    ],
+    "test/FreeTrial.tsx": ["/cell/gloves/glove-1/test?gesture=nope"],
+    "test/GloveTest.tsx": ["/cell/gloves/glove-1/test?part=nope"],
     "work/WorkPage.tsx": ["/work?glove=nope"],
-    "App.tsx": ["/nope", "/system/nope", "/humanoid/nope"],
+    "App.tsx": ["/nope", "/system/nope", "/system?tab=nope", "/care/exercises/nope"],
 }
 """Addresses that name what does not exist, by the module that reads them."""
 
@@ -655,13 +664,13 @@ def test_an_address_that_names_nothing_says_so_on_every_page(
         if page.get_by_role("button", name=re.compile("^(Take control|Start bin picking again)")).count():
             missed.append(f"{address}: offers to act on something else")
     assert missed == []
-    for name, path in (("robot", "/control?robot=nope"), ("view", "/system?tab=nope")):
+    for name, path in (("robot", "/cell/robots/nope/control"), ("view", "/system?tab=nope")):
         for theme, language, size in LOOKS:
             other = open_page(path, theme=theme, language=language, viewport=SIZES[size])
             other.get_by_text("nope").first.wait_for()
             accessible(other)
             keep(other, f"unknown-{name}-{theme}-{language}")
             other.context.close()
-    page.goto("/control?robot=nope")
-    page.get_by_role("button", name="Show what there is").click()
-    page.get_by_role("button", name="Take control").wait_for()
+    page.goto("/cell/robots/nope/control")
+    page.get_by_role("link", name="Show what there is").click()
+    page.get_by_text("ur10-1").first.wait_for()

@@ -48,7 +48,7 @@ def move(cell: Cell, name: str, joints: list[float]) -> None:
 def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package(
     rail_cell: Cell, open_page: OpenPage, keep: Keep, accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/system?tab=robots")
+    page = open_page("/cell/robots")
     expect(page.get_by_role("heading", name="rail-1 (Rail arm)")).to_be_visible()
     joints = page.get_by_role("table", name="Joints")
     rows = joints.get_by_role("row")
@@ -72,7 +72,7 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
     keep(page, "example-robot-moved")
     assert drawing.screenshot() != before
 
-    in_german = open_page("/system?tab=robots", language="de")
+    in_german = open_page("/cell/robots", language="de")
     expect(in_german.get_by_role("rowheader", name="Linearachse")).to_be_visible()
     facts = in_german.locator(".robot__facts")
     assert facts.evaluate("facts => facts.scrollWidth <= facts.clientWidth")
@@ -98,7 +98,7 @@ def test_the_page_lists_a_service_of_another_package_with_its_health(
     cell.extra["HANDOVER_EXTRA_SERVICES"] = "lamp" if wanted else ""
     cell.run("context_broker")
     cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui")
-    page = open_page("/system")
+    page = open_page("/admin/services")
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Study"))).to_be_visible()
     row = services.get_by_role("row", name=re.compile("^lamp"))

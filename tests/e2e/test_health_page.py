@@ -36,7 +36,7 @@ def health(cell: Cell) -> Cell:
 def test_a_person_consents_is_seen_live_and_is_deleted(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/health")
+    page = open_page("/care/health")
     expect(page.get_by_role("link", name="Health")).to_be_visible()
     expect(page.get_by_text("No person yet")).to_be_visible()
     page.get_by_role("button", name="Add a person").click()
@@ -68,7 +68,7 @@ def test_a_person_consents_is_seen_live_and_is_deleted(
     accessible(page)
     keep(page, "health")
     for theme, language, size in (("dark", "de", None), ("light", "fi", PHONE)):
-        other = open_page("/health", theme=theme, language=language, viewport=size)
+        other = open_page("/care/health", theme=theme, language=language, viewport=size)
         expect(other.locator(".vital-sign[data-trust=valid]").first).to_be_visible()
         wider = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert other.evaluate(wider) <= 0

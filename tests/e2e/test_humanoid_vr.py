@@ -225,7 +225,7 @@ class Wearer:
 def test_a_person_without_a_headset_catches_by_the_pointer_and_pauses_by_the_panel(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None], keep: Callable[[Page, str], Path]
 ) -> None:
-    page = open_page("/humanoid/vr", viewport=SMALL, forgives=("status of 409",))
+    page = open_page("/care/exercises/vr", viewport=SMALL, forgives=("status of 409",))
     page.set_default_timeout(1000 * WITHIN_S)
     stage = page.get_by_role("application")
     expect(stage).to_be_visible()
@@ -290,7 +290,7 @@ def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_s
 ) -> None:
     page = open_page("/", viewport=SMALL, forgives=("XRSession", "already", "status of 502"))
     page.add_init_script(f"{EMULATOR.read_text()}\n{WEAR}")
-    page.goto("/humanoid/vr")
+    page.goto("/care/exercises/vr")
     expect(page.get_by_role("application")).to_be_visible()
     page.get_by_text("Measure", exact=True).click()
     page.get_by_role("button", name="Enter virtual reality").click()
@@ -357,7 +357,7 @@ def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked
     page = open_page("/", viewport=SMALL, forgives=("XRSession", "already", "status of 409", "status of 502"))
     page.set_default_timeout(1000 * WITHIN_S)
     page.add_init_script(f"{EMULATOR.read_text()}\n{WEAR}")
-    page.goto("/humanoid/vr")
+    page.goto("/care/exercises/vr")
     expect(page.get_by_role("application")).to_be_visible()
     page.get_by_role("button", name="Enter virtual reality").click()
     wait_for(lambda: patient(cell).get("tracking") == "ok", WITHIN_S, "the poses reach the service")

@@ -58,7 +58,7 @@ def test_five_hundred_devices_are_searched_sorted_and_scrolled(
     devices = [device(number) for number in range(MANY)]
     httpx.post(url, json=devices, headers={"Link": context}, timeout=60).raise_for_status()
     for size, viewport in (("laptop", PANEL), ("4k", UHD)):
-        page = open_page("/system?tab=devices", viewport=viewport, forgives=AWAY)
+        page = open_page("/cell", viewport=viewport, forgives=AWAY)
         table = page.get_by_role("grid", name="Devices")
         expect(table).to_have_attribute("aria-rowcount", str(MANY + 1))
         rows = table.locator(".vgrid__line")
@@ -98,7 +98,7 @@ def test_five_hundred_people_are_listed_and_found(
         with ThreadPoolExecutor(4) as threads:
             list(threads.map(add, range(MANY)))
     for size, viewport in (("laptop", PANEL), ("4k", UHD)):
-        page = open_page("/people?person=person-321", viewport=viewport, forgives=AWAY)
+        page = open_page("/admin/people?person=person-321", viewport=viewport, forgives=AWAY)
         table = page.get_by_role("grid", name="People and gestures")
         expect(page.get_by_role("heading", name="Person of the night shift 321")).to_be_visible()
         expect(table.locator("[aria-selected=true]")).to_contain_text("night shift 321")

@@ -46,7 +46,7 @@ def pick(page: Page, label: str, gesture: str) -> None:
 def test_a_person_is_added_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/people")
+    page = open_page("/admin/people")
     page.get_by_role("button", name="Add a person").wait_for()
     type_slowly(page, "g", "n")
     page.get_by_label("Short name").fill("anna")
@@ -96,7 +96,7 @@ def test_a_dialog_keeps_the_focus_while_the_people_are_loaded(cell: Cell, open_p
 @pytest.mark.usefixtures("glove_screen")
 def test_two_browsers_show_the_same_without_a_reload(cell: Cell, open_page: OpenPage) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/eva", json={}, timeout=120).raise_for_status()
-    one, other = open_page("/people?person=eva"), open_page("/people?person=eva")
+    one, other = open_page("/admin/people?person=eva"), open_page("/admin/people?person=eva")
     for page in (one, other):
         expect(page.get_by_role("button", name="Command 3 Thumbs up")).to_be_visible()
     pick(one, "Command 3", "Horns")
@@ -113,7 +113,7 @@ def test_a_custom_gesture_is_defined_by_fingers_and_rejected_if_ambiguous(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}, timeout=120).raise_for_status()
-    page = open_page("/people?person=ben", forgives=(REFUSED,))
+    page = open_page("/admin/people?person=ben", forgives=(REFUSED,))
     page.get_by_label("Name", exact=True).fill("Mine")
     page.get_by_role("radiogroup", name="thumb").get_by_role("radio", name="straight").click()
     page.get_by_role("button", name="Add the gesture").click()
@@ -135,7 +135,7 @@ def test_a_gesture_is_recorded_and_exported_in_the_profile(glove_screen: Cell, o
         httpx.put(f"{controller}/people/{name}", json={}, timeout=120).raise_for_status()
     httpx.put(f"{controller}/gloves/glove-1/person", json={"person": "carl"}, timeout=120).raise_for_status()
     with TcpGlove(glove_screen.ports["glove"]) as glove:
-        page = open_page("/people?person=carl")
+        page = open_page("/admin/people?person=carl")
         page.get_by_role("radio", name="Recording").click()
         page.get_by_label("Name", exact=True).fill("Three")
         page.get_by_role("button", name="Record now").click()
@@ -177,7 +177,7 @@ def test_a_gesture_is_found_among_many_by_its_picture_or_its_name(
         f"{glove_screen.url('gesture_controller')}/people/eve/commands", json={}, timeout=120
     ).raise_for_status()
     size = {"width": 390, "height": 844} if touch else {"width": 1280, "height": 800}
-    page = open_page("/people?person=eve", viewport=size, has_touch=touch, language="de")
+    page = open_page("/admin/people?person=eve", viewport=size, has_touch=touch, language="de")
     page.get_by_role("button", name=re.compile("^Befehl 3 ")).click()
     panel = page.get_by_role("dialog")
     assert panel.get_by_role("option").count() == 22, "every gesture, and none"

@@ -55,7 +55,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 def test_rules_are_monitored_and_switched_off_and_on(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/system")
+    page = open_page("/admin/services")
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_contain_text("Running")
     page.get_by_role("tab", name="ROS 2").click()
@@ -82,7 +82,7 @@ def test_rules_are_monitored_and_switched_off_and_on(
     expect(belt).not_to_contain_text("Off")
 
     for language, theme, tab in (("de", "dark", "ROS 2"), ("fi", "light", "ROS 2")):
-        other = open_page("/system?tab=ros", language=language, theme=theme)
+        other = open_page("/cell/ros", language=language, theme=theme)
         expect(other.get_by_role("grid", name=tab)).to_contain_text("agv-1")
         accessible(other)
         keep(other, f"system-ros-{language}-{theme}")
@@ -92,7 +92,7 @@ def test_a_cell_without_a_bridge_has_no_ros_section(open_page: OpenPage, cell: C
     cell.kill("webui")
     del cell.extra["HANDOVER_ROS_MAPPING"]
     cell.start("webui")
-    page = open_page("/system?tab=ros")
+    page = open_page("/cell/ros")
     expect(page.get_by_text("This page has no “ros”")).to_be_visible()
     page.get_by_role("button", name="Show what there is").click()
     services = page.get_by_role("grid", name="Services")

@@ -65,7 +65,7 @@ def test_a_participant_completes_the_study_and_the_answers_are_shown(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    page = open_page("/study")
+    page = open_page("/admin/studies")
     page.get_by_role("heading", name="No answers yet").or_(page.get_by_text("No answers yet")).wait_for()
     accessible(page)
     code = code_of(page)
@@ -124,7 +124,9 @@ def test_a_participant_reads_the_study_in_their_own_language(
     consent = {"agreed": True, "text": begun["consentVersion"]}
     for step, content in (("consent", consent), ("introduction", {}), ("sample", {})):
         httpx.post(f"{url}/sessions/{begun['id']}/steps/{step}", json=content, timeout=120).raise_for_status()
-    page = open_page(f"/study?session={begun['id']}", viewport={"width": 390, "height": 844}, theme="dark")
+    page = open_page(
+        f"/admin/studies?session={begun['id']}", viewport={"width": 390, "height": 844}, theme="dark"
+    )
     page.get_by_role("heading", name="Millainen järjestelmä oli?").wait_for()
     expect(page.get_by_role("button", name="Seuraava")).to_be_disabled()
     accessible(page)
@@ -141,13 +143,13 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
     glove = f"{url}/gloves/glove-1"
     httpx.put(f"{url}/people/kim", json={}, timeout=120).raise_for_status()
     httpx.put(f"{glove}/person", json={"person": "kim"}, timeout=120).raise_for_status()
-    page = open_page("/study")
+    page = open_page("/admin/studies")
     code = code_of(page)
     page.get_by_text("kim has no personal gestures yet").wait_for()
     page.get_by_role("textbox", name="Pseudonym").fill("Kim")
     page.get_by_role("button", name="Start session").click()
     page.get_by_role("heading", name="Before we begin").wait_for()
-    for path in ("/", "/people", "/system", "/study", "/work?glove=other", "/processes/1"):
+    for path in ("/", "/admin/people", "/cell", "/admin/studies", "/work?glove=other", "/processes/1"):
         page.goto(path)
         if path.startswith("/work"):
             page.wait_for_url("**/work?glove=glove-1")

@@ -56,7 +56,7 @@ def cell(shared_cell: Cell) -> Cell:
 def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/system", forgives=FORGIVEN)
+    page = open_page("/admin/services", forgives=FORGIVEN)
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Trajectory tool"))).to_contain_text("ur10-1: ")
     cell.kill("trajectory_tool")
@@ -80,7 +80,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     views = f"{cell.url('task_orchestrator')}/processes/{process}"
     answer(cell, httpx.get(views, timeout=120).json()["tasks"][0]["id"], "failed", reason="nobody was there")
 
-    page = open_page("/system?tab=alerts", who="", forgives=FORGIVEN)
+    page = open_page("/alerts", who="", forgives=FORGIVEN)
     row = page.get_by_role("row", name="Incident in a process").first
     row.click()
     alert = page.get_by_role("complementary", name="Incident in a process")
@@ -95,7 +95,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     keep(page, "system-alert")
 
     cell.restart("webui")
-    page.goto("/system?tab=alerts")
+    page.goto("/alerts")
     page.get_by_role("row", name="Incident in a process").first.click()
     expect(alert).to_contain_text("Acknowledged by Aino")
     context = f"{cell.url('task_orchestrator')}/context.jsonld"
@@ -115,7 +115,7 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     start_process(cell)
-    page = open_page("/system?tab=robots")
+    page = open_page("/cell/robots")
     drawing = page.get_by_role("application", name=re.compile("^Live 3D view of ur10-1"))
     expect(drawing.locator("canvas")).to_be_visible()
     before = drawing.screenshot()
@@ -145,7 +145,7 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
 def test_a_hand_over_is_confirmed_with_a_button_that_is_large_enough_for_gloves(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/system?tab=robots")
+    page = open_page("/cell/robots")
     expect(page.get_by_role("heading", name="No task")).to_be_visible()
     entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
     task = "urn:ngsi-ld:Task:demo:hand-over-1"
@@ -186,7 +186,7 @@ def test_a_hand_over_is_confirmed_with_a_button_that_is_large_enough_for_gloves(
 def test_the_stop_of_a_robot_for_a_body_signal_is_reset_by_a_person(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/system?tab=robots")
+    page = open_page("/cell/robots")
     limits = page.locator(".limits")
     expect(limits).to_contain_text("Nothing limits the speed")
     expect(limits).to_contain_text("not a safety-rated function")
@@ -233,7 +233,7 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
 ) -> None:
     page = open_page("/")
     page.get_by_role("button", name="Start the simulated operator").click()
-    page.goto("/system?tab=gloves")
+    page.goto("/cell/gloves")
     expect(page.get_by_role("main")).to_contain_text(" frames")
     expect(page.get_by_text("Connected", exact=True)).to_be_visible()
     accessible(page)
@@ -262,7 +262,7 @@ def test_a_person_moves_the_robot_while_the_control_is_held(
     # Without the 3D view, which a machine without a graphics card draws too slowly for inputs every 20 ms.
     panels = {"order": ["jog", "latency"], "hidden": ["view"]}
     httpx.put(f"{cell.url('webui')}/api/user-settings/control.panels", json=panels, timeout=120)
-    page = open_page("/control")
+    page = open_page("/cell/robots/ur10-1/control")
     expect(page.get_by_text("No safety function and no emergency stop.")).to_be_visible()
     page.get_by_role("button", name="Take control").click()
     expect(page.get_by_role("heading", name="You control ur10-1")).to_be_visible()

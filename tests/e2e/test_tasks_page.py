@@ -88,7 +88,7 @@ def post(cell: Cell, process: str, act: str, **body: Any) -> httpx.Response:
 def test_a_task_is_claimed_and_completed_with_its_form_by_keyboard(
     begun: str, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/tasks", who="")
+    page = open_page("/work/tasks", who="")
     expect(row(page)).to_contain_text("Unclaimed")
     accessible(page)
     type_slowly(page, "g", "j")
@@ -129,8 +129,8 @@ def test_a_task_is_claimed_and_completed_with_its_form_by_keyboard(
 def test_of_two_browsers_that_claim_at_once_one_reads_who_has_the_task(
     begun: str, open_page: OpenPage, keep: Keep
 ) -> None:
-    anna = open_page("/tasks", who="Anna", forgives=(CONFLICT,))
-    ben = open_page("/tasks", who="Ben", forgives=(CONFLICT,))
+    anna = open_page("/work/tasks", who="Anna", forgives=(CONFLICT,))
+    ben = open_page("/work/tasks", who="Ben", forgives=(CONFLICT,))
     for page in (anna, ben):
         row(page).click()
         page.get_by_role("button", name="Claim this task").wait_for()
@@ -164,7 +164,7 @@ def test_of_two_browsers_that_claim_at_once_one_reads_who_has_the_task(
 def test_typed_text_survives_a_reload_and_a_kill_of_the_orchestrator(
     begun: str, quiet_screen: Cell, open_page: OpenPage
 ) -> None:
-    page = open_page("/tasks", who="Anna", forgives=("502", "503", "Failed to load"))
+    page = open_page("/work/tasks", who="Anna", forgives=("502", "503", "Failed to load"))
     row(page).click()
     page.get_by_role("button", name="Claim this task").click()
     form = page.get_by_role("form", name="Result")
@@ -189,7 +189,7 @@ def test_comments_and_history_are_on_the_page(
 ) -> None:
     post(quiet_screen, begun, "claim", by="Ben").raise_for_status()
     post(quiet_screen, begun, "return", by="Ben", why="end of shift").raise_for_status()
-    page = open_page("/tasks", who="Anna")
+    page = open_page("/work/tasks", who="Anna")
     row(page).click()
     history = page.get_by_role("region", name="History")
     expect(history).to_contain_text("Claimed by Ben")
@@ -219,7 +219,7 @@ def test_a_task_of_a_group_is_found_by_its_members_and_put_off(
         xml = {"Content-Type": "application/xml"}
         httpx.post(f"{url}/definitions", content=file, headers=xml, timeout=120).raise_for_status()
         httpx.post(f"{url}/processes", json={"definition": name}, timeout=120).raise_for_status()
-    page = open_page("/tasks", who="Anna", forgives=(CONFLICT,))
+    page = open_page("/work/tasks", who="Anna", forgives=(CONFLICT,))
     expect(row(page, "Pack packing-now")).to_contain_text("Due in 23 h")
     page.get_by_role("radio", name="My groups’ 0").click()
     expect(page.get_by_text("You have no groups yet.")).to_be_visible()
@@ -233,7 +233,7 @@ def test_a_task_of_a_group_is_found_by_its_members_and_put_off(
     expect(row(page, "Pack packing-later")).to_be_visible()
     keep(page, "tasks-groups")
 
-    other = open_page("/tasks", who="Ben", forgives=(CONFLICT,))
+    other = open_page("/work/tasks", who="Ben", forgives=(CONFLICT,))
     row(other, "Pack packing-now").click()
     other.get_by_role("button", name="Claim this task").click()
     other.get_by_role("dialog").get_by_role("button", name="Claim it anyway").click()
@@ -243,7 +243,7 @@ def test_a_task_of_a_group_is_found_by_its_members_and_put_off(
 def test_a_phone_shows_one_pane_with_large_targets(
     begun: str, open_page: OpenPage, accessible: Accessible, keep: Keep
 ) -> None:
-    page = open_page("/tasks", who="Anna")
+    page = open_page("/work/tasks", who="Anna")
     page.set_viewport_size({"width": 390, "height": 844})
     keep(page, "tasks-phone")
     row(page).click()
@@ -265,7 +265,7 @@ def test_a_phone_shows_one_pane_with_large_targets(
 def test_tasks_of_devices_are_not_in_the_list(quiet_screen: Cell, open_page: OpenPage) -> None:
     url = f"{quiet_screen.url('task_orchestrator')}/processes"
     process = httpx.post(url, json={"definition": "bin-picking"}, timeout=120).raise_for_status().json()
-    page = open_page("/tasks")
+    page = open_page("/work/tasks")
     page.get_by_text("No open tasks for people.").wait_for()
     wait_for(lambda: seen(f"{url}/{process['id']}")["tasks"][0]["status"] == "inProgress")
     expect(row(page, "Confirm that the cell is clear")).to_have_count(0)

@@ -33,7 +33,7 @@ def test_a_gesture_is_marked_recognized_or_not(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    page = open_page("/test?gesture=Thumbs%20up")
+    page = open_page("/cell/gloves/glove-1/test?gesture=Thumbs%20up")
     page.get_by_role("button", name="Switch test mode on").click()
     page.get_by_text("Test mode is on").wait_for()
     glove.show("02202", 0.6)
@@ -55,7 +55,7 @@ def test_an_accuracy_test_ends_with_a_report(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    page = open_page("/test?part=accuracy&rounds=1")
+    page = open_page("/cell/gloves/glove-1/test?part=accuracy&rounds=1")
     page.get_by_role("button", name="Start 21 trials").click()
     page.get_by_role("heading", name="Open your hand").wait_for()
     accessible(page)

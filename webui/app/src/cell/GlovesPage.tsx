@@ -33,7 +33,7 @@ function GlovePage({ name }: { name: string }) {
   const isLoaded = useHasSnapshot();
   const { tab: asked = "state" } = useParams();
   const tab = GLOVE_TABS.find((other) => other === asked);
-  if (!gloves.includes(name)) return isLoaded ? <UnknownName thing="glove" name={name} /> : <p className="quiet shell__loading">{t("loading")}</p>;
+  if (!gloves.includes(name)) return isLoaded ? <UnknownName thing="glove" name={name} list={addresses.gloves()} /> : <p className="quiet shell__loading">{t("loading")}</p>;
   if (tab === undefined) return <UnknownName thing="page" name={asked} />;
   return (
     <ObjectPage list={{ name: "gloves", address: addresses.gloves() }} name={name} names={gloves} tab={tab} tabs={GLOVE_TABS} addressOf={addresses.glove}>

@@ -31,7 +31,7 @@ function RobotPage({ name }: { name: string }) {
   const { tab: asked = "state" } = useParams();
   const tab = ROBOT_TABS.find((other) => other === asked);
   const robot = robots.find((other) => other.name === name);
-  if (robot === undefined) return isLoaded ? <UnknownName thing="robot" name={name} /> : <p className="quiet shell__loading">{t("common:loading")}</p>;
+  if (robot === undefined) return isLoaded ? <UnknownName thing="robot" name={name} list={addresses.robots()} /> : <p className="quiet shell__loading">{t("common:loading")}</p>;
   if (tab === undefined) return <UnknownName thing="page" name={asked} />;
   return (
     <ObjectPage

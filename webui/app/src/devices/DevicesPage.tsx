@@ -80,7 +80,7 @@ export default function DevicesPage() {
         ) : device !== null ? (
           <DevicePanel key={device.name} device={device} units={units} symbolOf={symbolOf} onToken={setToken} onCertificate={setCertificate} onClose={() => open("")} />
         ) : chosen !== "" ? (
-          devices !== null && <UnknownName thing="device" name={chosen} />
+          devices !== null && <UnknownName thing="device" name={chosen} list={addresses.devices()} />
         ) : devices?.length === 0 && isCurrent ? (
           <EmptyState
             icon={<Cpu aria-hidden size={32} />}
