@@ -59,7 +59,7 @@ class OtherBroker:
                 "Service unavailable",
                 message(
                     "page.service_unavailable",
-                    "{service} does not respond ({url}); check its state on the System page and try again",
+                    "{service} does not respond ({url}); check its state on the page Services and try again",
                     service=BROKER,
                     url=self._broker.url,
                 ),

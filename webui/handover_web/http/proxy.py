@@ -248,7 +248,7 @@ class ServiceProxy:
     def _timeout(self, service: str, error: Exception) -> Problem:
         detail = message(
             "page.service_timeout",
-            "{service} did not respond in time ({url}); check its state on the System page and try again",
+            "{service} did not respond in time ({url}); check its state on the page Services and try again",
             service=service,
             url=self._urls[service],
         )
@@ -257,7 +257,7 @@ class ServiceProxy:
     def _unavailable(self, service: str, error: Exception) -> Problem:
         detail = message(
             "page.service_unavailable",
-            "{service} does not respond ({url}); check its state on the System page and try again",
+            "{service} does not respond ({url}); check its state on the page Services and try again",
             service=service,
             url=self._urls[service],
         )

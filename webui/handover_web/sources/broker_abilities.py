@@ -1,4 +1,4 @@
-"""What another broker can do, as the page *System* and the metrics of this server say it."""
+"""What another broker can do, as the page *Services* and the metrics of this server say it."""
 
 from typing import Final, Literal
 

@@ -69,7 +69,7 @@ class BrokerReports:
             description=message(
                 "alert.calibration_needed",
                 "{glove} should be calibrated again: {why}. Put it on as usual, make a fist and open the "
-                "hand on the page Calibrate; Tasks can be completed on the screen meanwhile",
+                "hand under Calibration on its page; Tasks can be completed on the screen meanwhile",
                 glove=glove.name,
                 why=reason,
             ),

@@ -65,7 +65,7 @@ class StudyConditions:
                 message(
                     "people.in_study",
                     "{participant} tries gestures in a study, so what {who} shows cannot change until this "
-                    "part is over; finish it on the page Study, or delete the session there",
+                    "part is over; finish it on the page Studies, or delete the session there",
                     participant=condition.participant,
                     who=person or glove,
                 ),

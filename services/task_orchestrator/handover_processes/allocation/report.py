@@ -45,7 +45,7 @@ def allocation_report(
             warning = message(
                 "allocation.no_performer",
                 "no performer is named for this service task, so people get it; map its name to a performer "
-                "on the page Cockpit, or name a resource in the file",
+                "on the page Statistics, or name a resource in the file",
             )
         if warning is not None:
             view |= with_code("warning", warning)

@@ -112,7 +112,7 @@ class RosGripper:
                 message(
                     "robot.gripper_unknown",
                     "whether the gripper of {arm} has moved is unknown: {reason}; look what it holds, then "
-                    "free it on the page System, Robots",
+                    "free it on the page of the robot",
                     arm=self._arm,
                     reason=ended.reason,
                 )

@@ -147,14 +147,14 @@ def _require_known_outcome(work: Work) -> None:
         why = message(
             "robot.grip_interrupted",
             "the trajectory tool stopped while the gripper closed for {task}; look what it holds, then free "
-            "it on the page System, Robots, and put the part back",
+            "it on the page of the robot, and put the part back",
             task=begun.task,
         )
     else:
         why = message(
             "robot.release_interrupted",
             "the trajectory tool stopped while the gripper opened for {task}; look whether it holds the "
-            "part, then free it on the page System, Robots, and put the part in its place",
+            "part, then free it on the page of the robot, and put the part in its place",
             task=begun.task,
         )
     raise TaskFailed(outcome_unknown(why) if begun.task == work.task else why)

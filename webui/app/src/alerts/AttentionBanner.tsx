@@ -1,4 +1,4 @@
-/** One line above *Start* and *Work* while urgent Alerts are new: how many, and the worst. It never grows to a list. */
+/** One line above *Home* and *Work* while urgent Alerts are new: how many, and the worst. It never grows to a list. */
 import { OctagonAlert, TriangleAlert } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
