@@ -60,7 +60,7 @@ describe("places", () => {
     }
     expect(pageAt("/cell/robots/ur10-1/control")?.name).toBe("robots");
     expect(pageAt("/processes/p-1")?.name).toBe("processes");
-    expect(pageAt("/celle")).toBeUndefined();
+    expect(pageAt("/cells")).toBeUndefined();
   });
 
   test("no letter leads to two pages", () => {
