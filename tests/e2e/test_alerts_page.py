@@ -88,7 +88,7 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
     expect(banner).to_contain_text("100 critical alerts, 400 high alerts")
     expect(banner).to_contain_text("Conveyor 0 is blocked")
     assert banner.bounding_box()["height"] < 60  # type: ignore[index]
-    expect(page.get_by_role("link", name="System 500 new alerts")).to_be_visible()
+    expect(page.get_by_role("link", name="Alerts 500 new alerts")).to_be_visible()
     keep(page, "alerts-start-500")
     page.goto("/work")
     expect(page.locator(".attention[data-large]")).to_contain_text("100 critical alerts")
@@ -151,7 +151,7 @@ def test_an_alert_is_explained_shelved_and_unshelved(
     page.keyboard.press("Enter")
     expect(detail).to_contain_text("Shelved by Aino")
     accessible(page)
-    expect(page.get_by_role("link", name="System", exact=True)).to_be_visible()
+    expect(page.get_by_role("link", name="Alerts", exact=True)).to_be_visible()
     expect(page.locator(".alert-actions__count")).to_have_text("0 alerts")
     page.get_by_label("State").select_option("shelved")
     expect(page.locator(".alert-actions__count")).to_have_text("1 alert")

@@ -59,6 +59,7 @@ def test_a_dragged_threshold_can_be_discarded(cell: Cell, open_page: OpenPage) -
     page = open_page("/cell/gloves/glove-1/calibrate?finger=ring")
     plot = page.get_by_role("img", name="Signal of the ring finger")
     plot.wait_for()
+    plot.scroll_into_view_if_needed()
     area = plot.locator(".u-over").bounding_box()
     assert area is not None
     lower = page.get_by_role("textbox", name="Lower threshold of the ring finger")

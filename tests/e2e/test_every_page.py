@@ -664,7 +664,7 @@ def test_an_address_that_names_nothing_says_so_on_every_page(
         if page.get_by_role("button", name=re.compile("^(Take control|Start bin picking again)")).count():
             missed.append(f"{address}: offers to act on something else")
     assert missed == []
-    for name, path in (("robot", "/cell/robots/nope/control"), ("view", "/system?tab=nope")):
+    for name, path in (("robot", "/cell/robots/nope/control"), ("view", "/processes/statistics?view=nope")):
         for theme, language, size in LOOKS:
             other = open_page(path, theme=theme, language=language, viewport=SIZES[size])
             other.get_by_text("nope").first.wait_for()

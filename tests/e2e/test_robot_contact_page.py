@@ -1,4 +1,4 @@
-"""A contact stop on the System page: an arm touches something, and a person resets the stop."""
+"""A contact stop on the page of robots: an arm touches something, and a person resets the stop."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime

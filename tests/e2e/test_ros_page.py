@@ -1,4 +1,4 @@
-"""The System page of a cell with a ROS bridge: its rules, their counts, and how one is disabled."""
+"""The ROS page of a cell with a ROS bridge: its rules, their counts, and how one is disabled."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -58,7 +58,8 @@ def test_rules_are_monitored_and_switched_off_and_on(
     page = open_page("/admin/services")
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_contain_text("Running")
-    page.get_by_role("tab", name="ROS 2").click()
+    page.get_by_role("link", name="Cell", exact=True).click()
+    page.get_by_role("link", name="ROS").click()
     rules = page.get_by_role("grid", name="ROS 2")
     battery = rules.get_by_role("row", name=re.compile("^battery"))
     belt = rules.get_by_role("row", name=re.compile("^belt"))
@@ -93,9 +94,11 @@ def test_a_cell_without_a_bridge_has_no_ros_section(open_page: OpenPage, cell: C
     del cell.extra["HANDOVER_ROS_MAPPING"]
     cell.start("webui")
     page = open_page("/cell/ros")
-    expect(page.get_by_text("This page has no “ros”")).to_be_visible()
-    page.get_by_role("button", name="Show what there is").click()
+    expect(page.get_by_text("There is no page “ROS”")).to_be_visible()
+    page.get_by_role("link", name="Show what there is").click()
+    expect(page.get_by_role("link", name="Robots")).to_be_visible()
+    expect(page.get_by_role("link", name="ROS")).to_have_count(0)
+    page.goto("/admin/services")
     services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Context broker"))).to_be_visible()
-    expect(page.get_by_role("tab", name="ROS 2")).to_have_count(0)
     expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_have_count(0)

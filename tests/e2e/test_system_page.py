@@ -1,4 +1,4 @@
-"""The System page with real services: health, alerts, the moving robot, events."""
+"""Services, robots, gloves, Alerts and events with real services: health, alerts, the moving robot, events."""
 
 import json
 import re
@@ -63,12 +63,12 @@ def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     row = services.get_by_role("row", name=re.compile("^Trajectory tool"))
     expect(row).to_contain_text("does not respond")
     expect(row).to_contain_text(cell.url("trajectory_tool"))
-    expect(page.get_by_role("tab", name="1 service has a problem")).to_be_visible()
     accessible(page)
     keep(page, "system-service-down")
     cell.start("trajectory_tool")
     expect(row).not_to_contain_text("does not respond")
-    page.get_by_role("tab", name="Events").click()
+    page.get_by_role("link", name="Cell", exact=True).click()
+    page.get_by_role("link", name="Events").click()
     expect(page.get_by_role("grid", name="Events")).to_contain_text("Trajectory tool is running")
 
 
@@ -238,8 +238,8 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
     expect(page.get_by_text("Connected", exact=True)).to_be_visible()
     accessible(page)
     keep(page, "system-glove")
-    page.get_by_role("tab", name="Events").click()
-    page.wait_for_url("**tab=events*")
+    page.get_by_role("link", name="Events").click()
+    page.wait_for_url("**/cell/events*")
     events = page.get_by_role("grid", name="Events")
     expect(events).to_contain_text("Simulated operator started with glove-1")
     accessible(page)

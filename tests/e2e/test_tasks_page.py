@@ -97,7 +97,7 @@ def test_a_task_is_claimed_and_completed_with_its_form_by_keyboard(
     claim = page.get_by_role("button", name="Claim this task")
     claim.wait_for()
     type_slowly(page, "c", "g", "c")  # no key claims, and the focused row keeps its place
-    page.wait_for_url("**/control*")
+    page.wait_for_url("**/cell")
     page.go_back()
     claim.focus()
     type_slowly(page, "Enter")

@@ -276,7 +276,7 @@ def test_the_question_is_reached_on_a_magnified_page_and_its_place_is_marked_in_
     assert_visible(page, MAIN["en"])
     page.emulate_media(forced_colors="active")
     grounds = page.evaluate(
-        "[...document.querySelectorAll('.shell__page')].map((link) =>"
+        "[...document.querySelectorAll('.rail__place')].map((link) =>"
         " [link.hasAttribute('aria-current'), getComputedStyle(link).backgroundColor])"
     )
     marked = {ground for is_current, ground in grounds if is_current}
