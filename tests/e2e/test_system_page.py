@@ -1,4 +1,4 @@
-"""Services, robots, gloves, Alerts and events with real services: health, alerts, the moving robot, events."""
+"""Services, robots, gloves, Alerts and events with real services, while the robot moves."""
 
 import json
 import re
