@@ -187,4 +187,4 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
     ]
     assert "Kim" not in kept
     leave(page, code)
-    page.get_by_role("navigation").wait_for()
+    page.get_by_role("navigation", name="Handover").wait_for()
