@@ -18,11 +18,11 @@ from handover_robots.robots import ROBOTS
 from handover_robots.robots.folder import read_folder
 from handover_robots.scene.reading import read_scene
 
-OWN = {name: ROBOTS.load(name) for name in ROBOTS.own}
-PLANNERS = {name: Planner(model) for name, model in OWN.items()}
-UNKNOWN = Planner(replace(OWN["ur5e"], name="mine", max_payload_kg=None))
 TOOLS_KG = {"ur10": 1.0, "ur5e": 1.0, "panda": 0.76}
 """The gripper with its fingers; the link that the gripper is fixed to is one of the robot."""
+OWN = {name: ROBOTS.load(name) for name in TOOLS_KG}
+PLANNERS = {name: Planner(model) for name, model in OWN.items()}
+UNKNOWN = Planner(replace(OWN["ur5e"], name="mine", max_payload_kg=None))
 
 
 def test_the_payload_of_our_robots_is_known() -> None:
