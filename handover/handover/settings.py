@@ -104,7 +104,11 @@ class Settings(BaseSettings):
         description="a service whose database another process holds waits for the end of that process; "
         "otherwise it ends with exit code 2 and names the holder",
     )
-    broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
+    broker_port: int = Field(1026, ge=1, le=65535, description="the port of the embedded broker")
+    broker_url: str = Field(
+        "http://127.0.0.1:1026",
+        description="the NGSI-LD broker, without /ngsi-ld/v1; the embedded one of this machine if absent",
+    )
     broker_token_file: MaybePath = Field(
         None,
         description="the file of a token for a broker of others, or the proxy before it, sent as "
@@ -334,14 +338,13 @@ class Settings(BaseSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _uses_tls_for_the_broker(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """With a certificate our own broker on this machine speaks TLS, too."""
-        if values.get("tls_certificate") and not values.get("broker_url"):
-            return {
-                **values,
-                "broker_url": cls.model_fields["broker_url"].default.replace("http", "https", 1),
-            }
-        return values
+    def _finds_the_embedded_broker(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Without another URL the broker is that of this machine, with TLS where there is a certificate."""
+        if values.get("broker_url"):
+            return values
+        scheme = "https" if values.get("tls_certificate") else "http"
+        port = values.get("broker_port") or cls.model_fields["broker_port"].default
+        return {**values, "broker_url": f"{scheme}://127.0.0.1:{port}"}
 
     @model_validator(mode="after")
     def _has_one_token_for_the_broker(self) -> Self:

@@ -258,7 +258,7 @@ def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> Non
 @pytest.mark.parametrize(
     ("setting", "complaint"),
     [
-        ("HANDOVER_ROBOT_MODEL", 'there is no robot "stedy"; there are: ur10, ur5e, panda, rail'),
+        ("HANDOVER_ROBOT_MODEL", 'there is no robot "stedy"; there are: panda, ur10, ur5e, rail'),
         (
             "HANDOVER_ROBOT",
             'there is no robot driver "stedy"; there are: simulated, physics, ros, steady, ur',

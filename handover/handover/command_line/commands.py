@@ -40,6 +40,7 @@ COMMANDS: Final = ExtensionPoint(
         "process": "handover-processes",
         "restore": "handover-cell",
         "robot": "handover-robots",
+        "robot.simulate-ur": "handover-ur",
         "secure": "handover-cell",
         "specification": "handover-gloves",
         "task": "handover-processes",
@@ -98,10 +99,11 @@ def _load(registered: str, name: str, all_names: Sequence[str]) -> Any:
     command.name = name
     command.params = [option for option in command.params if option.name not in COMPLETION]
     if isinstance(command, TyperGroup):
-        for below in all_names:
+        for below in dict.fromkeys((*all_names, *COMMANDS.parts)):
             parent, _, last = below.rpartition(".")
             if parent == registered:
                 command.add_command(_load(below, last, all_names), last)
+                command.commands[last].hidden = below not in all_names
     return command
 
 

@@ -29,7 +29,8 @@ def library(module: str) -> ModuleType:
         return importlib.import_module(f"mcap.{module}")
     except ImportError as error:
         raise UsageError(
-            f"mcap is not installed ({error}); {install_command('body')}, or with the extra whole-body"
+            f"mcap is not installed ({error}); for body signals {install_command('body')}, for humanoids "
+            f"{install_command('humanoid')}"
         ) from error
 
 

@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import Field, SecretStr
 
 from handover.errors import UsageError
@@ -64,6 +66,18 @@ def test_a_wrong_setting_is_named_in_one_line(monkeypatch: pytest.MonkeyPatch) -
 )
 def test_a_broker_url_is_taken_with_or_without_its_path(url: str) -> None:
     assert Settings.load(broker_url=url).broker_url == "http://broker:1026"
+
+
+@given(port=st.integers(1, 65535), has_certificate=st.booleans())
+def test_the_broker_is_that_of_this_machine_unless_a_url_names_another(
+    port: int, has_certificate: bool
+) -> None:
+    certificate = {"tls_certificate": Path("cell.pem")} if has_certificate else {}
+    scheme = "https" if has_certificate else "http"
+    settings = Settings.load(broker_port=port, **certificate)
+    assert settings.broker_url == f"{scheme}://127.0.0.1:{port}"
+    other = Settings.load(broker_port=port, broker_url="http://broker:1026", **certificate)
+    assert other.broker_url == "http://broker:1026"
 
 
 def test_names_are_listed_with_commas(monkeypatch: pytest.MonkeyPatch) -> None:

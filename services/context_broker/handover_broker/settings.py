@@ -21,7 +21,6 @@ DATABASE = "broker.db"
 class BrokerSettings(Settings):
     """Settings of the embedded broker."""
 
-    broker_port: int = Field(1026, ge=1, le=65535, description="the port of the embedded broker")
     broker_database_url: str | None = Field(
         None,
         pattern="^(postgres(ql)?://.*)?$",
@@ -89,12 +88,14 @@ class BrokerSettings(Settings):
     def _is_root(cls, url: str | None) -> str | None:
         return None if url is None else url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
-    broker_federation: bool = Field(
-        default=True,
-        description="whether the broker has context source registrations and entity maps, "
-        "and distributes operations",
+    broker_federation: bool | None = Field(
+        None,
+        description="whether the broker has context source registrations and entity maps, and distributes "
+        "operations; if absent, where the plugin is installed",
     )
-    broker_snapshots: bool = Field(default=True, description="whether the broker has snapshots")
+    broker_snapshots: bool | None = Field(
+        None, description="whether the broker has snapshots; if absent, where the plugin is installed"
+    )
     broker_health_types: Names = Field(
         ("HumanState", "PhysiologicalSession", "PressureMat"),
         description="types of entities about the body of a person, comma-separated; with accounts they are "
@@ -113,8 +114,10 @@ class BrokerSettings(Settings):
 
 def has_own_broker() -> bool:
     """Return whether the broker of the settings is the embedded one: at its port of this machine."""
-    url, port = urlsplit(Settings.load().broker_url), BrokerSettings.load().broker_port
-    return (url.port or (443 if url.scheme == "https" else 80)) == port and _is_here(url.hostname or "")
+    settings = Settings.load()
+    url = urlsplit(settings.broker_url)
+    port = url.port or (443 if url.scheme == "https" else 80)
+    return port == settings.broker_port and _is_here(url.hostname or "")
 
 
 def _is_here(host: str) -> bool:

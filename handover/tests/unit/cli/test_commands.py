@@ -99,6 +99,17 @@ def test_a_command_of_a_missing_part_names_its_distribution(
     assert "pip install --find-links dist handover-humanoid" in str(fault)
 
 
+def test_a_command_of_a_group_whose_part_is_missing_names_the_part_and_is_not_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    others = {name: points for name, points in COMMANDS._registered().items() if name != "robot.simulate-ur"}
+    monkeypatch.setattr(ExtensionPoint, "_registered", lambda self: others)
+    fault = CliRunner().invoke(app, ["robot", "simulate-ur", "--port", "1"]).exception
+    assert isinstance(fault, UsageError)
+    assert "pip install --find-links dist handover-ur" in str(fault)
+    assert "simulate-ur" not in CliRunner().invoke(app, ["robot", "--help"]).output
+
+
 def test_a_missing_part_is_named_instead_of_a_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from handover.distribution import install_part
+from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
 from handover.telemetry import get_logger
 from handover_broker.model.problems import not_supported
@@ -46,9 +47,18 @@ class Plugin:
     content: str
     setting: str
 
-    def factory(self, *, is_wanted: bool) -> Any:
-        """Return what makes the part; None if no package brings it. Raises `UsageError` if it is broken."""
-        factories = PLUGINS.load_registered((self.name,)) if is_wanted else []
+    def factory(self, *, is_wanted: bool | None) -> Any:
+        """Return what makes the part; None without it. `is_wanted` None means: if a package brings it.
+
+        Raises `UsageError` if it is broken, or wanted and not installed.
+        """
+        if is_wanted and self.name not in PLUGINS.names():
+            raise UsageError(
+                f"{self.setting}=true needs a plugin that is not installed: "
+                f"{install_part(PLUGINS.parts[self.name])}; without the setting the broker runs without "
+                f"{self.content}"
+            )
+        factories = PLUGINS.load_registered((self.name,)) if is_wanted is not False else []
         return factories[0] if factories else None
 
     def missing(self) -> str:

@@ -153,6 +153,16 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_the_broker_does_not_start
     assert 'the broker plugin "federation" (no_such_module:Federation) cannot be loaded' in reason
 
 
+@pytest.mark.parametrize("setting", ["HANDOVER_BROKER_FEDERATION", "HANDOVER_BROKER_SNAPSHOTS"])
+def test_a_part_that_is_asked_for_and_not_installed_stops_the_start(
+    without_plugin: dict[str, str], own_broker: BrokerProcess, setting: str
+) -> None:
+    own_broker.extra, own_broker.is_forked = {**without_plugin, setting: "true"}, False
+    reason = own_broker.refused_start()
+    assert f"{setting}=true needs a plugin that is not installed" in reason
+    assert "pip install --find-links dist handover-federation" in reason
+
+
 def test_a_switched_off_part_lists_the_same_operations(tmp_path: Path) -> None:
     def listed(**settings: bool) -> set[tuple[str, str, str, str]]:
         operations = operations_of(BrokerSettings(data_dir=tmp_path, **settings))  # type: ignore[arg-type]

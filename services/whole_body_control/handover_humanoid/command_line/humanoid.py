@@ -253,7 +253,7 @@ def figures(
         print(f"{file}: {record.time_s[-1] - record.time_s[0]:.0f} s{fell}")
 
 
-def _imported(*more: str, extra: str = "whole-body") -> Any:
+def _imported(*more: str, extra: str = "humanoid") -> Any:
     """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
     missing = [name for name in ("daqp", "mujoco", "pinocchio", *more) if find_spec(name) is None]
     if missing:

@@ -131,6 +131,6 @@ def _kernels() -> ModuleType:
         from handover_humanoid.solvers import kernels  # noqa: PLC0415 - numba is optional
     except ImportError as error:
         raise UsageError(
-            f"the compiled solver needs numba ({error}); {install_command('whole-body')}"
+            f"the compiled solver needs numba ({error}); {install_command('humanoid')}"
         ) from None
     return kernels

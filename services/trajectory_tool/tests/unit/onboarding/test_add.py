@@ -527,7 +527,7 @@ def test_the_command_prints_the_report_and_how_to_use_the_robot(tmp_path: Path) 
     assert "6 joints from the base to l6" in done.output
     assert "HANDOVER_ROBOT_MODEL=arm-1" in done.output
     listed = CliRunner().invoke(app, ["robot", "list", "--data-dir", str(tmp_path)])
-    assert [line.split()[0] for line in listed.output.splitlines()] == ["ur10", "ur5e", "panda", "arm-1"]
+    assert [line.split()[0] for line in listed.output.splitlines()] == ["panda", "ur10", "ur5e", "arm-1"]
 
 
 @pytest.mark.parametrize(

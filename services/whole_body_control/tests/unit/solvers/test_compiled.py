@@ -186,7 +186,7 @@ def test_without_numba_daqp_serves_and_says_so(monkeypatch: pytest.MonkeyPatch) 
         return original(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(UsageError, match="whole-body"):
+    with pytest.raises(UsageError, match=r"handover-cell\[humanoid\]"):
         Compiled()
     with capture_logs() as logged:
         solver = fastest_solver()
