@@ -230,6 +230,7 @@ python-check: setup
 	@$(BIN)/mypy
 	@$(foreach project,$(shell grep -l '^\[tool.importlinter' $(PROJECTS)),$(call contracts,$(project)) &&) true
 	@$(BIN)/python -m handover_datamodels.schemas --check
+	@$(BIN)/python -m handover_web.roles --check
 	@$(BIN)/python -m handover_web.types --check
 	@$(BIN)/python -m handover_web.service_types --check
 	@$(BIN)/python -m requirements.third_party --check
@@ -251,8 +252,9 @@ docs: setup  ## build the documentation site into build/site
 	@$(BIN)/python -m docs.site.diagrams
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-reference: setup  ## write the reference pages of the documentation from the code
+reference: setup  ## write the reference pages of the documentation, and the roles of the page, from the code
 	@$(BIN)/python -m docs.site.reference
+	@$(BIN)/python -m handover_web.roles
 
 third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed packages
 	@$(BIN)/python -m requirements.third_party

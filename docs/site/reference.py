@@ -25,6 +25,7 @@ from handover.command_line.commands import commands_of
 from handover.command_line.main import app as command_line
 from handover.extensions import Service, application_of
 from handover.security.guard import PUBLIC_PATHS, requirements
+from handover.security.permissions import Permission, Role
 from handover.services import own_services
 from handover.settings import PREFIX, Settings
 from handover_web.messages import found_messages, python_sources
@@ -68,6 +69,18 @@ As long as no account exists, every local caller may do everything. With account
 (`Authorization: Bearer`), and the column *Permission* names what the route asks: a permission, and the
 resource for which the caller needs a role that has it. A list concerns everything, so it asks for every
 resource.
+"""
+
+ROLES = f"""\
+# Roles
+
+{WRITTEN_BY}
+
+A grant gives a role for resources ([accounts](../how-to/accounts.md#roles-and-grants)). The table is that of
+`handover/handover/security/permissions.py`.
+
+| Role | Name on the page | What it may | Permissions |
+|---|---|---|---|
 """
 
 METRICS = f"""\
@@ -131,6 +144,15 @@ def settings_page() -> Iterator[str]:
             yield f"| {shown} | {read_by} |"
 
 
+def roles_page() -> Iterator[str]:
+    """Yield the lines of the page about roles."""
+    yield from ROLES.splitlines()
+    for role in Role:
+        name, may = role.texts["en"]
+        permissions = ", ".join(f"`{held}`" for held in Permission if held in role.permissions)
+        yield f"| `{role}` | {name} | {may} | {permissions} |"
+
+
 def cli_page() -> Iterator[str]:
     """Yield the lines of the page about the command line."""
     yield from CLI.splitlines()
@@ -178,6 +200,7 @@ WRITERS: Mapping[str, Callable[[], Iterator[str]]] = {
     "settings.md": settings_page,
     "cli.md": cli_page,
     "rest.md": rest_page,
+    "roles.md": roles_page,
     "metrics.md": metrics_page,
     "messages.md": messages_page,
 }

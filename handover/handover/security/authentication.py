@@ -24,7 +24,7 @@ from handover.security.audit_trail import current_request
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind, InvalidToken
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE, RELOAD_INTERVAL_S, KeysInForce
 from handover.security.local_mode import is_local
-from handover.security.permissions import READING, ROLE_PERMISSIONS, Grant, Permission, Role
+from handover.security.permissions import READING, Grant, Permission, Role
 from handover.security.protection import is_reachable_by_others
 from handover.security.resource_patterns import ANY_RESOURCE
 from handover.security.revocations import LONG_POLL_S, FollowedRevocations, RevocationState
@@ -277,7 +277,7 @@ def _unauthenticated(why: str) -> Problem:
 def not_allowed(caller: Caller, permission: Permission, resource: str = ANY_RESOURCE) -> Problem:
     """Return the problem of a caller without a permission: which one is missing, and which roles have it."""
     where = "" if resource == ANY_RESOURCE else f" for {resource}"
-    roles = [role for role in Role if role is not Role.SERVICE and permission in ROLE_PERMISSIONS[role]]
+    roles = [role for role in Role if role is not Role.SERVICE and permission in role.permissions]
     way_out = f"an admin can grant the role {' or '.join(roles)}" if roles else "only services have it"
     return Problem(
         403,

@@ -1,9 +1,10 @@
 """Permissions, the roles that include them, and grants of a role for resources."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from types import MappingProxyType
+from typing import Final, Self
 
 from handover.security.resource_patterns import ANY_RESOURCE, is_match
 
@@ -54,47 +55,118 @@ READING: Final = frozenset(
 """Permissions that neither move nor change anything; they hold without the stream of revocations."""
 
 
-class Role(StrEnum):
-    """What a grant gives.
-
-    A `service` is a process of ours, a `performer` the program of others that performs the Tasks of a Device;
-    people have the other roles.
-    """
-
-    VIEWER = "viewer"
-    OPERATOR = "operator"
-    ENGINEER = "engineer"
-    RESEARCHER = "researcher"
-    ADMIN = "admin"
-    PERFORMER = "performer"
-    SERVICE = "service"
-
-
 _VIEWER: Final = frozenset({Permission.READ})
 _OPERATOR: Final = _VIEWER | {Permission.PERFORM_TASKS, Permission.ACKNOWLEDGE_ALERTS}
-_ENGINEER: Final = _OPERATOR | {
-    Permission.RUN_PROCESSES,
-    Permission.DEPLOY_PROCESSES,
-    Permission.CONFIGURE,
-    Permission.MOVE_ROBOTS,
-    Permission.WRITE_ENTITIES,
-}
-_RESEARCHER: Final = _VIEWER | {
-    Permission.READ_STUDIES,
-    Permission.CONDUCT_STUDIES,
-    Permission.READ_HEALTH_DATA,
-}
-_ADMIN: Final = _VIEWER | {Permission.READ_AUDIT, Permission.MANAGE_PEOPLE, Permission.MANAGE_SETTINGS}
 
-ROLE_PERMISSIONS: Final[dict[Role, frozenset[Permission]]] = {
-    Role.VIEWER: _VIEWER,
-    Role.OPERATOR: _OPERATOR,
-    Role.ENGINEER: _ENGINEER,
-    Role.RESEARCHER: _RESEARCHER,
-    Role.ADMIN: _ADMIN,
-    Role.PERFORMER: _VIEWER | {Permission.WRITE_ENTITIES, Permission.PERFORM_FOR_DEVICES},
-    Role.SERVICE: frozenset(Permission) - {Permission.MANAGE_PEOPLE, Permission.READ_AUDIT},
-}
+Texts = Mapping[str, tuple[str, str]]
+"""By language: the name of a role, and a sentence about what it may do."""
+_NO_TEXTS: Final[Texts] = MappingProxyType({})
+
+
+class Role(StrEnum):
+    """What a grant gives; its value is what databases, tokens and the REST interface have.
+
+    A `service` is a process of ours, a `performer` the program of others that performs the Tasks of a Device;
+    people have the other roles. A new role is one entry here; then `make reference` writes what the page and
+    the documentation have of it.
+    """
+
+    permissions: frozenset[Permission]
+    texts: Texts
+
+    def __new__(
+        cls, value: str, permissions: frozenset[Permission] = frozenset(), texts: Texts = _NO_TEXTS
+    ) -> Self:
+        """Make a member; type checkers want the defaults for `Role(value)`, which looks one up."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.permissions, member.texts = permissions, texts
+        return member
+
+    @property
+    def is_of_people(self) -> bool:
+        """Return whether people have it, and the page offers it."""
+        return self not in {Role.PERFORMER, Role.SERVICE}
+
+    VIEWER = (
+        "viewer",
+        _VIEWER,
+        {
+            "en": ("Viewer", "May see processes, tasks, devices, alerts and robots."),
+            "de": ("Betrachter", "Darf Prozesse, Aufgaben, Geräte, Alarme und Roboter sehen."),
+            "fi": ("Katselija", "Näkee prosessit, tehtävät, laitteet, hälytykset ja robotit."),
+        },
+    )
+    OPERATOR = (
+        "operator",
+        _OPERATOR,
+        {
+            "en": ("Operator", "May also perform tasks and acknowledge alerts."),
+            "de": ("Bediener", "Darf außerdem Aufgaben ausführen und Alarme quittieren."),
+            "fi": ("Käyttäjä", "Saa lisäksi suorittaa tehtäviä ja kuitata hälytyksiä."),
+        },
+    )
+    ENGINEER = (
+        "engineer",
+        _OPERATOR
+        | {
+            Permission.RUN_PROCESSES,
+            Permission.DEPLOY_PROCESSES,
+            Permission.CONFIGURE,
+            Permission.MOVE_ROBOTS,
+            Permission.WRITE_ENTITIES,
+        },
+        {
+            "en": ("Engineer", "May also deploy and run processes, configure, and move robots."),
+            "de": (
+                "Ingenieur",
+                "Darf außerdem Prozesse bereitstellen und steuern, konfigurieren und Roboter bewegen.",
+            ),
+            "fi": (
+                "Insinööri",
+                "Saa lisäksi ottaa käyttöön ja ajaa prosesseja, määrittää asetuksia ja liikuttaa robotteja.",
+            ),
+        },
+    )
+    RESEARCHER = (
+        "researcher",
+        _VIEWER | {Permission.READ_STUDIES, Permission.CONDUCT_STUDIES, Permission.READ_HEALTH_DATA},
+        {
+            "en": ("Researcher", "May see, conduct and read studies, and read body signals."),
+            "de": ("Forscher", "Darf sehen, Studien durchführen und lesen sowie Körpersignale lesen."),
+            "fi": ("Tutkija", "Saa katsella, tehdä ja lukea tutkimuksia sekä lukea kehon signaaleja."),
+        },
+    )
+    ADMIN = (
+        "admin",
+        _VIEWER | {Permission.READ_AUDIT, Permission.MANAGE_PEOPLE, Permission.MANAGE_SETTINGS},
+        {
+            "en": ("Administrator", "May see, manage people and settings, and read the audit log."),
+            "de": (
+                "Administrator",
+                "Darf sehen, Personen und Einstellungen verwalten und das Audit-Protokoll lesen.",
+            ),
+            "fi": ("Ylläpitäjä", "Saa katsella, hallita ihmisiä ja asetuksia sekä lukea tarkastuslokia."),
+        },
+    )
+    PERFORMER = (
+        "performer",
+        _VIEWER | {Permission.WRITE_ENTITIES, Permission.PERFORM_FOR_DEVICES},
+        {
+            "en": ("Performer", "A program that performs the Tasks of one Device."),
+            "de": ("Ausführendes Programm", "Ein Programm, das die Aufgaben eines Geräts ausführt."),
+            "fi": ("Suorittava ohjelma", "Ohjelma, joka suorittaa yhden laitteen tehtävät."),
+        },
+    )
+    SERVICE = (
+        "service",
+        frozenset(Permission) - {Permission.MANAGE_PEOPLE, Permission.READ_AUDIT},
+        {
+            "en": ("Service", "A process of Handover itself."),
+            "de": ("Dienst", "Ein Prozess von Handover selbst."),
+            "fi": ("Palvelu", "Handoverin oma prosessi."),
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +178,10 @@ class Grant:
 
     def allows(self, permission: Permission, resource: str) -> bool:
         """Return whether the grant includes `permission` for `resource` (an entity id or `*`)."""
-        return permission in ROLE_PERMISSIONS[self.role] and is_match(self.resource, resource)
+        return permission in self.role.permissions and is_match(self.resource, resource)
 
 
-OWNER_GRANTS: Final = tuple(Grant(role) for role in Role if role not in {Role.SERVICE, Role.PERFORMER})
+OWNER_GRANTS: Final = tuple(Grant(role) for role in Role if role.is_of_people)
 """The grants of the owner of an installation: every role of people, for every resource."""
 
 
@@ -120,4 +192,4 @@ def is_allowed(grants: Iterable[Grant], permission: Permission, resource: str = 
 
 def is_allowed_somewhere(grants: Iterable[Grant], permission: Permission) -> bool:
     """Return whether one of `grants` includes `permission` for any resource at all."""
-    return any(permission in ROLE_PERMISSIONS[grant.role] for grant in grants)
+    return any(permission in grant.role.permissions for grant in grants)

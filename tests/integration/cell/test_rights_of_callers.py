@@ -20,7 +20,7 @@ from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Requirement, _walk
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
-from handover.security.permissions import ROLE_PERMISSIONS, Grant, Permission, Role
+from handover.security.permissions import Grant, Permission, Role
 from handover.services import all_services, service_named
 from handover.serving.leadership import OnlyLeading
 from handover_humanoid.running.sessions.store import SessionStore
@@ -233,7 +233,7 @@ def routes_of(apps: dict[str, FastAPI]) -> list[Route]:
 async def test_no_route_of_any_service_answers_a_user_whose_roles_lack_its_permission(
     apps: dict[str, FastAPI], role: Role | None
 ) -> None:
-    held = ROLE_PERMISSIONS[role] if role else frozenset()
+    held = role.permissions if role else frozenset()
     allowed = (
         *(DELETE_A_PERSON if Permission.MANAGE_PEOPLE in held else ()),
         *(SEE_WHO_LOOKED if Permission.READ_AUDIT in held else ()),

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind
 from handover.security.permissions import (
-    ROLE_PERMISSIONS,
     Grant,
     Permission,
     Role,
@@ -68,7 +67,7 @@ def test_no_role_has_the_permissions_of_another(role: Role, permission: Permissi
 
 
 def test_everybody_with_a_role_may_see_the_cell_and_the_owner_may_do_everything() -> None:
-    assert all(Permission.READ in permissions for permissions in ROLE_PERMISSIONS.values())
+    assert all(Permission.READ in role.permissions for role in Role)
     assert {permission for permission in Permission if not LOCAL_OWNER.may(permission)} == {
         Permission.VERIFY_CALLERS,
         Permission.PERFORM_FOR_DEVICES,

@@ -12,16 +12,16 @@ const MAX_SHOWN = 60;
 const SEARCHED_FROM = 8;
 
 export function GrantForm({ draft, onChange }: { draft: GrantDraft; onChange: (draft: GrantDraft) => void }) {
-  const { t } = useTranslation(["accounts", "rights"]);
+  const { t } = useTranslation(["accounts", "roles"]);
   return (
     <>
       <Select
         label={t("grants.role")}
         value={draft.role}
-        options={ROLES.map((value) => ({ value, name: t(`rights:role.${value}`) }))}
-        onChange={(role) => onChange({ ...draft, role: ROLES.find((one) => one === role) ?? "viewer" })}
+        options={ROLES.map((value) => ({ value, name: t(`roles:name.${value}`) }))}
+        onChange={(role) => onChange({ ...draft, role })}
       />
-      <p className="quiet small">{t(`rights:may.${draft.role}`)}</p>
+      <p className="quiet small">{t(`roles:may.${draft.role}`)}</p>
       <Select
         label={t("grants.for")}
         value={draft.scope}

@@ -6,25 +6,25 @@ import { byRole, EVERYTHING, resourceName, type GrantView } from "./accounts";
 
 /** "Engineer (ur10-1, nao-1), Viewer" in one line. */
 export function useGrantWords(): (grants: readonly { role: string; resource: string }[]) => string {
-  const { t } = useTranslation(["accounts", "rights"]);
+  const { t } = useTranslation(["accounts", "roles"]);
   return (grants) =>
     byRole(grants)
       .map(({ role, grants: of }) => {
-        const name = t(`rights:role.${role}`, { defaultValue: role });
+        const name = t(`roles:name.${role}`, { defaultValue: role });
         return of.some(({ resource }) => resource === EVERYTHING) ? name : `${name} (${of.map(({ resource }) => resourceName(resource)).join(", ")})`;
       })
       .join(", ") || t("grants.none");
 }
 
 export function GrantList({ grants, onRemove }: { grants: readonly GrantView[]; onRemove: (grant: GrantView) => void }) {
-  const { t } = useTranslation(["accounts", "rights"]);
+  const { t } = useTranslation(["accounts", "roles"]);
   if (grants.length === 0) return <p className="quiet">{t("grants.noneMeans")}</p>;
   return (
     <ul className="accounts__grants">
       {byRole(grants).map(({ role, grants: of }) => (
         <li key={role}>
-          <strong>{t(`rights:role.${role}`, { defaultValue: role })}</strong>
-          <p className="quiet small">{t(`rights:may.${role}`, { defaultValue: "" })}</p>
+          <strong>{t(`roles:name.${role}`, { defaultValue: role })}</strong>
+          <p className="quiet small">{t(`roles:may.${role}`, { defaultValue: "" })}</p>
           <ul className="accounts__chips">
             {of.map((grant) => {
               const resource = grant.resource === EVERYTHING ? t("grants.everything") : resourceName(grant.resource);
@@ -33,7 +33,7 @@ export function GrantList({ grants, onRemove }: { grants: readonly GrantView[]; 
                   <span>{resource}</span>
                   <Button
                     kind="quiet"
-                    label={t("grants.remove", { role: t(`rights:role.${role}`, { defaultValue: role }), resource })}
+                    label={t("grants.remove", { role: t(`roles:name.${role}`, { defaultValue: role }), resource })}
                     icon={<Trash2 aria-hidden size={16} />}
                     onPress={() => onRemove(grant)}
                   />

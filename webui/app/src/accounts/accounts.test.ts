@@ -2,6 +2,7 @@
 import i18next from "i18next";
 import { beforeAll, describe, expect, it } from "vitest";
 import rights from "~/i18n/en/rights.json";
+import roles from "~/i18n/en/roles.json";
 import { missingRight } from "~/session/rights";
 import { byRole, deviceName, resourceName } from "./accounts";
 import { grantsOf, NEW_DRAFT, resourcesOf } from "./grants";
@@ -54,7 +55,7 @@ it("names the browser and the system of a session", () => {
 });
 
 describe("a refusal", () => {
-  beforeAll(() => i18next.init({ lng: "en", resources: { en: { rights } } }));
+  beforeAll(() => i18next.init({ lng: "en", resources: { en: { rights, roles } } }));
 
   it("names the missing permission, its resource, and the roles that have it", () => {
     const text = missingRight({ permission: "moveRobots", resource: UR10, roles: ["engineer"] });

@@ -6,13 +6,13 @@ import type {
 import { errorText, request, requestService } from "~/api/http";
 import { queryClient } from "~/api/useServiceQuery";
 import { shortName } from "~/live/urn";
+import roles from "~/session/roles.json";
 
 export type { AccountRequestView, DeletedUser, GrantBody, GrantView, IssuedToken, LinkView, NewLink, SessionView, TokenView, UserView };
 
 export const SERVICE = "accounts";
 /** The roles that the page offers. A performer is a program: `handover component add` makes its token and its file. */
-export const ROLES = ["viewer", "operator", "engineer", "researcher", "admin"] as const;
-export type Role = (typeof ROLES)[number];
+export const ROLES: readonly string[] = roles.roles;
 export const EVERYTHING = "*";
 const USERS_A_PAGE = 500;
 
@@ -115,8 +115,7 @@ export function addressOf(link: NewLink): string {
 
 /** The grants by role, in the order of the roles and then others, each with its resources. */
 export function byRole<T extends { role: string; resource: string }>(grants: readonly T[]): { role: string; grants: T[] }[] {
-  const ordered: readonly string[] = ROLES;
-  const order = (role: string) => (ordered.includes(role) ? ordered.indexOf(role) : ordered.length);
+  const order = (role: string) => (ROLES.includes(role) ? ROLES.indexOf(role) : ROLES.length);
   const roles = [...new Set(grants.map(({ role }) => role))].sort((a, b) => order(a) - order(b));
   return roles.map((role) => ({ role, grants: grants.filter((grant) => grant.role === role) }));
 }

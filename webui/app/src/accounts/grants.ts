@@ -1,13 +1,13 @@
 /** Drafts of grants: a role for everything, for some of what exists, or for a pattern. */
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { shortName } from "~/live/urn";
-import { EVERYTHING, type GrantBody, type Role } from "./accounts";
+import { EVERYTHING, type GrantBody } from "./accounts";
 
 export const SCOPES = ["all", "some", "pattern"] as const;
 export type Scope = (typeof SCOPES)[number];
 
 export interface GrantDraft {
-  role: Role;
+  role: string;
   scope: Scope;
   chosen: ReadonlySet<string>;
   pattern: string;

@@ -38,7 +38,7 @@ const contents: Record<View, () => React.JSX.Element> = {
 
 export default function PeoplePage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
-  const { t } = useTranslation(["accounts", "people", "hand", "rights", "common"]);
+  const { t } = useTranslation(["accounts", "people", "hand", "rights", "roles", "common"]);
   const [asked, setView] = useChoice<View>("view", VIEW_NAMES, "gestures");
   const { hasAccounts } = useSession();
   const view = VIEWS.find(({ name }) => name === asked) ?? VIEWS[0];

@@ -14,7 +14,7 @@ export function MayNot(props: MayNotProps) {
 }
 
 function Missing({ permission, className = "quiet" }: MayNotProps) {
-  useTranslation("rights");
+  useTranslation(["rights", "roles"]);
   useAdmins();
   return <p className={className}>{missingRight({ permission, roles: rolesWith(permission) })}</p>;
 }

@@ -12,7 +12,7 @@ let known: readonly string[] = [];
 export function loadAdmins(): Promise<readonly string[]> {
   if (!currentSession().hasAccounts) return Promise.resolve([]);
   if (loaded === null || Date.now() - loaded.atMs > KEPT_MS) {
-    const names = Promise.all([fetch("/api/accounts/admins", { headers: { Accept: "application/json" } }), i18next.loadNamespaces("rights")]).then(
+    const names = Promise.all([fetch("/api/accounts/admins", { headers: { Accept: "application/json" } }), i18next.loadNamespaces(["rights", "roles"])]).then(
       async ([answer]) => {
         known = answer.ok ? ((await answer.json()) as string[]) : known;
         return known;
@@ -44,7 +44,7 @@ export function missingRight(problem: Readonly<Record<string, unknown>>): string
   if (typeof permission !== "string" || !i18next.exists(`rights:permission.${permission}`)) return null;
   const missing = i18next.t(`rights:permission.${permission}`);
   const what = typeof resource === "string" && resource !== "*" ? i18next.t("rights:missingFor", { permission: missing, resource: shortName(resource) }) : i18next.t("rights:missing", { permission: missing });
-  const having = Array.isArray(roles) ? roles.map((role) => i18next.t(`rights:role.${String(role)}`, { defaultValue: String(role) })) : [];
+  const having = Array.isArray(roles) ? roles.map((role) => i18next.t(`roles:name.${String(role)}`, { defaultValue: String(role) })) : [];
   if (having.length === 0) return what;
   const who = known.length === 0 ? i18next.t("rights:anyAdmin", { roles: having.join(", ") }) : i18next.t("rights:admins", { roles: having.join(", "), names: known.join(", ") });
   return `${what} ${who}`;

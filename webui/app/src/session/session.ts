@@ -1,6 +1,6 @@
 /** Who is signed in. Loaded before the page is rendered; signing in and out loads the page again. */
 import { useSyncExternalStore } from "react";
-import rolesOf from "./roles.json";
+import roles from "./roles.json";
 
 export interface SignedInUser {
   subject: string;
@@ -56,11 +56,11 @@ export function isSignedIn(): boolean {
   return !session.hasAccounts || session.user !== null;
 }
 
-export type Permission = keyof typeof rolesOf;
+export type Permission = keyof typeof roles.having;
 
 /** The roles that include a permission. */
 export function rolesWith(permission: Permission): readonly string[] {
-  return rolesOf[permission];
+  return roles.having[permission];
 }
 
 export function mayDo(permission: Permission): boolean {
