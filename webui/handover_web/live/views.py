@@ -13,7 +13,8 @@ from typing import Any, Literal, NotRequired
 from pydantic import ConfigDict
 from typing_extensions import TypedDict
 
-Status = Literal["pending", "assigned", "inProgress", "completed", "paused", "failed"]
+from handover_web.live.tasklist_view import Status, TasklistView
+
 DeviceState = Literal["ok", "idle", "busy", "paused", "charging", "outOfBattery", "forMaintenance", "error"]
 Severity = Literal["informational", "low", "medium", "high", "critical"]
 Finger = Literal["thumb", "index", "middle", "ring", "little"]
@@ -269,31 +270,6 @@ class RobotView(TypedDict):
     remainingS: float | None
     controlledBy: str | None
     waitingForControl: list[WaitingPerson]
-
-
-class TasklistView(TypedDict):
-    """Topic `tasklist/<urn>`: an open Task for people, without its form and history.
-
-    It is offered to `persons` (names or URNs) and `groups`. `claimedBy` is the person who has claimed it,
-    `declinedBy` are those who have declined it. A Task that a component performs is not claimable.
-    """
-
-    id: str
-    name: str
-    description: str | None
-    process: str
-    element: str
-    status: Status
-    persons: list[str]
-    groups: list[str]
-    claimedBy: str | None
-    declinedBy: list[str]
-    isClaimable: bool
-    since: str | None
-    deadline: str | None
-    dueDate: str | None
-    followUpDate: str | None
-    priority: int | None
 
 
 class AcknowledgementView(TypedDict):

@@ -4,18 +4,14 @@ import { createRef } from "react";
 import { beforeAll, beforeEach, expect, test, vi } from "vitest";
 import { initI18n, setLanguage } from "~/i18n";
 import type { TasklistView } from "~/live/messages";
-import { at } from "~/testing/views";
+import { at, listedTask } from "~/testing/views";
 import { listedTasks } from "./list";
 import { TaskList } from "./TaskList";
 
 const WHO = { name: "Anna", groups: [] };
 
 function task(nth: number): TasklistView {
-  return {
-    id: `urn:ngsi-ld:Task:demo:p-${nth}-weigh-1`, name: `Weigh ${nth}`, description: null, process: `p-${nth}`, element: "weigh",
-    status: "pending", persons: [], groups: [], claimedBy: nth % 2 === 0 ? "Anna" : null, declinedBy: [], isClaimable: true,
-    since: at(nth), deadline: null, dueDate: null, followUpDate: null, priority: null,
-  };
+  return listedTask({ id: `urn:ngsi-ld:Task:demo:p-${nth}-weigh-1`, name: `Weigh ${nth}`, process: `p-${nth}`, claimedBy: nth % 2 === 0 ? "Anna" : null, since: at(nth) });
 }
 
 beforeAll(async () => {

@@ -1,17 +1,9 @@
 import { expect, it } from "vitest";
 import type { TasklistView } from "~/live/messages";
-import { at, atMs, process } from "~/testing/views";
+import { at, atMs, listedTask as task, process } from "~/testing/views";
 import { isInView, isLater, listedTasks, markOf, matches, sorted, urgencyOf, VIEWS, type Identity, type Order } from "./list";
 
 const anna: Identity = { name: "Anna", groups: ["Packing"] };
-
-function task(over: Partial<TasklistView> = {}): TasklistView {
-  return {
-    id: "urn:ngsi-ld:Task:demo:p-1-weigh-2", name: "Weigh", description: null, process: "p-1", element: "weigh", status: "pending",
-    persons: [], groups: [], claimedBy: null, declinedBy: [], isClaimable: true, since: at(0), deadline: null, dueDate: null,
-    followUpDate: null, priority: null, ...over,
-  };
-}
 
 const viewsOf = (over: Partial<TasklistView>) => VIEWS.filter((view) => isInView(task(over), view, anna));
 

@@ -1,5 +1,6 @@
 /** Tasks and processes for tests, in the format of the orchestrator. */
 import type { IncidentView, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
+import type { TasklistView } from "~/live/messages";
 
 const START = Date.parse("2026-03-02T08:00:00Z");
 
@@ -81,5 +82,14 @@ export function incident(over: Partial<IncidentView> = {}): IncidentView {
     task: "urn:ngsi-ld:Task:demo:bin-picking-1-pick-1",
     code: null,
     ...over,
+  };
+}
+
+/** A Task in the tasklist that is offered to everybody. */
+export function listedTask(over: Partial<TasklistView> = {}): TasklistView {
+  return {
+    id: "urn:ngsi-ld:Task:demo:p-1-weigh-2", name: "Weigh", description: null, process: "p-1", element: "weigh", status: "pending",
+    persons: [], groups: [], claimedBy: null, declinedBy: [], isClaimable: true, since: at(0), deadline: null, dueDate: null,
+    followUpDate: null, priority: null, ...over,
   };
 }
