@@ -40,6 +40,13 @@ EVENTS = frozenset(
 GATEWAYS = frozenset({Kind.EXCLUSIVE, Kind.INCLUSIVE, Kind.PARALLEL, Kind.EVENT_BASED})
 ACTIVITIES = frozenset(Kind) - EVENTS - GATEWAYS
 
+REFUSED: Mapping[str, str] = {
+    "transaction": "draw an embedded subprocess with compensation instead",
+    "adHocSubProcess": "draw its activities with sequence flows or parallel gateways instead",
+    "complexGateway": "draw it with exclusive, inclusive and parallel gateways instead",
+}
+"""Flow nodes that are no `Kind` yet, and the way out; one that becomes a kind leaves this table."""
+
 
 @dataclass(frozen=True, slots=True)
 class DataAssociation:

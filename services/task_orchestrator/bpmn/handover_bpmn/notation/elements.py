@@ -6,18 +6,11 @@ from dataclasses import dataclass, field
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.model import Kind
+from handover_bpmn.model import REFUSED, Kind
 from handover_bpmn.notation.document import children, flag, is_bpmn, local, namespace, text
 from handover_bpmn.notation.faults import Findings
 
 KINDS: Mapping[str, Kind] = {kind.value: kind for kind in Kind}
-
-REFUSED: Mapping[str, str] = {
-    "transaction": "draw an embedded subprocess with compensation instead",
-    "adHocSubProcess": "draw its activities with sequence flows or parallel gateways instead",
-    "complexGateway": "draw it with exclusive, inclusive and parallel gateways instead",
-}
-"""Flow nodes that the engine does not support yet, and the way out."""
 
 HARMLESS = frozenset(
     {

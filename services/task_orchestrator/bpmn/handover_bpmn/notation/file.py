@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 from lxml import etree
 
 from handover.messages import message
-from handover_bpmn.model import Activity, Definition, Fault, Node, Scope, StartForm
+from handover_bpmn.model import REFUSED, Activity, Definition, Fault, Node, Scope, StartForm
 from handover_bpmn.notation.context import Context
 from handover_bpmn.notation.dialects.choice import Dialects
 from handover_bpmn.notation.document import BPMN, documentation, is_none_start, local, parse
 from handover_bpmn.notation.elements import (
     KINDS,
-    REFUSED,
     Collaboration,
     Declarations,
     executable_processes,

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 from handover.messages import message
 from handover_bpmn.model import (
-    ACTIVITIES,
     GATEWAYS,
     CompensateEvent,
     Fault,
@@ -26,8 +25,6 @@ from handover_bpmn.notation.scope_graph import ScopeGraph, flow_fault, node_faul
 MAX_NODES = 3_000
 MAX_FLOWS = 6_000
 """Of a process with all its scopes."""
-
-_CONDITIONAL = ACTIVITIES | {Kind.EXCLUSIVE, Kind.INCLUSIVE}
 
 
 @dataclass
@@ -140,7 +137,7 @@ class _Rules:
         source = self.scope.nodes.get(flow.source)
         if flow.condition is None or source is None or flow.id in self.broken:
             return
-        if source.kind not in _CONDITIONAL:
+        if not NODE_TYPES[source.kind].has_conditions:
             self.warnings.append(
                 flow_fault(
                     flow,
@@ -250,7 +247,7 @@ class _Rules:
                     what="an event subprocess" if node.triggered_by_event else "a compensation activity",
                 ),
             )
-        is_join = node.kind in GATEWAYS - {Kind.EVENT_BASED} and len(incoming) > 1
+        is_join = type_.joins and len(incoming) > 1
         if node.kind in GATEWAYS and not outgoing and not is_join:
             yield node_fault(
                 node,

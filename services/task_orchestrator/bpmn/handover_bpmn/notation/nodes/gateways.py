@@ -79,8 +79,10 @@ def _check_event_gateway(node: Node, graph: ScopeGraph) -> Iterator[Fault]:
 
 
 NODE_TYPES = (
-    NodeType(Kind.EXCLUSIVE, _read_gateway, _GATEWAY_PARTS, check=_check_choice),
-    NodeType(Kind.INCLUSIVE, _read_gateway, _GATEWAY_PARTS),
-    NodeType(Kind.PARALLEL, _read_gateway, _GATEWAY_PARTS),
+    NodeType(
+        Kind.EXCLUSIVE, _read_gateway, _GATEWAY_PARTS, has_conditions=True, joins=True, check=_check_choice
+    ),
+    NodeType(Kind.INCLUSIVE, _read_gateway, _GATEWAY_PARTS, has_conditions=True, joins=True),
+    NodeType(Kind.PARALLEL, _read_gateway, _GATEWAY_PARTS, joins=True),
     NodeType(Kind.EVENT_BASED, _read_event_gateway, _GATEWAY_PARTS, check=_check_event_gateway),
 )

@@ -51,5 +51,9 @@ class NodeType:
     """Whether a sequence flow may lead to it."""
     has_outgoing: bool = True
     """Whether a sequence flow may leave it."""
+    has_conditions: bool = False
+    """Whether conditions of the sequence flows that leave it have an effect."""
+    joins: bool = False
+    """Whether it may be an end: where several sequence flows meet and none leaves."""
     check: Callable[[Node, ScopeGraph], Iterator[Fault]] = no_faults
     """Yields the faults of a node of this kind in its scope."""

@@ -136,14 +136,14 @@ def _read_subprocess(
 
 
 NODE_TYPES = (
-    NodeType(Kind.TASK, _read_task, ACTIVITY_PARTS),
-    NodeType(Kind.USER_TASK, _read_task, ACTIVITY_PARTS),
-    NodeType(Kind.MANUAL_TASK, _read_task, ACTIVITY_PARTS),
-    NodeType(Kind.SERVICE_TASK, _read_task, ACTIVITY_PARTS),
-    NodeType(Kind.BUSINESS_RULE_TASK, _read_task, ACTIVITY_PARTS),
-    NodeType(Kind.SCRIPT_TASK, _read_script_task, ACTIVITY_PARTS | {"script"}),
-    NodeType(Kind.SEND_TASK, _read_message_task, ACTIVITY_PARTS),
-    NodeType(Kind.RECEIVE_TASK, _read_message_task, ACTIVITY_PARTS),
-    NodeType(Kind.CALL_ACTIVITY, _read_call, ACTIVITY_PARTS),
-    NodeType(Kind.SUB_PROCESS, _read_subprocess, None),
+    NodeType(Kind.TASK, _read_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.USER_TASK, _read_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.MANUAL_TASK, _read_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.SERVICE_TASK, _read_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.BUSINESS_RULE_TASK, _read_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.SCRIPT_TASK, _read_script_task, ACTIVITY_PARTS | {"script"}, has_conditions=True),
+    NodeType(Kind.SEND_TASK, _read_message_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.RECEIVE_TASK, _read_message_task, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.CALL_ACTIVITY, _read_call, ACTIVITY_PARTS, has_conditions=True),
+    NodeType(Kind.SUB_PROCESS, _read_subprocess, None, has_conditions=True),
 )
