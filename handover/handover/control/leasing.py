@@ -15,6 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from handover.control.lease import Lease, Leases
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
@@ -219,18 +220,15 @@ def add_lease_routes(
     app: FastAPI, require_robot: Callable[[str], object], leases: Leases, sessions: OpenSessions
 ) -> None:
     """Add the routes of leases; `require_robot` raises `Problem` for a robot that is unknown."""
+    routes = TaggedRoutes(app, "control")
 
-    @app.get("/robots/{robot}/control", tags=["control"], dependencies=[require(Permission.READ, OF_ROBOT)])
+    @routes.get("/robots/{robot}/control", dependencies=[require(Permission.READ, OF_ROBOT)])
     async def control_of(robot: str) -> LeaseView:
         """Return who controls a robot, and who waits for the control."""
         require_robot(robot)
         return view_of(robot, leases)
 
-    @app.delete(
-        "/robots/{robot}/control",
-        tags=["control"],
-        dependencies=[require(Permission.MANAGE_SETTINGS, OF_ROBOT)],
-    )
+    @routes.delete("/robots/{robot}/control", dependencies=[require(Permission.MANAGE_SETTINGS, OF_ROBOT)])
     @lowers()
     async def revoke(robot: str) -> LeaseView:
         """Take the control of a robot away from the person who has it; the robot stops."""
@@ -241,7 +239,7 @@ def add_lease_routes(
             log.info("control taken away", robot=robot, holder=ended.name)
         return view_of(robot, leases)
 
-    @app.post("/robots/{robot}/control/hand-over", tags=["control"])
+    @routes.post("/robots/{robot}/control/hand-over")
     async def hand_over(
         robot: str, body: HandOver, caller: Annotated[Caller, require(Permission.MOVE_ROBOTS, OF_ROBOT)]
     ) -> LeaseView:

@@ -4,6 +4,7 @@ Every refusal is a problem document (RFC 7807). FastAPI describes one of its own
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
 
@@ -30,6 +31,17 @@ _OF_BODIES: Final = (413, 415, 422)
 _OF_CHANGES: Final = (404, 429)
 _OF_STATES: Final = (409,)
 _CHANGES: Final = frozenset({"post", "put", "patch", "delete"})
+
+
+class TaggedRoutes:
+    """The decorators that add routes to an application; the document lists the routes under one tag."""
+
+    def __init__(self, app: FastAPI, tag: str) -> None:
+        self.get = partial(app.get, tags=[tag])
+        self.post = partial(app.post, tags=[tag])
+        self.put = partial(app.put, tags=[tag])
+        self.patch = partial(app.patch, tags=[tag])
+        self.delete = partial(app.delete, tags=[tag])
 
 
 def sends(*media_types: str, or_json: Any = None) -> dict[int | str, dict[str, Any]]:

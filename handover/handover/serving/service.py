@@ -31,7 +31,7 @@ from starlette.websockets import WebSocket
 from handover.database.outage import outage_problem
 from handover.errors import ChangeMade, Problem
 from handover.formats.validation import fault_text
-from handover.http.api_description import describe_problems, sends
+from handover.http.api_description import TaggedRoutes, describe_problems, sends
 from handover.http.api_docs import add_docs
 from handover.http.body_limit import limit_of, limited
 from handover.http.origin_guard import REFUSED
@@ -197,13 +197,14 @@ def _guarded(guard: Guard, audit: AuditTrail | None, lifespan: Lifespan[FastAPI]
 
 def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
     """Add the routes for operators and orchestration platforms."""
+    routes = TaggedRoutes(app, "operations")
 
-    @app.get("/healthz", tags=["operations"])
+    @routes.get("/healthz")
     async def healthz() -> dict[str, str]:
         """Return that the process runs."""
         return {"status": "ok"}
 
-    @app.get("/readyz", tags=["operations"], response_model=dict[str, str])
+    @routes.get("/readyz", response_model=dict[str, str])
     async def readyz() -> Response:
         """Return whether all dependencies are ready: 200, or 503 with those that are not."""
         reasons = await asyncio.gather(*map(_failure_of, checks.values()))
@@ -211,17 +212,12 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
         status = HTTPStatus.SERVICE_UNAVAILABLE if failures else HTTPStatus.OK
         return JSONResponse({"status": "not ready" if failures else "ready", **failures}, status)
 
-    @app.get("/metrics", tags=["operations"], response_class=Response, responses=sends("text/plain"))
+    @routes.get("/metrics", response_class=Response, responses=sends("text/plain"))
     async def metrics() -> Response:
         """Return the metrics of this process in the Prometheus text format."""
         return Response(generate_latest(), media_type=CONTENT_TYPE_LATEST)
 
-    @app.get(
-        "/context.jsonld",
-        tags=["operations"],
-        response_class=Response,
-        responses=sends("application/ld+json"),
-    )
+    @routes.get("/context.jsonld", response_class=Response, responses=sends("application/ld+json"))
     async def context() -> Response:
         """Return our @context."""
         from handover_datamodels.contexts import handover_context  # noqa: PLC0415 - read only when somebody asks

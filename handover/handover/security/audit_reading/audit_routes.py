@@ -13,7 +13,7 @@ from sqlalchemy import Connection
 from typing_extensions import TypedDict
 
 from handover.formats.tables import csv_table
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.security.audit import AuditFilter, AuditLog, AuditRecord
 from handover.security.caller import Caller
 from handover.security.guard import require
@@ -99,8 +99,9 @@ def add_audit_routes(
     app: FastAPI, source: AuditSource, names: Names = lambda _: {}, *, prefix: str = ""
 ) -> None:
     """Add the routes below `prefix`; filters: subject, part of action or resource, outcome, times in ms."""
+    routes = TaggedRoutes(app, "audit")
 
-    @app.get(f"{prefix}/audit", tags=["audit"])
+    @routes.get(f"{prefix}/audit")
     async def audit_records(
         _: Auditor,
         chosen: Chosen,
@@ -122,7 +123,7 @@ def add_audit_routes(
         views: list[AuditView] = await source.read(read)
         return views
 
-    @app.get(f"{prefix}/audit/verification", tags=["audit"])
+    @routes.get(f"{prefix}/audit/verification")
     async def audit_verification(_: Auditor) -> AuditVerification:
         """Check the chain of all records."""
         verification = await source.read(source.log.verify)
@@ -133,9 +134,8 @@ def add_audit_routes(
             "withoutOutcome": await source.read(source.log.open_intents),
         }
 
-    @app.get(
+    @routes.get(
         f"{prefix}/audit/export",
-        tags=["audit"],
         response_class=Response,
         responses=sends("text/csv", or_json=list[AuditView]),
     )

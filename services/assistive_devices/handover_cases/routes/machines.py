@@ -10,6 +10,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.messages import message, with_code
 from handover.security.act_recording import lowers
 from handover.security.guard import require
@@ -130,6 +131,7 @@ class HistoryView(JsonObject):
 
 def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
     """Add the routes of machines."""
+    routes = TaggedRoutes(app, "machines")
 
     def runner_of(case: str) -> MachineRunner:
         runner = runners.get(case)
@@ -146,21 +148,17 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
             )
         return runner
 
-    @app.get("/machines", tags=["machines"], dependencies=[require(Permission.READ_HEALTH_DATA)])
+    @routes.get("/machines", dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def machines() -> list[MachineView]:
         """Return all machines that run."""
         return [_view(runner) for runner in runners.values()]
 
-    @app.get("/machines/{case}", tags=["machines"], dependencies=[require(Permission.READ_HEALTH_DATA)])
+    @routes.get("/machines/{case}", dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def machine(case: str) -> MachineView:
         """Return one machine."""
         return _view(runner_of(case))
 
-    @app.get(
-        "/machines/{case}/history",
-        tags=["machines"],
-        dependencies=[require(Permission.READ_HEALTH_DATA)],
-    )
+    @routes.get("/machines/{case}/history", dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def history(case: str, after_s: Annotated[float, Query()] = 0.0) -> HistoryView:
         """Return the chart of the last ten minutes, two points a second, after a time in s since 1970."""
         points = [point for point in runner_of(case).points if point.at_s > after_s]
@@ -170,14 +168,14 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
             columns={name: [_number(point.values.get(name)) for point in points] for name in names},
         )
 
-    @app.post("/machines/{case}/start", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])
+    @routes.post("/machines/{case}/start", dependencies=[require(Permission.PERFORM_TASKS)])
     async def start(case: str, body: MachineStart | None = None) -> MachineView:
         """Let the machine move, by its person or by who is in charge."""
         runner = runner_of(case)
         await runner.start({} if body is None else body.options)
         return _view(runner)
 
-    @app.post("/machines/{case}/stop", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])
+    @routes.post("/machines/{case}/stop", dependencies=[require(Permission.PERFORM_TASKS)])
     @lowers()
     async def stop(case: str) -> MachineView:
         """Stop the machine within its comfortable deceleration. This is no emergency stop."""
@@ -185,14 +183,14 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
         runner.stop()
         return _view(runner)
 
-    @app.post("/machines/{case}/reset", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])
+    @routes.post("/machines/{case}/reset", dependencies=[require(Permission.PERFORM_TASKS)])
     async def reset(case: str) -> MachineView:
         """Release a stop by the limit; 409 while the limit still stops the machine."""
         runner = runner_of(case)
         await runner.reset()
         return _view(runner)
 
-    @app.post("/machines/{case}/trial", tags=["machines"], dependencies=[require(Permission.MOVE_ROBOTS)])
+    @routes.post("/machines/{case}/trial", dependencies=[require(Permission.MOVE_ROBOTS)])
     async def trial(case: str, body: TrialStart) -> MachineView:
         """Begin the trial of the case with its simulated person."""
         runner = runner_of(case)

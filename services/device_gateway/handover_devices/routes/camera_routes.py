@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
@@ -39,13 +39,9 @@ def add_camera_routes(
     app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, images: CameraImages
 ) -> None:
     """Add the routes of cameras."""
+    routes = TaggedRoutes(app, "devices")
 
-    @app.post(
-        INGEST,
-        status_code=204,
-        tags=["devices"],
-        dependencies=[Depends(OtherCredential("the token of the device"))],
-    )
+    @routes.post(INGEST, status_code=204, dependencies=[Depends(OtherCredential("the token of the device"))])
     @max_body(MAX_IMAGE_BYTES)
     @accepts(*PICTURE_TYPES)
     async def put_image(device: str, request: Request, authorization: Annotated[str, Header()] = "") -> None:
@@ -57,7 +53,7 @@ def add_camera_routes(
         sender = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
         images.put(sender.name, await request.body())
 
-    @app.get("/cameras", tags=["devices"])
+    @routes.get("/cameras")
     async def cameras(caller: Reader) -> list[CameraView]:
         """List the devices that have sent images and that the caller may read, with the age of the newest."""
         now_s, views = time.time(), []
@@ -68,9 +64,8 @@ def add_camera_routes(
                 views.append(CameraView(device=name, title=title, number=image.number, age_s=age_s))
         return views
 
-    @app.get(
+    @routes.get(
         "/devices/{device}/image",
-        tags=["devices"],
         response_class=Response,
         responses=sends("image/*"),
         dependencies=[require(Permission.READ, OF_DEVICE)],

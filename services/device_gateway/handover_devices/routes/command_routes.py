@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field
 from sqlalchemy import Engine
 
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
@@ -35,16 +36,13 @@ class NewCommand(StrictModel):
 
 def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGateway, engine: Engine) -> None:
     """Add the routes of commands."""
+    routes = TaggedRoutes(app, "commands")
     may_read = require(Permission.READ, OF_DEVICE)
     may_command = require(Permission.MOVE_ROBOTS, OF_DEVICE)
     Wait = Annotated[float, Query(ge=0, le=MAX_WAIT_S, description="seconds to wait for the end")]  # noqa: N806
 
-    @app.post(
-        "/devices/{device}/commands",
-        status_code=202,
-        tags=["commands"],
-        dependencies=[may_command],
-        response_model=CommandView,
+    @routes.post(
+        "/devices/{device}/commands", status_code=202, dependencies=[may_command], response_model=CommandView
     )
     async def order(device: str, new: NewCommand) -> Response:
         """Send a command to a device, or queue it while the device is away; motions are never queued."""
@@ -54,14 +52,14 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
         )
         return json_response(command_view(made), 202)
 
-    @app.get("/devices/{device}/commands", tags=["commands"], dependencies=[may_read])
+    @routes.get("/devices/{device}/commands", dependencies=[may_read])
     async def commands(device: str, limit: Annotated[int, Query(ge=1, le=500)] = 50) -> list[CommandView]:
         """List the newest commands of a device."""
         gateway.device(device)
         rows = await asyncio.to_thread(device_store.commands_of, engine, device, limit)
         return [command_view(command_of(row)) for row in rows]
 
-    @app.get("/devices/{device}/commands/{command}", tags=["commands"], dependencies=[may_read])
+    @routes.get("/devices/{device}/commands/{command}", dependencies=[may_read])
     async def one(device: str, command: str, wait: Wait = 0.0) -> CommandView:
         """Return a command; with `wait`, when it has ended or after that time."""
         gateway.device(device)
@@ -71,9 +69,8 @@ def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGate
             present = await dispatcher.wait(device, command, present, left_s)
         return command_view(present)
 
-    @app.delete(
+    @routes.delete(
         "/devices/{device}/commands/{command}",
-        tags=["commands"],
         responses={202: {"model": CommandView}},
         dependencies=[may_command],
     )

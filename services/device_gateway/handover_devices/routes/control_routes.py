@@ -8,6 +8,7 @@ from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
@@ -67,8 +68,9 @@ def add_control_routes(
     app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, inputs: DeviceInputs
 ) -> None:
     """Add the routes of control with input devices."""
+    routes = TaggedRoutes(app, "control")
 
-    @app.get("/input-devices", tags=["control"])
+    @routes.get("/input-devices")
     async def input_devices(caller: Reader) -> list[InputDeviceView]:
         """List the connected devices of the kind `inputDevice`, and those that send inputs.
 
@@ -87,14 +89,12 @@ def add_control_routes(
                 )
         return views
 
-    @app.get(
-        "/devices/{device}/control", tags=["control"], dependencies=[require(Permission.READ, OF_DEVICE)]
-    )
+    @routes.get("/devices/{device}/control", dependencies=[require(Permission.READ, OF_DEVICE)])
     async def control_of(device: str) -> ControlView:
         """Return the present or the last control with a device; 404 if it has driven no robot."""
         return _view(_found(gateway, inputs, device))
 
-    @app.post("/devices/{device}/control", status_code=201, tags=["control"])
+    @routes.post("/devices/{device}/control", status_code=201)
     async def begin(device: str, new: NewControl, caller: Driver, request: Request) -> ControlView:
         """Drive a robot with a device, as the person who asks; the robot's lease is theirs.
 
@@ -121,7 +121,7 @@ def add_control_routes(
         query = {"mode": "wait" if new.wait else "refuse", "record": str(new.record).lower()}
         return _view(inputs.begin(device, new.robot, query, new.mapping, overrides, credentials))
 
-    @app.delete("/devices/{device}/control", tags=["control"])
+    @routes.delete("/devices/{device}/control")
     @lowers()
     async def end(device: str, caller: Driver, request: Request) -> ControlView:
         """End the control with a device; the robot stops."""

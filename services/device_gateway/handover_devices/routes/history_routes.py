@@ -16,7 +16,7 @@ from starlette.responses import StreamingResponse
 
 from handover.errors import Problem
 from handover.formats.validation import MAX_INTEGER
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
@@ -42,9 +42,10 @@ Time = Annotated[float | None, Query(ge=0, le=MAX_TIME_S, description="seconds s
 
 def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> None:
     """Add the routes of the history."""
+    routes = TaggedRoutes(app, "history")
     may_read = require(Permission.READ, OF_DEVICE)
 
-    @app.get("/devices/{device}/messages", tags=["history"], dependencies=[may_read])
+    @routes.get("/devices/{device}/messages", dependencies=[may_read])
     async def messages(
         device: str,
         before: Annotated[
@@ -63,7 +64,7 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         )
         return [MessageView(**row) for row in rows]  # type: ignore[typeddict-item]
 
-    @app.get("/devices/{device}/values", tags=["history"], dependencies=[may_read])
+    @routes.get("/devices/{device}/values", dependencies=[may_read])
     async def values(
         device: str,
         name: Annotated[list[str] | None, Query(description="names of values; all without it")] = None,
@@ -94,9 +95,8 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
 
         return await asyncio.to_thread(read)
 
-    @app.get(
+    @routes.get(
         "/devices/{device}/values.csv",
-        tags=["history"],
         response_class=Response,
         responses=sends("text/csv"),
         dependencies=[may_read],
@@ -114,9 +114,8 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         # Starlette iterates over it in a thread.
         return StreamingResponse(rows, media_type="text/csv; charset=utf-8", headers=headers)
 
-    @app.get(
+    @routes.get(
         "/devices/{device}/values.parquet",
-        tags=["history"],
         response_class=Response,
         responses=sends("application/vnd.apache.parquet"),
         dependencies=[may_read],
@@ -135,7 +134,7 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
             read_and_delete(path), media_type="application/vnd.apache.parquet", headers=headers
         )
 
-    @app.get("/devices/{device}/forecast", tags=["history"], dependencies=[may_read])
+    @routes.get("/devices/{device}/forecast", dependencies=[may_read])
     async def forecast_values(
         device: str,
         name: Annotated[str, Query(description="the name of a value")],

@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
@@ -42,13 +42,11 @@ class NewTest(RequestBody):
 
 def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGloves) -> None:
     """Add the routes of accuracy tests."""
+    routes = TaggedRoutes(app, "accuracy tests")
     of_test = _of_glove(runner)
 
-    @app.post(
-        "/tests",
-        status_code=201,
-        tags=["accuracy tests"],
-        dependencies=[require_by_handler(Permission.CONFIGURE, "for the glove")],
+    @routes.post(
+        "/tests", status_code=201, dependencies=[require_by_handler(Permission.CONFIGURE, "for the glove")]
     )
     async def begin(test: NewTest, connection: Request) -> TestState:
         """Begin a test; the glove is in testing mode until its end. `seed` repeats an order."""
@@ -65,61 +63,45 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
             breaks=test.breaks,
         )
 
-    @app.get("/tests", tags=["accuracy tests"], dependencies=[require(Permission.READ)])
+    @routes.get("/tests", dependencies=[require(Permission.READ)])
     async def all_tests() -> list[TestSummary]:
         """List all tests, the latest first."""
         return await runner.all()
 
-    @app.get("/tests/{test}", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)])
+    @routes.get("/tests/{test}", dependencies=[require(Permission.READ, of_test)])
     async def one(test: str) -> TestState:
         """Return a test; `live` is its view while it runs."""
         return await runner.find(test)
 
-    @app.post(
-        "/tests/{test}/continue",
-        tags=["accuracy tests"],
-        dependencies=[require(Permission.CONFIGURE, of_test)],
-    )
+    @routes.post("/tests/{test}/continue", dependencies=[require(Permission.CONFIGURE, of_test)])
     async def resume(test: str) -> TestState:
         """Resume after a break or an interruption."""
         return await runner.resume(test)
 
-    @app.post(
-        "/tests/{test}/stop", tags=["accuracy tests"], dependencies=[require(Permission.CONFIGURE, of_test)]
-    )
+    @routes.post("/tests/{test}/stop", dependencies=[require(Permission.CONFIGURE, of_test)])
     async def stop(test: str) -> TestState:
         """Stop the test; its trials are kept and reported."""
         return await runner.stop(test)
 
-    @app.delete(
-        "/tests/{test}",
-        status_code=204,
-        tags=["accuracy tests"],
-        dependencies=[require(Permission.CONFIGURE, of_test)],
-    )
+    @routes.delete("/tests/{test}", status_code=204, dependencies=[require(Permission.CONFIGURE, of_test)])
     async def delete(test: str) -> None:
         """Delete a test with its trials."""
         await runner.delete(test)
 
-    @app.get(
-        "/tests/{test}/report", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)]
-    )
+    @routes.get("/tests/{test}/report", dependencies=[require(Permission.READ, of_test)])
     async def report(test: str) -> TestReport:
         """Return Table 3, the confusion matrix and the times of the trials so far."""
         stored, trials = await runner.trials(test)
         return {"test": await runner.find(test), **report_of(stored.plan, [trial for trial, _ in trials])}
 
-    @app.get(
-        "/tests/{test}/trials.json", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)]
-    )
+    @routes.get("/tests/{test}/trials.json", dependencies=[require(Permission.READ, of_test)])
     async def as_json(test: str) -> list[TrialView]:
         """Return every trial as JSON."""
         _, trials = await runner.trials(test)
         return [_as_dict(trial, at) for trial, at in trials]
 
-    @app.get(
+    @routes.get(
         "/tests/{test}/trials.csv",
-        tags=["accuracy tests"],
         response_class=Response,
         responses=sends("text/csv"),
         dependencies=[require(Permission.READ, of_test)],

@@ -7,6 +7,7 @@ from pydantic import Field, FiniteFloat
 
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody, StrictJson
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require, require_somewhere
@@ -63,25 +64,20 @@ class Choice(RequestBody):
 
 def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGloves) -> None:
     """Add the routes of calibration."""
+    routes = TaggedRoutes(app, "calibration")
 
-    @app.get("/recognizers", tags=["calibration"], dependencies=[require_somewhere(Permission.READ)])
+    @routes.get("/recognizers", dependencies=[require_somewhere(Permission.READ)])
     async def all_recognizers() -> list[str]:
         """List the names of the recognizers."""
         return recognizers()
 
-    @app.put(
-        "/gloves/{glove}/recognizer",
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
-    )
+    @routes.put("/gloves/{glove}/recognizer", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def choose_recognizer(glove: str, choice: Choice) -> dict[str, Any]:
         """Choose and store the recognizer of the glove for its wearer."""
         await sessions.choose_recognizer(gloves.named(glove), choice.name)
         return sessions.summary(gloves.named(glove))
 
-    @app.get(
-        "/gloves/{glove}/recognition", tags=["calibration"], dependencies=[require(Permission.READ, of_glove)]
-    )
+    @routes.get("/gloves/{glove}/recognition", dependencies=[require(Permission.READ, of_glove)])
     async def recognition(glove: str) -> dict[str, Any]:
         """Return the result of the last frame, the score of each gesture, and the explanation."""
         worn = gloves.named(glove)
@@ -106,17 +102,14 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
             "why": reader.why(seen),
         }
 
-    @app.get(
-        "/gloves/{glove}/calibration", tags=["calibration"], dependencies=[require(Permission.READ, of_glove)]
-    )
+    @routes.get("/gloves/{glove}/calibration", dependencies=[require(Permission.READ, of_glove)])
     async def summary(glove: str) -> dict[str, Any]:
         """Return the calibration of the glove for its wearer."""
         return sessions.summary(gloves.named(glove))
 
-    @app.post(
+    @routes.post(
         "/gloves/{glove}/calibration/guide",
         status_code=201,
-        tags=["calibration"],
         dependencies=[require(Permission.CONFIGURE, of_glove)],
     )
     async def begin(glove: str, new: NewSession | None = None) -> dict[str, Any]:
@@ -129,40 +122,28 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
             countdown_s=chosen.countdownMs / 1000,
         )
 
-    @app.get(
-        "/gloves/{glove}/calibration/guide",
-        tags=["calibration"],
-        dependencies=[require(Permission.READ, of_glove)],
-    )
+    @routes.get("/gloves/{glove}/calibration/guide", dependencies=[require(Permission.READ, of_glove)])
     async def session(glove: str) -> dict[str, Any] | None:
         """Return the current or last calibration session; null if there was none."""
         return sessions.view(gloves.named(glove))
 
-    @app.delete(
+    @routes.delete(
         "/gloves/{glove}/calibration/guide",
         status_code=204,
-        tags=["calibration"],
         dependencies=[require(Permission.CONFIGURE, of_glove)],
     )
     async def stop(glove: str) -> None:
         """Cancel the calibration session; nothing is changed by it."""
         await sessions.stop(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/calibration/accept",
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
-    )
+    @routes.post("/gloves/{glove}/calibration/accept", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def accept(glove: str) -> dict[str, Any]:
         """Apply the calibration that was offered."""
         await sessions.accept(gloves.named(glove))
         return sessions.summary(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/samples",
-        status_code=201,
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    @routes.post(
+        "/gloves/{glove}/samples", status_code=201, dependencies=[require(Permission.CONFIGURE, of_glove)]
     )
     @max_body(MAX_FRAMES_BYTES)
     async def add_sample(glove: str, new: NewSample) -> dict[str, Any]:
@@ -170,10 +151,9 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
         await sessions.add_sample(gloves.named(glove), new.gesture, new.frames)
         return sessions.summary(gloves.named(glove))
 
-    @app.delete(
+    @routes.delete(
         "/gloves/{glove}/samples/{gesture}",
         status_code=204,
-        tags=["calibration"],
         dependencies=[require(Permission.CONFIGURE, of_glove)],
     )
     async def remove_sample(glove: str, gesture: str) -> None:
@@ -183,33 +163,22 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
 
 def add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     """Add the routes of thresholds, and of a calibration from frames."""
+    routes = TaggedRoutes(app, "calibration")
     gloves, fits = registry.known, registry.fits
 
-    @app.put(
-        "/gloves/{glove}/thresholds",
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
-    )
+    @routes.put("/gloves/{glove}/thresholds", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def set_thresholds(glove: str, thresholds: Thresholds) -> GloveView:
         """Set and store the thresholds of some or all fingers."""
         await fits.set_thresholds(gloves.named(glove), thresholds)
         return glove_view(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/thresholds/restore",
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
-    )
+    @routes.post("/gloves/{glove}/thresholds/restore", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def restore(glove: str) -> GloveView:
         """Exchange the thresholds with those before the last change."""
         await fits.restore(gloves.named(glove))
         return glove_view(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/calibration",
-        tags=["calibration"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
-    )
+    @routes.post("/gloves/{glove}/calibration", dependencies=[require(Permission.CONFIGURE, of_glove)])
     @max_body(2 * MAX_FRAMES_BYTES)
     async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
         """Calculate and store thresholds from frames of a fist and of an open hand."""

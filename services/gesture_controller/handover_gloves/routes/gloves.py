@@ -10,7 +10,7 @@ from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.http.websocket_closing import close_websocket
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
@@ -64,21 +64,21 @@ class GivenPin(RequestBody):
 
 def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
     """Add the routes of gloves and their tokens."""
+    routes = TaggedRoutes(app, "gloves")
     gloves = registry.known
 
-    @app.get("/gloves", tags=["gloves"], dependencies=[require(Permission.READ)])
+    @routes.get("/gloves", dependencies=[require(Permission.READ)])
     async def list_gloves() -> list[GloveView]:
         """Return the state of every glove."""
         return [glove_view(glove) for glove in gloves]
 
-    @app.get("/gloves/{glove}", tags=["gloves"], dependencies=[require(Permission.READ, of_glove)])
+    @routes.get("/gloves/{glove}", dependencies=[require(Permission.READ, of_glove)])
     async def get_glove(glove: str) -> GloveView:
         """Return the state of a glove."""
         return glove_view(gloves.named(glove))
 
-    @app.put(
+    @routes.put(
         "/gloves/{glove}",
-        tags=["gloves"],
         responses={201: {"model": GloveView}},
         dependencies=[require(Permission.CONFIGURE, of_glove)],
     )
@@ -88,7 +88,7 @@ def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
         response.status_code = 201 if is_new else 200
         return glove_view(declared)
 
-    @app.put("/gloves/{glove}/token", tags=["gloves"], dependencies=[require(Permission.CONFIGURE, of_glove)])
+    @routes.put("/gloves/{glove}/token", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def set_token(glove: str) -> dict[str, str]:
         """Make a new token for a glove in place of an older one, and show it once.
 
@@ -96,11 +96,8 @@ def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
         """
         return {"glove": glove, "token": await registry.set_token(glove)}
 
-    @app.delete(
-        "/gloves/{glove}/token",
-        status_code=204,
-        tags=["gloves"],
-        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    @routes.delete(
+        "/gloves/{glove}/token", status_code=204, dependencies=[require(Permission.CONFIGURE, of_glove)]
     )
     async def remove_token(glove: str) -> None:
         """Remove the token of a glove; its connection ends, and the rules without a token apply."""
@@ -109,36 +106,29 @@ def add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
 
 def add_actions(app: FastAPI, gloves: KnownGloves, guard: Guard) -> None:
     """Add what wearers do: modes, pauses, answers on the screen."""
+    routes = TaggedRoutes(app, "actions")
     of_wearer = _of_glove_or_wearer(gloves)
 
-    @app.put(
-        "/gloves/{glove}/modes", tags=["actions"], dependencies=[require(Permission.CONFIGURE, of_glove)]
-    )
+    @routes.put("/gloves/{glove}/modes", dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def switch(glove: str, modes: Modes) -> GloveView:
         """Switch testing (nothing completes a Task) and filtering (only the prompted gesture counts)."""
         gloves.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
         return glove_view(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/pause", tags=["actions"], dependencies=[require(Permission.PERFORM_TASKS, of_wearer)]
-    )
+    @routes.post("/gloves/{glove}/pause", dependencies=[require(Permission.PERFORM_TASKS, of_wearer)])
     @lowers()
     async def pause(glove: str) -> GloveView:
         """Let nothing count, and pause the Task, until resumed."""
         gloves.named(glove).pause()
         return glove_view(gloves.named(glove))
 
-    @app.post(
-        "/gloves/{glove}/resume",
-        tags=["actions"],
-        dependencies=[require(Permission.PERFORM_TASKS, of_wearer)],
-    )
+    @routes.post("/gloves/{glove}/resume", dependencies=[require(Permission.PERFORM_TASKS, of_wearer)])
     async def resume(glove: str) -> GloveView:
         """End a pause; one that was requested on the Task itself stays."""
         gloves.named(glove).resume()
         return glove_view(gloves.named(glove))
 
-    @app.post("/gloves/{glove}/complete", tags=["actions"])
+    @routes.post("/gloves/{glove}/complete")
     async def complete(
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)],
         glove: str,
@@ -162,7 +152,7 @@ def add_actions(app: FastAPI, gloves: KnownGloves, guard: Guard) -> None:
             raise Problem(409, "Cannot complete", str(error)) from None
         return glove_view(gloves.named(glove))
 
-    @app.post("/gloves/{glove}/pin", tags=["actions"])
+    @routes.post("/gloves/{glove}/pin")
     async def give_pin(
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)], glove: str, proof: GivenPin
     ) -> GloveView:

@@ -9,6 +9,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.messages import message, text_of
 from handover.security.guard import require
@@ -73,10 +74,10 @@ class Recording(RequestBody):
 
 def add_own_gestures(app: FastAPI, parts: PeopleParts) -> None:
     """Add the routes of own gestures."""
+    routes = TaggedRoutes(app, "people")
 
-    @app.put(
+    @routes.put(
         "/people/{person}/gestures/{gesture}",
-        tags=["people"],
         responses={201: {"model": DefinedGesture}},
         dependencies=[require(Permission.CONFIGURE, of_person)],
     )
@@ -102,10 +103,8 @@ def add_own_gestures(app: FastAPI, parts: PeopleParts) -> None:
             "nearest": neighbour_view(nearest),
         }
 
-    @app.delete(
-        "/people/{person}/gestures/{gesture}",
-        tags=["people"],
-        dependencies=[require(Permission.CONFIGURE, of_person)],
+    @routes.delete(
+        "/people/{person}/gestures/{gesture}", dependencies=[require(Permission.CONFIGURE, of_person)]
     )
     async def drop_gesture(person: str, gesture: str) -> PersonWithFreedCommands:
         """Delete an own gesture of a person; its commands get the gesture of the site again."""

@@ -7,6 +7,7 @@ from fastapi import FastAPI, Request, Response
 from pydantic import Field
 
 from handover.formats.strict_json import RequestBody
+from handover.http.api_description import TaggedRoutes
 from handover.security.guard import authenticated, guard_of, require, require_by_handler
 from handover.security.permissions import Permission
 from handover_gloves.gloves.glove import Glove
@@ -77,21 +78,22 @@ async def _require_may_wear(connection: Request, glove: Glove, person: str | Non
 
 
 def _add_persons(app: FastAPI, parts: PeopleParts) -> None:
-    @app.get("/people", tags=["people"], dependencies=[require(Permission.READ)])
+    routes = TaggedRoutes(app, "people")
+
+    @routes.get("/people", dependencies=[require(Permission.READ)])
     async def list_people() -> list[PersonView]:
         """List all people with their gloves, commands and own gestures."""
         return [person_view(name, parts) for name in parts.people.names()]
 
-    @app.get("/people/{person}", tags=["people"], dependencies=[require(Permission.READ, of_person)])
+    @routes.get("/people/{person}", dependencies=[require(Permission.READ, of_person)])
     async def one(person: str) -> PersonWithGestures:
         """Return a person with all their gestures."""
         name = parts.people.named(person).name
         every = listed(parts.people.gestures_of(name), parts.people.commands_of(name))
         return {**person_view(name, parts), "gestures": every}
 
-    @app.put(
+    @routes.put(
         "/people/{person}",
-        tags=["people"],
         responses={201: {"model": PersonView}},
         dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
     )
@@ -100,11 +102,8 @@ def _add_persons(app: FastAPI, parts: PeopleParts) -> None:
         response.status_code = 201 if await parts.people.add(person, body.title if body else None) else 200
         return person_view(person, parts)
 
-    @app.delete(
-        "/people/{person}",
-        tags=["people"],
-        status_code=204,
-        dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
+    @routes.delete(
+        "/people/{person}", status_code=204, dependencies=[require(Permission.MANAGE_PEOPLE, of_person)]
     )
     async def remove(person: str) -> Response:
         """Delete a person with their fits; the gloves they wear have no wearer then."""
@@ -118,28 +117,24 @@ def _add_persons(app: FastAPI, parts: PeopleParts) -> None:
 
 
 def _add_commands(app: FastAPI, parts: PeopleParts) -> None:
-    @app.put(
-        "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
-    )
+    routes = TaggedRoutes(app, "people")
+
+    @routes.put("/people/{person}/commands", dependencies=[require(Permission.CONFIGURE, of_person)])
     async def commands(person: str, gestures: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set all own commands of a person: `{"3": "Horns", "8": null}`."""
         parts.require_no_study(person)
         await parts.people.set_commands(person, gestures, whole=True)
         return person_view(person, parts)
 
-    @app.patch(
-        "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
-    )
+    @routes.patch("/people/{person}/commands", dependencies=[require(Permission.CONFIGURE, of_person)])
     async def some_commands(person: str, gestures: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set some own commands; the others stay. Send two commands at once to exchange their gestures."""
         parts.require_no_study(person)
         await parts.people.set_commands(person, gestures, whole=False)
         return person_view(person, parts)
 
-    @app.put(
-        "/people/{person}/commands/{command}",
-        tags=["people"],
-        dependencies=[require(Permission.CONFIGURE, of_person)],
+    @routes.put(
+        "/people/{person}/commands/{command}", dependencies=[require(Permission.CONFIGURE, of_person)]
     )
     async def command(person: str, command: CommandId, body: CommandGesture) -> PersonView:
         """Set the gesture of a person for one command."""
@@ -147,10 +142,8 @@ def _add_commands(app: FastAPI, parts: PeopleParts) -> None:
         await parts.people.set_commands(person, {command: body.gesture}, whole=False)
         return person_view(person, parts)
 
-    @app.delete(
-        "/people/{person}/commands/{command}",
-        tags=["people"],
-        dependencies=[require(Permission.CONFIGURE, of_person)],
+    @routes.delete(
+        "/people/{person}/commands/{command}", dependencies=[require(Permission.CONFIGURE, of_person)]
     )
     async def reset_command(person: str, command: CommandId) -> PersonView:
         """Use the gesture of the site for a command again."""

@@ -11,7 +11,7 @@ from fastapi import FastAPI, Header, Response
 
 from handover.distribution import install_command
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.guard import require_somewhere
 from handover.security.permissions import Permission
@@ -31,10 +31,10 @@ def picture_urls(gesture: str) -> dict[str, str]:
 
 def add_pictures(app: FastAPI, gestures: Gestures) -> None:
     """Add the routes of the pictures of `gestures`."""
+    routes = TaggedRoutes(app, "gestures")
 
-    @app.get(
+    @routes.get(
         "/gestures/{name}.svg",
-        tags=["gestures"],
         response_class=Response,
         responses=sends("image/svg+xml"),
         dependencies=[require_somewhere(Permission.READ)],
@@ -52,9 +52,8 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         title, poses = _poses_of(name, gestures, hand)
         return _answer(svg_of(title, poses, motion).encode(), "image/svg+xml", if_none_match)
 
-    @app.get(
+    @routes.get(
         "/gestures/{name}.gif",
-        tags=["gestures"],
         response_class=Response,
         responses=sends("image/gif"),
         dependencies=[require_somewhere(Permission.READ)],

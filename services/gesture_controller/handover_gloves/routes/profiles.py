@@ -7,7 +7,7 @@ import orjson
 from fastapi import FastAPI, Request, Response
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
 from handover.messages import message, text_of
 from handover.runtime.offload import Offload, OffloadFailed
@@ -29,11 +29,11 @@ MAX_INLINE_BYTES = 4_096
 
 def add_profiles(app: FastAPI, parts: PeopleParts) -> None:
     """Add the routes of profiles."""
+    routes = TaggedRoutes(app, "people")
     offload = Offload()
 
-    @app.get(
+    @routes.get(
         "/people/{person}/profile.yaml",
-        tags=["people"],
         response_class=Response,
         responses=sends(YAML),
         dependencies=[require(Permission.READ, of_person)],
@@ -50,11 +50,7 @@ def add_profiles(app: FastAPI, parts: PeopleParts) -> None:
         name = f'attachment; filename="{owner.name}.yaml"'
         return Response(text, media_type=YAML, headers={"Content-Disposition": name})
 
-    @app.put(
-        "/people/{person}/profile.yaml",
-        tags=["people"],
-        dependencies=[require(Permission.CONFIGURE, of_person)],
-    )
+    @routes.put("/people/{person}/profile.yaml", dependencies=[require(Permission.CONFIGURE, of_person)])
     @accepts(*YAML_TYPES)
     @max_body(2 * MAX_PROFILE_BYTES)
     async def import_profile(person: str, request: Request) -> PersonView:

@@ -6,6 +6,7 @@ from fastapi import FastAPI
 from pydantic import Field
 
 from handover.formats.strict_json import RequestBody
+from handover.http.api_description import TaggedRoutes
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_gloves.people.study_conditions import StudyCondition
@@ -26,17 +27,15 @@ class NewCondition(RequestBody):
 
 def add_study_conditions(app: FastAPI, wearers: Wearers) -> None:
     """Add the routes of study conditions."""
+    routes = TaggedRoutes(app, "study")
 
-    @app.get("/study-conditions", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
+    @routes.get("/study-conditions", dependencies=[require(Permission.READ_STUDIES)])
     async def list_conditions() -> dict[str, dict[str, Any]]:
         """Return the conditions by study session."""
         return {session: _as_dict(condition) for session, condition in wearers.conditions.items()}
 
-    @app.put(
-        "/study-conditions/{session}",
-        status_code=204,
-        tags=["study"],
-        dependencies=[require(Permission.CONDUCT_STUDIES)],
+    @routes.put(
+        "/study-conditions/{session}", status_code=204, dependencies=[require(Permission.CONDUCT_STUDIES)]
     )
     async def set_condition(session: str, new: NewCondition) -> None:
         """Ask a participant for the gestures of a condition from the next Task on, with any glove.
@@ -48,11 +47,8 @@ def add_study_conditions(app: FastAPI, wearers: Wearers) -> None:
         condition = StudyCondition(new.participant, new.glove, new.person, own)
         await wearers.apply_condition(session, condition)
 
-    @app.delete(
-        "/study-conditions/{session}",
-        status_code=204,
-        tags=["study"],
-        dependencies=[require(Permission.CONDUCT_STUDIES)],
+    @routes.delete(
+        "/study-conditions/{session}", status_code=204, dependencies=[require(Permission.CONDUCT_STUDIES)]
     )
     async def remove_condition(session: str) -> None:
         """End the condition of a session; a missing one is no error."""

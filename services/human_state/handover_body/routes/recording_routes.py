@@ -11,7 +11,7 @@ from fastapi import FastAPI, Path, Request, Response
 from starlette.responses import StreamingResponse
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.permissions import Permission
 from handover_body.formats.json_messages import Marker
@@ -29,6 +29,7 @@ RecordingId = Annotated[str, Path(pattern=r"^R-[0-9a-f]{16}$")]
 
 def add_recording_routes(app: FastAPI, people: People, recording_service: RecordingService) -> None:
     """Add the routes."""
+    routes = TaggedRoutes(app, "recordings")
     recordings = recording_service.recordings
     recording_service.mount(app)
     _add_files(app, people, recording_service)
@@ -39,26 +40,26 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
     def view(row: RecordingRow) -> RecordingView:
         return _view(row, recordings)
 
-    @app.get("/people/{person}/recordings", tags=["recordings"])
+    @routes.get("/people/{person}/recordings")
     async def list_recordings(person: Name, caller: SignedIn, request: Request) -> list[RecordingView]:
         """Return the recordings of a person, newest first."""
         await require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         return [view(row) for row in recordings.of(people.person(person).pseudonym)]
 
-    @app.post("/people/{person}/recordings", tags=["recordings"], status_code=201)
+    @routes.post("/people/{person}/recordings", status_code=201)
     async def start(person: Name, body: RecordingStart, caller: SignedIn, request: Request) -> RecordingView:
         """Start to record all signals and values of a person; 409 without consent or key."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         started_by = caller.acting_name(body.started_by)
         return view(await recordings.start(person, body.label, started_by[:200]))
 
-    @app.post("/people/{person}/recordings/{recording}/stop", tags=["recordings"])
+    @routes.post("/people/{person}/recordings/{recording}/stop")
     async def stop(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> RecordingView:
         """End a recording and close its file; the response has its SHA-256."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
         return view(await recordings.stop(recording_of(person, recording)))
 
-    @app.post("/people/{person}/recordings/{recording}/markers", tags=["recordings"], status_code=204)
+    @routes.post("/people/{person}/recordings/{recording}/markers", status_code=204)
     async def mark(
         person: Name, recording: RecordingId, body: MarkerGiven, caller: SignedIn, request: Request
     ) -> Response:
@@ -68,7 +69,7 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
         recordings.mark(recording_of(person, recording), Marker(at_s, body.name, body.text))
         return Response(status_code=204)
 
-    @app.delete("/people/{person}/recordings/{recording}", tags=["recordings"], status_code=204)
+    @routes.delete("/people/{person}/recordings/{recording}", status_code=204)
     async def delete(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
         """Delete a recording with its file; one that runs is ended."""
         await require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
@@ -77,14 +78,14 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
 
 
 def _add_files(app: FastAPI, people: People, recording_service: RecordingService) -> None:
+    routes = TaggedRoutes(app, "recordings")
     recordings, entities = recording_service.recordings, recording_service.entities
 
     def recording_of(person: str, recording: str) -> RecordingRow:
         return recordings.recording(recording, people.person(person).pseudonym)
 
-    @app.get(
+    @routes.get(
         "/people/{person}/recordings/{recording}/file",
-        tags=["recordings"],
         response_class=StreamingResponse,
         responses=sends("application/octet-stream"),
     )
@@ -111,9 +112,8 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
             chain((first,), pieces), media_type="application/octet-stream", headers=headers
         )
 
-    @app.get(
+    @routes.get(
         "/people/{person}/recordings/{recording}/bundle",
-        tags=["recordings"],
         response_class=Response,
         responses=sends("application/fhir+json"),
     )
@@ -131,9 +131,8 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         }
         return Response(content, media_type="application/fhir+json", headers=headers)
 
-    @app.get(
+    @routes.get(
         "/people/{person}/recordings/{recording}/xdf",
-        tags=["recordings"],
         response_class=Response,
         responses=sends("application/octet-stream"),
     )

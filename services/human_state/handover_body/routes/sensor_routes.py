@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from handover.errors import HandoverError, Problem
 from handover.formats.validation import fault_text
+from handover.http.api_description import TaggedRoutes
 from handover.messages import message, text_of
 from handover.security.guard import guard_of, require_somewhere
 from handover.security.permissions import Permission
@@ -21,9 +22,10 @@ Seconds = Annotated[float, Query(gt=0, le=30)]
 
 def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
     """Add the routes of sensors and their drivers."""
+    routes = TaggedRoutes(app, "sensors")
     people, monitoring = parts.people, parts.monitoring
 
-    @app.put("/sensors/{sensor}", tags=["sensors"])
+    @routes.put("/sensors/{sensor}")
     async def put_sensor(
         sensor: Name,
         body: SensorChange,
@@ -43,7 +45,7 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
         row = SensorRow(sensor, body.driver, settings, body.person)
         return person_view(await people.put_sensor(row), monitoring)
 
-    @app.delete("/sensors/{sensor}", tags=["sensors"], status_code=204)
+    @routes.delete("/sensors/{sensor}", status_code=204)
     async def delete_sensor(
         sensor: Name,
         caller: Configurer,
@@ -56,7 +58,7 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
         await people.remove_sensor(sensor)
         return Response(status_code=204)
 
-    @app.get("/drivers", tags=["sensors"], dependencies=[require_somewhere(Permission.READ)])
+    @routes.get("/drivers", dependencies=[require_somewhere(Permission.READ)])
     async def drivers() -> list[DriverView]:
         """Return the drivers of sensors, with the JSON Schema of their settings."""
         views = []
@@ -68,11 +70,7 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
             )
         return views
 
-    @app.post(
-        "/drivers/{driver}/discover",
-        tags=["sensors"],
-        dependencies=[require_somewhere(Permission.CONFIGURE)],
-    )
+    @routes.post("/drivers/{driver}/discover", dependencies=[require_somewhere(Permission.CONFIGURE)])
     async def discover(driver: str, timeout_s: Seconds = 5.0) -> list[FoundView]:
         """Search for devices of a driver."""
         kind = _driver(driver)

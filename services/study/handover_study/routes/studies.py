@@ -12,7 +12,7 @@ from pydantic import Field
 
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import in_path, require, require_somewhere
@@ -50,9 +50,10 @@ class NewSession(RequestBody):
 
 def add_study(app: FastAPI, sessions: StudySessions) -> None:
     """Add the routes of the study."""
+    routes = TaggedRoutes(app, "study")
     analyses = _Analyses(sessions)
 
-    @app.get("/wording", tags=["study"], dependencies=[require_somewhere(Permission.READ)])
+    @routes.get("/wording", dependencies=[require_somewhere(Permission.READ)])
     async def words(language: Language = "en") -> WordingView:
         """Return the texts for participants, and the steps, scales and pairs of the questionnaires."""
         questionnaires = {
@@ -64,9 +65,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         }
         return cast("WordingView", {**wording(language), **questionnaires})
 
-    @app.post(
-        "/sessions", status_code=201, tags=["study"], dependencies=[require(Permission.CONDUCT_STUDIES)]
-    )
+    @routes.post("/sessions", status_code=201, dependencies=[require(Permission.CONDUCT_STUDIES)])
     async def begin(session: NewSession) -> SessionView:
         """Begin a session; its first step is consent."""
         begun = await sessions.begin(
@@ -74,21 +73,19 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         )
         return view_of(begun)
 
-    @app.get("/sessions", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
+    @routes.get("/sessions", dependencies=[require(Permission.READ_STUDIES)])
     async def list_sessions(study: Study | None = None) -> list[SessionView]:
         """List the sessions (of a study), oldest first."""
         return [view_of(session) for session in await sessions.sessions(study)]
 
-    @app.get("/sessions/{session}", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
+    @routes.get("/sessions/{session}", dependencies=[require(Permission.READ_STUDIES)])
     async def one(session: str) -> SessionWithAnswers:
         """Return a session with its step and its answers."""
         present = await sessions.find(session)
         answers = {step: dict(answer.content) for step, answer in present.answers.items()}
         return {**view_of(present), "answers": answers}
 
-    @app.post(
-        "/sessions/{session}/steps/{step}", tags=["study"], dependencies=[require(Permission.CONDUCT_STUDIES)]
-    )
+    @routes.post("/sessions/{session}/steps/{step}", dependencies=[require(Permission.CONDUCT_STUDIES)])
     async def answer(
         session: str, step: str, content: Annotated[dict[str, Any], Body()]
     ) -> SessionView | DeclinedSession:
@@ -98,21 +95,13 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
             return {"id": session, "step": DECLINED}
         return view_of(moved)
 
-    @app.delete(
-        "/sessions/{session}",
-        status_code=204,
-        tags=["study"],
-        dependencies=[require(Permission.CONDUCT_STUDIES)],
-    )
+    @routes.delete("/sessions/{session}", status_code=204, dependencies=[require(Permission.CONDUCT_STUDIES)])
     async def delete(session: str) -> None:
         """Delete a session and all its answers beyond recovery."""
         await sessions.delete(session)
 
-    @app.delete(
-        "/persons/{person}",
-        status_code=204,
-        tags=["study"],
-        dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
+    @routes.delete(
+        "/persons/{person}", status_code=204, dependencies=[require(Permission.MANAGE_PEOPLE, of_person)]
     )
     async def delete_person(person: str, request: Request) -> None:
         """Delete all sessions of a person with their answers beyond recovery; 404 if there are none."""
@@ -123,14 +112,13 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
                 message("study.no_session_of_person", "{person} takes part in no study", person=person[:64]),
             )
 
-    @app.get("/analysis", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
+    @routes.get("/analysis", dependencies=[require(Permission.READ_STUDIES)])
     async def analysis(study: Study = DEFAULT_STUDY) -> StudyAnalysis:
         """Return the analysis of a study: SUS, NASA-TLX by condition, tests and box plots."""
         return {"study": study, **await analyses.of(study)}
 
-    @app.get(
+    @routes.get(
         "/answers.csv",
-        tags=["study"],
         response_class=Response,
         responses=sends("text/csv"),
         dependencies=[require(Permission.READ_STUDIES)],
@@ -142,9 +130,8 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         text = csv_of(await sessions.sessions(study))
         return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
 
-    @app.get(
+    @routes.get(
         "/report.pdf",
-        tags=["study"],
         response_class=Response,
         responses=sends("application/pdf"),
         dependencies=[require(Permission.READ_STUDIES)],

@@ -6,7 +6,7 @@ from fastapi import FastAPI, Path, Query, Request, Response
 from starlette.responses import JSONResponse
 
 from handover.database.outage import shown_after_change
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.act_recording import lowers
@@ -38,12 +38,12 @@ VersionNumber = Annotated[int, Path(ge=1, le=MAX_VERSION)]
 
 def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     """Add the routes of definitions."""
+    routes = TaggedRoutes(app, "definitions")
     registry = orchestrator.state.registry
 
-    @app.post(
+    @routes.post(
         "/definitions",
         status_code=201,
-        tags=["definitions"],
         responses={201: {"model": Deployment}, 200: {"model": Deployment | DeploymentCheck}},
         dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )
@@ -75,9 +75,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         view = {**views[0], "definitions": views, "warnings": warnings, "allocation": allocation}
         return JSONResponse(view, 201 if deployed.created else 200)
 
-    @app.get(
+    @routes.get(
         "/definitions",
-        tags=["definitions"],
         responses={200: {"model": list[DefinitionView]}},
         dependencies=[require(Permission.READ)],
     )
@@ -88,9 +87,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
             await registry.prepare(record)
         return json_response([definition_view(registry, record) for record in latest])
 
-    @app.get(
+    @routes.get(
         "/definitions/{name}",
-        tags=["definitions"],
         responses={200: {"model": DefinitionWithActivities}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
@@ -105,9 +103,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         view = {"activities": activity_views(read), "allocation": allocation}
         return json_response({**definition_view(registry, record), **view})
 
-    @app.post(
+    @routes.post(
         "/definitions/{name}/suspend",
-        tags=["definitions"],
         responses={200: {"model": DefinitionView}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition(registry))],
     )
@@ -117,9 +114,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         await orchestrator.holds.suspend(name, acting_name(body.by), body.why)
         return json_response(await shown_after_change(_view(orchestrator, name)))
 
-    @app.post(
+    @routes.post(
         "/definitions/{name}/activate",
-        tags=["definitions"],
         responses={200: {"model": DefinitionView}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition(registry))],
     )
@@ -128,10 +124,9 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         await orchestrator.holds.activate(name)
         return json_response(await shown_after_change(_view(orchestrator, name)))
 
-    @app.delete(
+    @routes.delete(
         "/definitions/{name}",
         status_code=204,
-        tags=["definitions"],
         dependencies=[require(Permission.DEPLOY_PROCESSES, of_definition(registry))],
     )
     async def delete(
@@ -144,10 +139,9 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         await orchestrator.holds.delete(name, acting_name(by), why)
         return Response(status_code=204)
 
-    @app.delete(
+    @routes.delete(
         "/definitions/{name}/versions/{version}",
         status_code=204,
-        tags=["definitions"],
         dependencies=[require(Permission.DEPLOY_PROCESSES, of_definition(registry))],
     )
     async def delete_version(
@@ -161,9 +155,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         await orchestrator.holds.delete_version(name, version, acting_name(by), why)
         return Response(status_code=204)
 
-    @app.get(
+    @routes.get(
         "/definitions/{name}/statistics",
-        tags=["definitions"],
         responses={200: {"model": VersionStatistics}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
@@ -175,9 +168,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         )
         return json_response(statistics_view(record, counts))
 
-    @app.post(
+    @routes.post(
         "/definitions/{name}/start-form",
-        tags=["definitions"],
         responses={200: {"model": TaskForm | None}},
         dependencies=[require(Permission.READ, of_definition(registry))],
     )
@@ -191,9 +183,8 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         resolved = form.resolve(body.values)
         return JSONResponse(None if resolved is None else form_view(form.id, form.version, resolved))
 
-    @app.get(
+    @routes.get(
         "/definitions/{name}/bpmn",
-        tags=["definitions"],
         response_class=Response,
         responses=sends("application/xml"),
         dependencies=[require(Permission.READ, of_definition(registry))],

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.security.audit_trail import current_request
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
@@ -81,20 +82,20 @@ class LeaseAnswers(_Body):
 
 def add_device_leases(app: FastAPI, at: Components) -> None:
     """Add the routes."""
+    routes = TaggedRoutes(app, "device leases")
 
     async def require_devices(connection: Request, devices: list[str]) -> None:
         caller = await authenticated(connection)
         for device in devices:
             at.guard.require(caller, Permission.WRITE_ENTITIES, device)
 
-    @app.get(PATH, tags=["device leases"], dependencies=[require(Permission.READ)])
+    @routes.get(PATH, dependencies=[require(Permission.READ)])
     async def device_leases() -> list[LeaseView]:
         """Return the last lease of each Device; `endsInS` is 0 if nobody has it now."""
         return [LeaseView(**_lease(lease, ends_in_s)) for lease, ends_in_s in at.orchestrator.leases.all()]
 
-    @app.post(
+    @routes.post(
         PATH,
-        tags=["device leases"],
         responses={200: {"model": LeaseAnswers}},
         dependencies=[require_by_handler(Permission.WRITE_ENTITIES, "for each of the Devices")],
     )
@@ -109,10 +110,9 @@ def add_device_leases(app: FastAPI, at: Components) -> None:
             act.is_recorded = True  # a renewal changes nothing
         return json_response({"leases": [_answer(answer) for answer in answers]})
 
-    @app.post(
+    @routes.post(
         f"{PATH}/release",
         status_code=204,
-        tags=["device leases"],
         dependencies=[require_by_handler(Permission.WRITE_ENTITIES, "for each of the Devices")],
     )
     async def release(body: LeaseRelease, connection: Request) -> Response:

@@ -6,6 +6,7 @@ from fastapi import FastAPI, Request, Response
 
 from handover.errors import Problem
 from handover.formats.durations import parse_duration
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
@@ -21,10 +22,11 @@ from handover_processes.running.components import Components
 
 def add_events(app: FastAPI, at: Components) -> None:
     """Add the routes."""
+    events_routes = TaggedRoutes(app, "events")
+    notifications_routes = TaggedRoutes(app, "notifications")
 
-    @app.post(
+    @events_routes.post(
         "/messages",
-        tags=["events"],
         responses={200: {"model": SentMessage}},
         dependencies=[
             require_by_handler(Permission.RUN_PROCESSES, "for the process, or for every resource without one")
@@ -50,11 +52,8 @@ def add_events(app: FastAPI, at: Components) -> None:
         )
         return json_response({"outcome": outcome.value, "process": reached})
 
-    @app.post(
-        "/signals",
-        tags=["events"],
-        responses={200: {"model": SentSignal}},
-        dependencies=[require(Permission.RUN_PROCESSES)],
+    @events_routes.post(
+        "/signals", responses={200: {"model": SentSignal}}, dependencies=[require(Permission.RUN_PROCESSES)]
     )
     @max_body(MAX_PARAMETERS_BYTES)
     async def broadcast(body: SignalRequest) -> Response:
@@ -64,19 +63,14 @@ def add_events(app: FastAPI, at: Components) -> None:
             {"processes": await at.orchestrator.processes.broadcast(body.name, body.variables)}
         )
 
-    @app.post(
-        "/notifications", status_code=204, tags=["notifications"], dependencies=[REQUIRES_NOTIFICATION_KEY]
-    )
+    @notifications_routes.post("/notifications", status_code=204, dependencies=[REQUIRES_NOTIFICATION_KEY])
     async def notify(request: Request) -> Response:
         """Read the changed Tasks from the broker; the response is sent when their changes are stored."""
         await at.reconciler.receive_notification(request)
         return Response(status_code=204)
 
-    @app.post(
-        "/notifications/entities/{filter_key}",
-        status_code=204,
-        tags=["notifications"],
-        dependencies=[REQUIRES_NOTIFICATION_KEY],
+    @notifications_routes.post(
+        "/notifications/entities/{filter_key}", status_code=204, dependencies=[REQUIRES_NOTIFICATION_KEY]
     )
     async def notify_entities(filter_key: str, request: Request) -> Response:
         """Deliver the changed entities of a filter; the response is sent when the consequences are stored."""

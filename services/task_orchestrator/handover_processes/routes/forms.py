@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -26,13 +27,13 @@ FileName = Annotated[
 
 def add_forms(app: FastAPI, at: Components) -> None:
     """Add the routes of forms and of deployments of several files."""
+    routes = TaggedRoutes(app, "forms")
     deployments, state = at.orchestrator.deployments, at.orchestrator.state
     forms = state.allocator.forms
 
-    @app.post(
+    @routes.post(
         "/forms",
         status_code=201,
-        tags=["forms"],
         responses={201: {"model": FormView}, 200: {"model": FormView}},
         dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )
@@ -42,22 +43,12 @@ def add_forms(app: FastAPI, at: Components) -> None:
         deployed = await deployments.deploy_files([], [(file, await request.body())])
         return JSONResponse(_view(deployed.forms[0]), 201 if deployed.created else 200)
 
-    @app.get(
-        "/forms",
-        tags=["forms"],
-        responses={200: {"model": list[FormView]}},
-        dependencies=[require(Permission.READ)],
-    )
+    @routes.get("/forms", responses={200: {"model": list[FormView]}}, dependencies=[require(Permission.READ)])
     async def list_forms() -> Response:
         """Return the latest version of every form."""
         return json_response(documents(FormView, forms.latest()))
 
-    @app.get(
-        "/forms/{form_id}",
-        tags=["forms"],
-        response_model=dict[str, Any],
-        dependencies=[require(Permission.READ)],
-    )
+    @routes.get("/forms/{form_id}", response_model=dict[str, Any], dependencies=[require(Permission.READ)])
     async def form(form_id: str, version: Version = None) -> Response:
         """Return a form as it was deployed."""
         return Response(forms.record(form_id, version).content, media_type="application/json")

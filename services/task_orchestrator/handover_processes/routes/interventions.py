@@ -2,6 +2,7 @@
 
 from fastapi import FastAPI, Response
 
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import require
@@ -24,11 +25,11 @@ from handover_processes.running.components import Components
 
 def add_pausing(app: FastAPI, at: Components) -> None:
     """Add pausing and resuming of processes."""
+    routes = TaggedRoutes(app, "processes")
     orchestrator = at.orchestrator
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/pause",
-        tags=["processes"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -40,9 +41,8 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return await changed_process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/resume",
-        tags=["processes"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -53,9 +53,8 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return await changed_process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/pause",
-        tags=["processes"],
         responses={200: {"model": PausedProcesses}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
     )
@@ -71,9 +70,8 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return json_response({"processes": paused})
 
-    @app.post(
+    @routes.post(
         "/resume",
-        tags=["processes"],
         responses={200: {"model": PausedProcesses}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
     )
@@ -88,6 +86,7 @@ def add_pausing(app: FastAPI, at: Components) -> None:
 
 def add_repairs(app: FastAPI, at: Components) -> None:
     """Add what an engineer does with a process that cannot continue: each act names one token or none."""
+    routes = TaggedRoutes(app, "incidents")
     orchestrator = at.orchestrator
 
     async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
@@ -104,9 +103,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         )
         return await changed_process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/reservations/{key}/release",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -117,9 +115,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         )
         return await changed_process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/variables",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -128,9 +125,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         """Set variables of a running process, or with `scope` of a part of it."""
         return await mend(process_id, ActKind.SET_VARIABLES, None, body)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/tokens/{token}/retry",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -139,9 +135,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         """Let a token with an incident try again: a failed Task is posted again, as a new Task."""
         return await mend(process_id, ActKind.RETRY, token, body)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/tokens/{token}/skip",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -150,9 +145,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         """Let a token leave its element, as if that had been done with the variables as results."""
         return await mend(process_id, ActKind.SKIP, token, body)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/tokens/{token}/move",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -161,9 +155,8 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         """Move a token to another element of its scope; its present Task is cancelled."""
         return await mend(process_id, ActKind.MOVE, token, body)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/tokens/{token}/cancel",
-        tags=["incidents"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )

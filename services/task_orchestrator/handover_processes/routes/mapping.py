@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Response
 
 from handover.errors import HandoverError, Problem
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
@@ -23,13 +24,9 @@ MAX_MAPPING_BYTES = 4 * 1024 * 1024
 
 def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     """Add the routes of the mapping and of the agents."""
+    routes = TaggedRoutes(app, "allocation")
 
-    @app.get(
-        "/mapping",
-        tags=["allocation"],
-        responses={200: {"model": MappingView}},
-        dependencies=[require(Permission.READ)],
-    )
+    @routes.get("/mapping", responses={200: {"model": MappingView}}, dependencies=[require(Permission.READ)])
     async def mapping(
         version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
     ) -> Response:
@@ -50,11 +47,8 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
             )
         return json_response(mapping_view(table))
 
-    @app.get(
-        "/agents",
-        tags=["allocation"],
-        responses={200: {"model": list[AgentView]}},
-        dependencies=[require(Permission.READ)],
+    @routes.get(
+        "/agents", responses={200: {"model": list[AgentView]}}, dependencies=[require(Permission.READ)]
     )
     async def agents() -> Response:
         """Return the Devices and Persons that can perform Tasks, with their skills, shifts and open Tasks."""
@@ -62,11 +56,8 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
         tasks = list(state.active_processes.open_tasks())
         return json_response(agent_views(state.allocator, tasks, orchestrator.clock()))
 
-    @app.get(
-        "/mapping/names",
-        tags=["allocation"],
-        responses={200: {"model": MappingUse}},
-        dependencies=[require(Permission.READ)],
+    @routes.get(
+        "/mapping/names", responses={200: {"model": MappingUse}}, dependencies=[require(Permission.READ)]
     )
     async def names() -> Response:
         """Return the names in the deployed definitions that the mapping can relate to performers.
@@ -81,9 +72,8 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                 definitions.append(state.registry.plan_of(record).definition)
         return json_response(mapping_use(state.allocator, definitions))
 
-    @app.put(
+    @routes.put(
         "/mapping",
-        tags=["allocation"],
         responses={200: {"model": MappingView}},
         dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )

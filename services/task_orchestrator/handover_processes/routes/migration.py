@@ -3,6 +3,7 @@
 from fastapi import FastAPI, Response
 
 from handover.errors import Problem
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.guard import require
@@ -27,11 +28,11 @@ from handover_processes.running.components import Components
 
 def add_migration(app: FastAPI, at: Components) -> None:
     """Add the migration of one process, and of all of a version."""
+    routes = TaggedRoutes(app, "migration")
     orchestrator = at.orchestrator
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/migration",
-        tags=["migration"],
         responses={200: {"model": MigrationView}},
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -63,9 +64,8 @@ def add_migration(app: FastAPI, at: Components) -> None:
             extra={"findings": view["findings"]},
         )
 
-    @app.post(
+    @routes.post(
         "/definitions/{name}/migration",
-        tags=["migration"],
         responses={200: {"model": MigrationOfAllView}},
         dependencies=[require(Permission.RUN_PROCESSES, of_definition(orchestrator.state.registry))],
     )

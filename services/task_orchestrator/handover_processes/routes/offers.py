@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request, Response
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -23,14 +23,12 @@ OFFER: dict[int | str, dict[str, Any]] = {200: {"model": OfferView}}
 
 def add_offers(app: FastAPI, at: Components) -> None:
     """Add the routes of offers."""
+    routes = TaggedRoutes(app, "offers")
     orchestrator = at.orchestrator
     reader = OfferReader(orchestrator.state, orchestrator.offering)
 
-    @app.get(
-        "/offers",
-        tags=["offers"],
-        responses={200: {"model": list[OfferView]}},
-        dependencies=[require(Permission.READ)],
+    @routes.get(
+        "/offers", responses={200: {"model": list[OfferView]}}, dependencies=[require(Permission.READ)]
     )
     async def offers(
         *,
@@ -42,14 +40,13 @@ def add_offers(app: FastAPI, at: Components) -> None:
         records = orchestrator.state.offers.listed(status, entity)[:limit]
         return json_response([await reader.view(record) for record in records])
 
-    @app.get("/offers/{offer}", tags=["offers"], responses=OFFER, dependencies=[require(Permission.READ)])
+    @routes.get("/offers/{offer}", responses=OFFER, dependencies=[require(Permission.READ)])
     async def offer(offer: str) -> Response:
         """Return an offer with its faults, what its acceptance would change, and who would get the work."""
         return json_response(await reader.view(orchestrator.offering.require(offer)))
 
-    @app.get(
+    @routes.get(
         "/offers/{offer}/bpmn",
-        tags=["offers"],
         response_class=Response,
         responses=sends("application/xml"),
         dependencies=[require(Permission.READ)],
@@ -62,11 +59,8 @@ def add_offers(app: FastAPI, at: Components) -> None:
             raise Problem(404, "No file", message("offer.no_file", "the offer has no BPMN file"))
         return Response(xml, media_type="application/xml")
 
-    @app.post(
-        "/offers/{offer}/accept",
-        tags=["offers"],
-        responses=OFFER,
-        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    @routes.post(
+        "/offers/{offer}/accept", responses=OFFER, dependencies=[require(Permission.DEPLOY_PROCESSES)]
     )
     async def accept(offer: str, body: OfferRequest) -> Response:
         """Deploy what is offered; it takes effect for Tasks that are posted later."""
@@ -74,11 +68,8 @@ def add_offers(app: FastAPI, at: Components) -> None:
             await reader.view(await at.offers.accept(offer, by=acting_name(body.by), why=body.why))
         )
 
-    @app.post(
-        "/offers/{offer}/reject",
-        tags=["offers"],
-        responses=OFFER,
-        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    @routes.post(
+        "/offers/{offer}/reject", responses=OFFER, dependencies=[require(Permission.DEPLOY_PROCESSES)]
     )
     async def reject(offer: str, body: OfferRequest) -> Response:
         """Reject an offer: the same content of the entity is not offered again."""

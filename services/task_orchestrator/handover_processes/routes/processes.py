@@ -7,6 +7,7 @@ from starlette.responses import JSONResponse
 
 from handover.database.outage import shown_after_change
 from handover.formats.validation import Moment
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
@@ -33,13 +34,13 @@ from handover_processes.running.components import Components
 
 def add_processes(app: FastAPI, at: Components) -> None:
     """Add the routes of processes."""
+    routes = TaggedRoutes(app, "processes")
     orchestrator, settings = at.orchestrator, at.settings
     store, registry = orchestrator.store, orchestrator.state.registry
 
-    @app.post(
+    @routes.post(
         "/processes",
         status_code=201,
-        tags=["processes"],
         responses={201: PROCESS[200], **PROCESS},
         dependencies=[require_by_handler(Permission.RUN_PROCESSES, "for the ProcessDefinition")],
     )
@@ -57,9 +58,8 @@ def add_processes(app: FastAPI, at: Components) -> None:
         view = await shown_after_change(process_content(at, process_id))
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
-    @app.get(
+    @routes.get(
         "/processes",
-        tags=["processes"],
         responses={200: {"model": list[ProcessSummary]}},
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
@@ -77,11 +77,8 @@ def add_processes(app: FastAPI, at: Components) -> None:
             response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
         return response
 
-    @app.get(
-        "/statistics",
-        tags=["processes"],
-        responses={200: {"model": PeriodStatistics}},
-        dependencies=[require(Permission.READ)],
+    @routes.get(
+        "/statistics", responses={200: {"model": PeriodStatistics}}, dependencies=[require(Permission.READ)]
     )
     async def statistics(
         since: Annotated[Moment, Query(description="count processes that ended at this time or later")],
@@ -90,19 +87,15 @@ def add_processes(app: FastAPI, at: Components) -> None:
         counts = await orchestrator.read(store.counts_since, since, orchestrator.clock())
         return json_response(document(PeriodStatistics, counts))
 
-    @app.get(
-        "/processes/{process_id}",
-        tags=["processes"],
-        responses=PROCESS,
-        dependencies=[require(Permission.READ, of_process(at))],
+    @routes.get(
+        "/processes/{process_id}", responses=PROCESS, dependencies=[require(Permission.READ, of_process(at))]
     )
     async def process(process_id: str) -> Response:
         """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
         return await process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/cancel",
-        tags=["processes"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
@@ -114,9 +107,8 @@ def add_processes(app: FastAPI, at: Components) -> None:
         )
         return await changed_process_response(at, process_id)
 
-    @app.post(
+    @routes.post(
         "/processes/{process_id}/tasks/{task_id}/retry",
-        tags=["processes"],
         responses=PROCESS,
         dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )

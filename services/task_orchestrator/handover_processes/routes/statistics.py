@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Response
 
 from handover.errors import HandoverError, Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -90,6 +90,7 @@ async def activity_names(registry: DefinitionRegistry, record: DefinitionRecord)
 
 def add_statistics(app: FastAPI, at: Components) -> None:
     """Add the routes of statistics."""
+    routes = TaggedRoutes(app, "statistics")
     orchestrator = at.orchestrator
     reports, registry = orchestrator.store.reports, orchestrator.state.registry
 
@@ -99,9 +100,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
     def period_of(query: PeriodQuery) -> Period:
         return read_period(query.since, query.until, orchestrator.clock())
 
-    @app.get(
+    @routes.get(
         "/statistics/definitions",
-        tags=["statistics"],
         responses=sends("text/csv", or_json=list[DefinitionTimes]),
         dependencies=[require(Permission.READ)],
     )
@@ -113,9 +113,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("definitions", DefinitionTimes, views)
         return json_response(views)
 
-    @app.get(
+    @routes.get(
         "/statistics/elements",
-        tags=["statistics"],
         responses=sends("text/csv", or_json=ElementsView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
@@ -133,9 +132,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("elements", ElementTimes, view["elements"])
         return json_response(view)
 
-    @app.get(
+    @routes.get(
         "/statistics/throughput",
-        tags=["statistics"],
         responses=sends("text/csv", or_json=ThroughputView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
@@ -149,9 +147,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("throughput", ThroughputPoint, view["points"])
         return json_response(view)
 
-    @app.get(
+    @routes.get(
         "/statistics/incidents",
-        tags=["statistics"],
         responses=sends("text/csv", or_json=list[CauseView]),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )
@@ -163,9 +160,8 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("incidents", CauseView, rows, without=("reasonParameters",))
         return json_response(views)
 
-    @app.get(
+    @routes.get(
         "/statistics/resources",
-        tags=["statistics"],
         responses=sends("text/csv", or_json=ResourcesView),
         dependencies=[require(Permission.READ, of_definition_query(registry))],
     )

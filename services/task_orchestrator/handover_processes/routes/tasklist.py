@@ -7,6 +7,7 @@ from starlette.responses import JSONResponse
 
 from handover.database.outage import shown_after_change
 from handover.errors import Problem
+from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
 from handover.messages import message
 from handover.security.caller import Caller
@@ -52,13 +53,11 @@ TaskId = Annotated[str, Path(max_length=300)]
 
 def add_tasklist(app: FastAPI, at: Components) -> None:
     """Add the routes of Tasks for people."""
+    routes = TaggedRoutes(app, "tasklist")
     tasklist, state = at.orchestrator.tasklist, at.orchestrator.state
 
-    @app.get(
-        "/tasks",
-        tags=["tasklist"],
-        responses={200: {"model": list[TasklistEntry]}},
-        dependencies=[require(Permission.READ)],
+    @routes.get(
+        "/tasks", responses={200: {"model": list[TasklistEntry]}}, dependencies=[require(Permission.READ)]
     )
     async def tasks(query: Annotated[TaskListQuery, Query()], request: Request) -> Response:
         """Return the open Tasks of people, those that are due first before others.
@@ -89,19 +88,13 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
             response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
         return response
 
-    @app.get(
-        "/tasks/{task_id}",
-        tags=["tasklist"],
-        responses=DETAILS,
-        dependencies=[require(Permission.READ, of_task(at))],
-    )
+    @routes.get("/tasks/{task_id}", responses=DETAILS, dependencies=[require(Permission.READ, of_task(at))])
     async def task(task_id: TaskId) -> Response:
         """Return a Task of people with its form, comments and history."""
         return json_response(await _details(at, _urn(at, task_id)))
 
-    @app.get(
+    @routes.get(
         "/tasks/{task_id}/history",
-        tags=["tasklist"],
         responses={200: {"model": list[TaskHistoryEntry]}},
         dependencies=[require(Permission.READ, of_task(at))],
     )
@@ -109,9 +102,8 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         """Return what became of a Task, the earliest first."""
         return json_response((await _details(at, _urn(at, task_id)))["history"])
 
-    @app.post(
+    @routes.post(
         "/tasks/{task_id}/form",
-        tags=["tasklist"],
         responses={200: {"model": TaskForm | None}},
         dependencies=[require(Permission.READ, of_task(at))],
     )
@@ -121,11 +113,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         task_view = await tasklist.task(_urn(at, task_id))
         return JSONResponse(_form(at, task_view, body.values))
 
-    @app.post(
-        "/tasks/{task_id}/claim",
-        tags=["tasklist"],
-        responses=DETAILS,
-    )
+    @routes.post("/tasks/{task_id}/claim", responses=DETAILS)
     async def claim(
         task_id: TaskId,
         body: ClaimRequest,
@@ -136,11 +124,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         await tasklist.claim(_urn(at, task_id), caller.acting_name(body.by), groups, override=body.override)
         return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
-    @app.post(
-        "/tasks/{task_id}/return",
-        tags=["tasklist"],
-        responses=DETAILS,
-    )
+    @routes.post("/tasks/{task_id}/return", responses=DETAILS)
     async def give_back(
         task_id: TaskId,
         body: ReturnRequest,
@@ -150,11 +134,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         await tasklist.give_back(_urn(at, task_id), caller.acting_name(body.by), body.why)
         return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
-    @app.post(
-        "/tasks/{task_id}/decline",
-        tags=["tasklist"],
-        responses=DETAILS,
-    )
+    @routes.post("/tasks/{task_id}/decline", responses=DETAILS)
     async def decline(
         task_id: TaskId,
         body: DeclineRequest,
@@ -164,11 +144,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         await tasklist.decline(_urn(at, task_id), caller.acting_name(body.by), body.why.strip())
         return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
-    @app.post(
-        "/tasks/{task_id}/complete",
-        tags=["tasklist"],
-        responses=DETAILS,
-    )
+    @routes.post("/tasks/{task_id}/complete", responses=DETAILS)
     @max_body(MAX_PARAMETERS_BYTES)
     async def complete(
         task_id: TaskId,
@@ -192,12 +168,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         )
         return json_response(await shown_after_change(_details(at, _urn(at, task_id))))
 
-    @app.post(
-        "/tasks/{task_id}/comments",
-        status_code=201,
-        tags=["tasklist"],
-        responses=COMMENTED,
-    )
+    @routes.post("/tasks/{task_id}/comments", status_code=201, responses=COMMENTED)
     async def comment(
         task_id: TaskId,
         body: CommentRequest,
@@ -210,12 +181,7 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         )
         return JSONResponse(document(TaskComment, act), 201)
 
-    @app.post(
-        "/processes/{process_id}/comments",
-        status_code=201,
-        tags=["tasklist"],
-        responses=COMMENTED,
-    )
+    @routes.post("/processes/{process_id}/comments", status_code=201, responses=COMMENTED)
     async def comment_on_process(
         process_id: str,
         body: CommentRequest,
@@ -227,9 +193,8 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         )
         return JSONResponse(document(TaskComment, act), 201)
 
-    @app.get(
+    @routes.get(
         "/processes/{process_id}/comments",
-        tags=["tasklist"],
         responses={200: {"model": list[TaskComment]}},
         dependencies=[require(Permission.READ, of_process(at))],
     )

@@ -15,6 +15,7 @@ from starlette.websockets import WebSocket
 
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
+from handover.http.api_description import TaggedRoutes
 from handover.http.websocket_closing import close_websocket
 from handover.messages import message
 from handover.security.act_recording import lowers
@@ -67,6 +68,7 @@ class StopChange(ByPerson, MeasuredStop):
 
 def add_routes(app: FastAPI, find: Find) -> None:
     """Add the routes of the limits."""
+    routes = TaggedRoutes(app, "limits")
 
     def is_lower_speed(arguments: Mapping[str, Any]) -> bool:
         return find(arguments["robot"])[0].is_lower_speed(arguments["body"])
@@ -74,16 +76,12 @@ def add_routes(app: FastAPI, find: Find) -> None:
     def is_longer_stop(arguments: Mapping[str, Any]) -> bool:
         return find(arguments["robot"])[0].is_longer_stop(arguments["body"])
 
-    @app.get("/robots/{robot}/limits", tags=["limits"], dependencies=[require(Permission.READ, of_robot)])
+    @routes.get("/robots/{robot}/limits", dependencies=[require(Permission.READ, of_robot)])
     async def limits(robot: str) -> RobotLimitsView:
         """Return what limits the speed of a robot now: which rule, the distance of people, the sources."""
         return view_of(*find(robot))
 
-    @app.post(
-        "/robots/{robot}/limits/reset",
-        tags=["limits"],
-        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
-    )
+    @routes.post("/robots/{robot}/limits/reset", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
     async def reset(robot: str, body: ByPerson) -> RobotLimitsView:
         """Release stops for body signals and after contacts; 409 while a source still demands the stop."""
         robot_limits, driver = find(robot)
@@ -100,10 +98,8 @@ def add_routes(app: FastAPI, find: Find) -> None:
             )
         return view_of(robot_limits, driver)
 
-    @app.post(
-        "/robots/{robot}/limits/confirm-clear",
-        tags=["limits"],
-        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    @routes.post(
+        "/robots/{robot}/limits/confirm-clear", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)]
     )
     async def confirm_clear(robot: str, body: ByPerson) -> RobotLimitsView:
         """Forget people who vanished near the robot: a person has seen that nobody is there."""
@@ -111,9 +107,8 @@ def add_routes(app: FastAPI, find: Find) -> None:
         await robot_limits.confirm_clear(body.name)
         return view_of(robot_limits, driver)
 
-    @app.post(
+    @routes.post(
         "/robots/{robot}/limits/sources/{source}/remove",
-        tags=["limits"],
         dependencies=[require(Permission.CONFIGURE, of_robot)],
     )
     async def remove(robot: str, source: str, body: Removal) -> RobotLimitsView:
@@ -133,9 +128,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
             )
         return view_of(robot_limits, driver)
 
-    @app.put(
-        "/robots/{robot}/limits/mode", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
-    )
+    @routes.put("/robots/{robot}/limits/mode", dependencies=[require(Permission.CONFIGURE, of_robot)])
     @lowers(lambda arguments: arguments["body"].mode == "reduced")
     async def set_mode(robot: str, body: ModeChange) -> RobotLimitsView:
         """Set the mode, `normal` or `reduced`."""
@@ -143,11 +136,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
         await robot_limits.set_mode(body.mode, body.name)
         return view_of(robot_limits, driver)
 
-    @app.put(
-        "/robots/{robot}/limits/safe-speed",
-        tags=["limits"],
-        dependencies=[require(Permission.CONFIGURE, of_robot)],
-    )
+    @routes.put("/robots/{robot}/limits/safe-speed", dependencies=[require(Permission.CONFIGURE, of_robot)])
     @lowers(is_lower_speed)
     async def set_safe_speed(robot: str, body: SafeSpeedChange) -> RobotLimitsView:
         """Set the speed of the tool that was validated for an end effector, with the date of validation."""
@@ -166,9 +155,7 @@ def add_routes(app: FastAPI, find: Find) -> None:
         await robot_limits.set_safe_speed(speed, body.name)
         return view_of(robot_limits, driver)
 
-    @app.put(
-        "/robots/{robot}/limits/stop", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
-    )
+    @routes.put("/robots/{robot}/limits/stop", dependencies=[require(Permission.CONFIGURE, of_robot)])
     @lowers(is_longer_stop)
     async def set_stop(robot: str, body: StopChange) -> RobotLimitsView:
         """Set the measured stop, from which protective distances are computed."""

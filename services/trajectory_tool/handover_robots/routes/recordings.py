@@ -7,7 +7,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
@@ -19,9 +19,10 @@ _OF_ROBOT = in_path("Device", "robot")
 
 def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
     """Add the routes."""
+    routes = TaggedRoutes(app, "control")
     readers = [require(Permission.READ_STUDIES, _OF_ROBOT)]
 
-    @app.get("/robots/{robot}/control/recordings", tags=["control"], dependencies=readers)
+    @routes.get("/robots/{robot}/control/recordings", dependencies=readers)
     async def recordings(robot: str) -> dict[str, Any]:
         """Return the recordings of a robot, the newest first, and the columns that all of them have."""
         _require_plain(robot)
@@ -33,9 +34,8 @@ def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
             ],
         }
 
-    @app.get(
+    @routes.get(
         "/robots/{robot}/control/recordings/{name}",
-        tags=["control"],
         dependencies=readers,
         response_class=FileResponse,
         responses=sends("text/csv"),
@@ -44,9 +44,8 @@ def add_recording_routes(app: FastAPI, data_dir: Path) -> None:
         """Return a recording as CSV: both inputs, m, what was commanded, and times, one row a cycle."""
         return FileResponse(_file(data_dir, robot, name), media_type="text/csv; charset=utf-8", filename=name)
 
-    @app.delete(
+    @routes.delete(
         "/robots/{robot}/control/recordings/{name}",
-        tags=["control"],
         status_code=204,
         dependencies=[require(Permission.CONDUCT_STUDIES, _OF_ROBOT)],
     )

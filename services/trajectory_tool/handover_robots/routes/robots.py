@@ -10,7 +10,7 @@ from starlette.requests import HTTPConnection
 from handover.control.lease import Leases
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message, text_of
 from handover.security.guard import ResourceOf, in_path, require, require_somewhere
 from handover.security.permissions import Permission
@@ -35,20 +35,19 @@ class Seen(StrictModel):
 
 def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> None:
     """Add the routes of robots and of what they can do."""
+    routes = TaggedRoutes(app, "robots")
 
-    @app.get("/robots", tags=["robots"], dependencies=[require(Permission.READ)])
+    @routes.get("/robots", dependencies=[require(Permission.READ)])
     async def robots() -> list[RobotView]:
         """Return the state of every robot."""
         return [view_of(controller, leases) for controller in controllers.by_name.values()]
 
-    @app.get("/robots/{robot}", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
+    @routes.get("/robots/{robot}", dependencies=[require(Permission.READ, of_robot)])
     async def one_robot(robot: str) -> RobotView:
         """Return the state of a robot: joints, tool pose, gripper, and its Task."""
         return view_of(controller_of(controllers, robot), leases)
 
-    @app.get(
-        "/robots/{robot}/description", tags=["robots"], dependencies=[require(Permission.READ, of_robot)]
-    )
+    @routes.get("/robots/{robot}/description", dependencies=[require(Permission.READ, of_robot)])
     async def describe(robot: str) -> dict[str, Any]:
         """Return what the robot is: joints with limits, home, gripper, and the URDF that draws it.
 
@@ -57,9 +56,8 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
         controller = controller_of(controllers, robot)
         return {"id": controller.robot_name, **description(controller.unit)}
 
-    @app.get(
+    @routes.get(
         "/robots/{robot}/urdf",
-        tags=["robots"],
         response_class=Response,
         responses=sends("application/xml"),
         dependencies=[require(Permission.READ, of_robot)],
@@ -68,13 +66,13 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
         """Return the URDF of the robot."""
         return Response(controller_of(controllers, robot).unit.model.urdf, media_type="application/xml")
 
-    @app.get("/robots/{robot}/scene", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
+    @routes.get("/robots/{robot}/scene", dependencies=[require(Permission.READ, of_robot)])
     async def scene(robot: str) -> dict[str, Any]:
         """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
         controller_of(controllers, robot)
         return scene_view(controllers.cell)
 
-    @app.get("/operations", tags=["robots"], dependencies=[require_somewhere(Permission.READ)])
+    @routes.get("/operations", dependencies=[require_somewhere(Permission.READ)])
     async def operations_known() -> dict[str, Any]:
         """Return the operations of robots, each with the JSON Schema of its workParameters."""
         return {
@@ -85,10 +83,8 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
             for name, operation in OPERATIONS.items()
         }
 
-    @app.post(
-        "/robots/{robot}/confirm",
-        tags=["robots"],
-        dependencies=[require(Permission.PERFORM_TASKS, _of_work(controllers))],
+    @routes.post(
+        "/robots/{robot}/confirm", dependencies=[require(Permission.PERFORM_TASKS, _of_work(controllers))]
     )
     async def confirm(robot: str, seen: Seen | None = None) -> RobotView:
         """Confirm a hand-over: the person holds the part; 409 while there is nothing to confirm.
@@ -106,11 +102,7 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
             )
         return view_of(controller, leases)
 
-    @app.post(
-        "/robots/{robot}/gripper/free",
-        tags=["robots"],
-        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
-    )
+    @routes.post("/robots/{robot}/gripper/free", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
     async def free(robot: str) -> RobotView:
         """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
         controller = controller_of(controllers, robot)

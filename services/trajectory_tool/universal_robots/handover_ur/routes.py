@@ -8,6 +8,7 @@ from fastapi import FastAPI
 from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
+from handover.http.api_description import TaggedRoutes
 from handover.messages import text_of
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
@@ -46,6 +47,7 @@ def add_routes(
     app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report], options: UrOptions
 ) -> None:
     """Add the routes of the controller of `robot`."""
+    routes = TaggedRoutes(app, "controllers")
     path = f"/robots/{robot}/controller"
 
     def of_robot(connection: HTTPConnection) -> str:
@@ -53,12 +55,7 @@ def add_routes(
 
     of_robot.__doc__ = f"Device `{robot}`"
 
-    @app.get(
-        path,
-        tags=["controllers"],
-        name=f"controller of {robot}",
-        dependencies=[require(Permission.READ, of_robot)],
-    )
+    @routes.get(path, name=f"controller of {robot}", dependencies=[require(Permission.READ, of_robot)])
     async def state() -> ControllerView:
         """Return connection, robot mode, safety status and speed slider of the controller.
 
@@ -66,30 +63,23 @@ def add_routes(
         """
         return view_of(report(), options)
 
-    @app.get(
-        f"{path}/identity",
-        tags=["controllers"],
-        name=f"identity of {robot}",
-        dependencies=[require(Permission.READ, of_robot)],
+    @routes.get(
+        f"{path}/identity", name=f"identity of {robot}", dependencies=[require(Permission.READ, of_robot)]
     )
     async def identity() -> dict[str, str]:
         """Return model, serial number and software version; 502 when the dashboard server does not answer."""
         return await _answered(dashboard.describe())
 
-    @app.post(
-        f"{path}/power-on",
-        tags=["controllers"],
-        name=f"power on {robot}",
-        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    @routes.post(
+        f"{path}/power-on", name=f"power on {robot}", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)]
     )
     async def power_on() -> ControllerView:
         """Power the arm, at the request of a person; the brakes stay closed. 502 when it is rejected."""
         await _answered(dashboard.power_on())
         return view_of(report(), options)
 
-    @app.post(
+    @routes.post(
         f"{path}/brake-release",
-        tags=["controllers"],
         name=f"release the brakes of {robot}",
         dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
     )

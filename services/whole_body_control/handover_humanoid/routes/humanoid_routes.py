@@ -11,7 +11,7 @@ from fastapi import FastAPI, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem, UsageError
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
@@ -54,42 +54,39 @@ def add_humanoid_routes(app: FastAPI, control: HumanoidControl) -> None:
 
 
 def _add_models(app: FastAPI, control: HumanoidControl) -> None:
+    routes = TaggedRoutes(app, "humanoid")
     see = [require(Permission.READ, of_humanoid)]
 
-    @app.get("/humanoids", tags=["humanoid"], dependencies=[require_somewhere(Permission.READ)])
+    @routes.get("/humanoids", dependencies=[require_somewhere(Permission.READ)])
     async def humanoids() -> list[HumanoidView]:
         """Return the installed models; all are simulated. `problem` says what a model lacks."""
         return await asyncio.to_thread(lambda: [_humanoid_view(name, control) for name in HUMANOIDS.names()])
 
-    @app.get("/model", tags=["humanoid"], dependencies=see)
+    @routes.get("/model", dependencies=see)
     async def model() -> ModelView:
         """Return chains, joints with limits and gains, sensors, contacts, stacks of tasks, default poses."""
         return ModelView.model_validate(model_view(control.model))
 
-    @app.get(
-        "/model/urdf",
-        tags=["humanoid"],
-        dependencies=see,
-        response_class=Response,
-        responses=sends("application/xml"),
-    )
+    @routes.get("/model/urdf", dependencies=see, response_class=Response, responses=sends("application/xml"))
     async def urdf() -> Response:
         """Return the URDF."""
         return Response(control.model.urdf, media_type="application/xml")
 
-    @app.get("/state", tags=["humanoid"], dependencies=see)
+    @routes.get("/state", dependencies=see)
     async def state() -> dict[str, Any]:
         """Return the newest live document; `fault` says when it is not live."""
         return control.document()
 
-    @app.get("/cycle", tags=["humanoid"], dependencies=see)
+    @routes.get("/cycle", dependencies=see)
     async def cycle() -> StateView:
         """Return whether the control cycle runs, how often it was started or found, and the stop."""
         return _state_view(control)
 
 
 def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
-    @app.post("/stop", tags=["humanoid"])
+    routes = TaggedRoutes(app, "humanoid")
+
+    @routes.post("/stop")
     @lowers()
     async def stop(
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_humanoid)],
@@ -99,25 +96,25 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
         await control.stop(caller, (body or StopRequest()).reason)
         return _state_view(control)
 
-    @app.post("/reset", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    @routes.post("/reset", dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def reset() -> StateView:
         """Release the stop; 409 while a limit still stops the robot. It moves only by a further request."""
         await control.reset()
         return _state_view(control)
 
-    @app.post("/restart", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    @routes.post("/restart", dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def restart() -> StateView:
         """Start the control cycle again after it has ended, or after a fall; 409 while it runs."""
         await control.restart()
         return _state_view(control)
 
-    @app.post("/behaviour", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    @routes.post("/behaviour", dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def behaviour(body: BehaviourRequest) -> StateView:
         """Choose what the robot does; 409 while it does not stand on both feet."""
         control.choose(body.behaviour)
         return _state_view(control)
 
-    @app.post("/throws", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    @routes.post("/throws", dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def throw(body: ThrowRequest) -> ThrowView:
         """Throw a ball now, or after the rehearsal of a hand that has not thrown yet.
 
@@ -128,21 +125,22 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
 
 
 def _add_gains(app: FastAPI, control: HumanoidControl) -> None:
+    routes = TaggedRoutes(app, "gains")
     change = [require(Permission.CONFIGURE, of_humanoid)]
 
-    @app.get("/gains", tags=["gains"], dependencies=[require(Permission.READ, of_humanoid)])
+    @routes.get("/gains", dependencies=[require(Permission.READ, of_humanoid)])
     async def gains() -> list[ChainGainsView]:
         """Return the gains of each chain as shares of those of the model, with the limits of the model."""
         return _gains_view(control)
 
-    @app.put("/gains", tags=["gains"], dependencies=change)
+    @routes.put("/gains", dependencies=change)
     async def change_gains(body: GainsRequest) -> list[ChainGainsView]:
         """Change the gains of chains; the joints follow within a second or so. 422 outside of the limits."""
         wanted = {chain: Shares(shares.stiffness, shares.damping) for chain, shares in body.chains.items()}
         await control.change_gains(wanted)
         return _gains_view(control)
 
-    @app.delete("/gains", tags=["gains"], dependencies=change)
+    @routes.delete("/gains", dependencies=change)
     async def reset_gains() -> list[ChainGainsView]:
         """Return to the gains of the model."""
         await control.reset_gains()
@@ -165,7 +163,9 @@ def _gains_view(control: HumanoidControl) -> list[ChainGainsView]:
 
 
 def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
-    @app.get("/limits", tags=["limits"], dependencies=[require(Permission.READ, of_humanoid)])
+    routes = TaggedRoutes(app, "limits")
+
+    @routes.get("/limits", dependencies=[require(Permission.READ, of_humanoid)])
     async def limits() -> list[LimitSourceView]:
         """Return the sources of speed limits; none of them is a safety-rated function."""
         return [
@@ -178,11 +178,8 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
             for limit in control.limits.limits.allowed(time.monotonic())
         ]
 
-    @app.delete(
-        "/limits/{source}",
-        tags=["limits"],
-        status_code=204,
-        dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)],
+    @routes.delete(
+        "/limits/{source}", status_code=204, dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)]
     )
     async def remove(source: str) -> None:
         """Require a source no longer, for example after its person was unbound."""

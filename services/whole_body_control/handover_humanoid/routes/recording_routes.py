@@ -9,7 +9,7 @@ from pydantic import Field
 from starlette.responses import FileResponse
 
 from handover.errors import Problem
-from handover.http.api_description import sends
+from handover.http.api_description import TaggedRoutes, sends
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
@@ -65,36 +65,36 @@ class FramesView(Body):
 
 def add_recording_routes(app: FastAPI, recordings: Recordings) -> None:
     """Add the routes."""
+    routes = TaggedRoutes(app, "recordings")
     see = [require(Permission.READ, of_humanoid)]
     conduct = require(Permission.CONDUCT_STUDIES, of_humanoid)
 
     def view(row: RecordingRow) -> RecordingView:
         return _view(row, recordings)
 
-    @app.get("/recordings", tags=["recordings"], dependencies=see)
+    @routes.get("/recordings", dependencies=see)
     async def list_recordings() -> list[RecordingView]:
         """Return the recordings, newest first."""
         return [view(row) for row in await recordings.all()]
 
-    @app.post("/recordings", tags=["recordings"], status_code=201)
+    @routes.post("/recordings", status_code=201)
     async def start(caller: Annotated[Caller, conduct], body: RecordingStart | None = None) -> RecordingView:
         """Record the state of the control cycle; 409 while a recording runs, 507 with a full disk."""
         return view(await recordings.start((body or RecordingStart()).label, caller.name))
 
-    @app.post("/recordings/{recording}/stop", tags=["recordings"], dependencies=[conduct])
+    @routes.post("/recordings/{recording}/stop", dependencies=[conduct])
     async def stop(recording: RecordingId) -> RecordingView:
         """End a recording and close its file; the response has its SHA-256."""
         return view(await recordings.stop(recording))
 
-    @app.delete("/recordings/{recording}", tags=["recordings"], status_code=204, dependencies=[conduct])
+    @routes.delete("/recordings/{recording}", status_code=204, dependencies=[conduct])
     async def delete(recording: RecordingId) -> Response:
         """Delete a recording with its file; one that runs is ended."""
         await recordings.delete(recording)
         return Response(status_code=204)
 
-    @app.get(
+    @routes.get(
         "/recordings/{recording}",
-        tags=["recordings"],
         dependencies=see,
         response_class=FileResponse,
         responses=sends("application/octet-stream"),
@@ -110,7 +110,7 @@ def add_recording_routes(app: FastAPI, recordings: Recordings) -> None:
             headers={"Repr-Digest": f"sha-256=:{digest}:", "Cache-Control": "no-store"},
         )
 
-    @app.get("/recordings/{recording}/frames", tags=["recordings"], dependencies=see)
+    @routes.get("/recordings/{recording}/frames", dependencies=see)
     async def frames(
         recording: RecordingId,
         from_s: Annotated[float, Query(alias="from", ge=0, le=MAX_SECONDS)] = 0.0,
