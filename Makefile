@@ -286,15 +286,12 @@ bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gl
 bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 	@$(BIN)/python -m benchmarks.cell.handover
 
-bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker, 1,000 messages a second
-	@$(BIN)/python -m benchmarks.ros.ros_graph
+bench-bridge: setup  ## the ROS bridge: both ways through the broker, 1,000 messages a second
 	@$(BIN)/python -m benchmarks.ros.ros_bridge $(ARGS)
 
 bench-motion: setup  ## motion planning, and bin picking in simulated physics (SHORT=1: 12 minutes; ARGS="--problems 100")
 	@$(BIN)/python -m benchmarks.robots.motion $(if $(SHORT),--problems 334 --peers 20) $(ARGS)
 	@$(BIN)/python -m benchmarks.robots.random_moves $(if $(SHORT),--moves 2000)
-	@$(BIN)/python -m benchmarks.robots.limits
-	@$(BIN)/python -m benchmarks.robots.universal_robots
 	@$(BIN)/python -m benchmarks.robots.physics
 
 bench-devices: setup  ## the device gateway: 1,000 devices at 1 Hz, values stored a second (ARGS=--postgres)
@@ -334,7 +331,7 @@ bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a pe
 bench-vr: setup  ## virtual reality with an emulated headset: what the page works, and the way from a pose to its picture (ARGS="--seconds 20")
 	@$(BIN)/python -m benchmarks.page.humanoid_vr $(ARGS)
 
-bench-screen: setup  ## the screen in Chromium: response times, memory, and the waveforms of the page Health
+bench-screen: setup  ## the screen in Chromium: response times, and the waveforms of the page Health
 	@$(BIN)/python -m benchmarks.page.screen $(ARGS)
 	@$(BIN)/python -m benchmarks.page.waveforms
 
