@@ -1,13 +1,23 @@
 """Errors for people: they name the thing, the rule and the way out."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
-from handover.messages import with_code
+from handover import messages
+from handover.messages import Parameter, with_code
 
 
 class HandoverError(Exception):
     """The base class of all our errors."""
+
+
+class TranslatedError(HandoverError):
+    """An error whose only argument is its text."""
+
+    @classmethod
+    def translated(cls, code: str, template: str, /, **parameters: Parameter) -> Self:
+        """Return the error with `handover.messages.message` of these arguments, which the page translates."""
+        return cls(messages.message(code, template, **parameters))
 
 
 class UsageError(HandoverError):
@@ -27,6 +37,13 @@ class Problem(HandoverError):
     detail: str
     type: str = "about:blank"
     extra: dict[str, Any] | None = None
+
+    @classmethod
+    def translated(
+        cls, status: int, title: str, code: str, template: str, /, **parameters: Parameter
+    ) -> Self:
+        """Return the problem with `handover.messages.message` of the last arguments as its detail."""
+        return cls(status, title, messages.message(code, template, **parameters))
 
     def __str__(self) -> str:
         return f"{self.title}: {self.detail}" if self.detail else self.title

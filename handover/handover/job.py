@@ -17,7 +17,7 @@ from enum import Enum
 from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.errors import HandoverError
+from handover.errors import HandoverError, TranslatedError
 from handover.messages import message, with_code
 from handover.runtime.retry import retry
 from handover.tasks.device_lease import DeviceLease, LeaseState
@@ -54,7 +54,7 @@ class TaskGone(TaskCancelled):
     """The Task was deleted from the broker or finished by another client: there is nothing to report."""
 
 
-class TaskFailed(HandoverError):
+class TaskFailed(TranslatedError):
     """The Task cannot be done; `reason` and `outputs` become parts of its outputParameters."""
 
     def __init__(self, reason: str, **outputs: Any) -> None:

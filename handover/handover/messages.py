@@ -1,6 +1,7 @@
 """Messages for people: English text with a code and parameters, so that the page can translate it.
 
-    raise Problem(404, "Unknown glove", message("glove.unknown", 'there is no glove "{glove}"', glove=name))
+    message("glove.unknown", 'there is no glove "{glove}"', glove=name)
+    raise Problem.translated(404, "Unknown glove", "glove.unknown", 'there is no glove "{glove}"', glove=name)
 
 A `Message` is a string: logs, command lines and clients that ignore codes use its English text. In JSON,
 `with_code` adds the code and the parameters beside the text. Codes are an API: a code keeps its meaning, and

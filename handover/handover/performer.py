@@ -513,12 +513,10 @@ class Performer(ABC):
         try:
             await self._finished.begin_act(job.task.id, PERFORM)
         except OSError as error:
-            raise TaskFailed(
-                message(
-                    "task.begin_not_recorded",
-                    "the begin of the work cannot be recorded: {error}; free disk space",
-                    error=str(error),
-                )
+            raise TaskFailed.translated(
+                "task.begin_not_recorded",
+                "the begin of the work cannot be recorded: {error}; free disk space",
+                error=str(error),
             ) from error
 
     async def _finish(self, job: Job, status: TaskStatus, outputs: Mapping[str, Any]) -> None:

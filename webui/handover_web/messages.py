@@ -2,14 +2,15 @@
 
     python -m handover_web.messages          # write the English texts to app/src/i18n/en/server.json
 
-It consists of all calls `message("code", "template", …)`. The templates are the English texts. The German and
-Finnish texts are written by hand; a test of the page compares the languages.
+It consists of all calls `message("code", "template", …)`, and of those of a method `translated`, whose
+arguments end with both. The templates are the English texts. The German and Finnish texts are written by
+hand; a test of the page compares the languages.
 """
 
 import ast
 import json
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +22,7 @@ ENGLISH: Final = ROOT / "webui" / "app" / "src" / "i18n" / "en" / "server.json"
 
 @dataclass(frozen=True, slots=True)
 class FoundMessage:
-    """A call of `message` in the source, with the names of its parameters."""
+    """A call of `message` or `translated` in the source, with the names of its parameters."""
 
     code: str
     template: str
@@ -72,20 +73,23 @@ def english(messages: Iterator[FoundMessage]) -> dict[str, Any]:
 
 
 def _in_module(source: str, location: str) -> Iterator[FoundMessage]:
-    if "message(" not in source:
+    if "message(" not in source and ".translated(" not in source:
         return
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "message":
-            yield _found(node, f"{location}:{node.lineno}")
+        match node:
+            case ast.Call(func=ast.Name(id="message")):
+                yield _found(node, node.args, f"{location}:{node.lineno}")
+            case ast.Call(func=ast.Attribute(attr="translated")):
+                yield _found(node, node.args[-2:], f"{location}:{node.lineno}")
 
 
-def _found(call: ast.Call, location: str) -> FoundMessage:
+def _found(call: ast.Call, arguments: Sequence[ast.expr], location: str) -> FoundMessage:
     texts = [
         argument.value
-        for argument in call.args
+        for argument in arguments
         if isinstance(argument, ast.Constant) and isinstance(argument.value, str)
     ]
-    if len(texts) != 2 or len(call.args) != 2:
+    if len(texts) != 2 or len(arguments) != 2:
         raise InvalidMessage(
             f"{location}: message takes a code and a template, both literal strings, and keyword arguments"
         )

@@ -16,7 +16,6 @@ from handover.control.lease import Lease, Leases
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import TaggedRoutes
-from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import Guard, in_path, require
@@ -196,15 +195,13 @@ def view_of(robot: str, leases: Leases) -> LeaseView:
 
 
 def _taken(robot: str, lease: Lease | None) -> Problem:
-    return Problem(
+    return Problem.translated(
         409,
         "Controlled by another person",
-        message(
-            "robot.control_taken",
-            "{name} controls {robot}; wait for the end, or ask an admin to take the control away",
-            name=lease.name if lease is not None else "somebody",
-            robot=robot,
-        ),
+        "robot.control_taken",
+        "{name} controls {robot}; wait for the end, or ask an admin to take the control away",
+        name=lease.name if lease is not None else "somebody",
+        robot=robot,
     )
 
 
@@ -250,14 +247,12 @@ def add_lease_routes(
             raise _problem_without_control(robot)
         ended = leases.hand_over(robot, body.to)
         if ended is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Nobody waits",
-                message(
-                    "robot.control_not_waiting",
-                    "this person waits for the control of {robot} no longer",
-                    robot=robot,
-                ),
+                "robot.control_not_waiting",
+                "this person waits for the control of {robot} no longer",
+                robot=robot,
             )
         receiver = leases.of(robot)
         sessions.end(
@@ -267,12 +262,10 @@ def add_lease_routes(
 
 
 def _problem_without_control(robot: str) -> Problem:
-    return Problem(
+    return Problem.translated(
         409,
         "Not in control",
-        message(
-            "robot.control_not_yours",
-            "you do not control {robot}, so you cannot hand it over; take the control first",
-            robot=robot,
-        ),
+        "robot.control_not_yours",
+        "you do not control {robot}, so you cannot hand it over; take the control first",
+        robot=robot,
     )

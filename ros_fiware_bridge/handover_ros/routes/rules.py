@@ -6,7 +6,6 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 
 from handover.errors import Problem
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
@@ -24,10 +23,8 @@ class BridgeHolder:
     def get(self) -> Bridge:
         """Return the bridge; raise `Problem` 503 while it starts."""
         if self.bridge is None:
-            raise Problem(
-                503,
-                "Not ready",
-                message("ros.not_ready", "the ROS bridge is starting; try again in a moment"),
+            raise Problem.translated(
+                503, "Not ready", "ros.not_ready", "the ROS bridge is starting; try again in a moment"
             )
         return self.bridge
 

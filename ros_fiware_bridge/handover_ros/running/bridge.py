@@ -10,7 +10,6 @@ from typing import Any, Self, cast
 from handover.alerts.catalogue import ROS_PROBLEM
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
-from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
@@ -176,12 +175,13 @@ class Bridge:
 
     def _no_such_rule(self, name: str) -> Problem:
         names = ", ".join(self.stats) or "none"
-        return Problem(
+        return Problem.translated(
             404,
             "No such rule",
-            message(
-                "ros.no_such_rule", 'there is no rule "{name}"; there are {known}', name=name, known=names
-            ),
+            "ros.no_such_rule",
+            'there is no rule "{name}"; there are {known}',
+            name=name,
+            known=names,
         )
 
     def _details(self, name: str) -> dict[str, Any]:

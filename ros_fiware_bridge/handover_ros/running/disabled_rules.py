@@ -7,7 +7,6 @@ import orjson
 
 from handover.errors import Problem, UsageError
 from handover.files.durable_files import replace_durably
-from handover.messages import message
 
 
 class DisabledRules:
@@ -34,13 +33,11 @@ class DisabledRules:
         try:
             replace_durably(self._path, orjson.dumps({"off": sorted(off)}))
         except OSError as error:
-            raise Problem(
+            raise Problem.translated(
                 507,
                 "Not kept",
-                message(
-                    "ros.not_kept",
-                    "{path} cannot be written: {error}; free disk space",
-                    path=str(self._path),
-                    error=error.strerror,
-                ),
+                "ros.not_kept",
+                "{path} cannot be written: {error}; free disk space",
+                path=str(self._path),
+                error=error.strerror,
             ) from error

@@ -15,7 +15,6 @@ from fastapi import Request
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.broker.resync import Resync
 from handover.errors import Problem
-from handover.messages import message
 from handover.service_addresses import ROS_BRIDGE
 from handover.settings import Settings
 from handover.subscriptions.notifications import NotificationReceiver, ids_of
@@ -190,14 +189,12 @@ class Listeners:
         notified = await self._receiver.receive(request)
         listener = self._listeners.get(rule)
         if listener is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such rule",
-                message(
-                    "ros.no_such_listening_rule",
-                    'no rule "{rule}" reads entities of the broker',
-                    rule=rule,
-                ),
+                "ros.no_such_listening_rule",
+                'no rule "{rule}" reads entities of the broker',
+                rule=rule,
             )
         try:
             await listener.read(notified, self._receiver)

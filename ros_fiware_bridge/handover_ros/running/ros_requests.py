@@ -272,22 +272,18 @@ class RosTaskPerformer(Performer):
         request = self._requests.get((job.resource, operation))
         if request is None:
             tasks = ", ".join(task for resource, task in self._requests if resource == job.resource)
-            raise TaskFailed(
-                message(
-                    "ros.no_rule_for_operation",
-                    'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
-                    operation=operation,
-                    resource=job.resource,
-                    known=tasks,
-                )
+            raise TaskFailed.translated(
+                "ros.no_rule_for_operation",
+                'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
+                operation=operation,
+                resource=job.resource,
+                known=tasks,
             )
         if not request.stats.enabled:
-            raise TaskFailed(
-                message(
-                    "ros.rule_disabled",
-                    'the rule "{rule}" of the ROS bridge is switched off',
-                    rule=request.stats.name,
-                )
+            raise TaskFailed.translated(
+                "ros.rule_disabled",
+                'the rule "{rule}" of the ROS bridge is switched off',
+                rule=request.stats.name,
             )
         return request
 

@@ -10,7 +10,6 @@ from sqlalchemy import Column, Connection, func, select
 
 from handover.database.outage import in_database
 from handover.errors import Problem, UsageError
-from handover.messages import message
 from handover.network.client_networks import network_of
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
@@ -344,14 +343,12 @@ class Directory:
                 lambda change: change.record("station.signedOut", station, outcome="refused"),
                 method=IdentifierKind.PIN,
             )
-            raise Problem(
+            raise Problem.translated(
                 403,
                 "PIN needed",
-                message(
-                    "station.pinNeeded",
-                    "a station is signed out with the PIN of the person who has joined it, or of an engineer;"
-                    " an engineer without a PIN removes the station on the page People",
-                ),
+                "station.pinNeeded",
+                "a station is signed out with the PIN of the person who has joined it, or of an engineer;"
+                " an engineer without a PIN removes the station on the page People",
             )
         self._limits.succeeded(station, "sign-out")
         await self.change(

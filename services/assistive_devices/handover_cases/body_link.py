@@ -19,7 +19,6 @@ from websockets.asyncio.client import ClientConnection
 from handover.control.limit_link import REPORT_PERIOD_S, Headers, LimitLink, Serve, keep_connected
 from handover.control.speed_limits import Allowed, SpeedLimits
 from handover.errors import Problem
-from handover.messages import message
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.telemetry import get_logger
 from handover_cases.model.body import Body, read_body
@@ -99,15 +98,13 @@ class BodyLink:
                 return
             await asyncio.sleep(REPORT_PERIOD_S)
         reason = str(self.allowed(time.monotonic()).reason)
-        raise Problem(
+        raise Problem.translated(
             409,
             "Still stopped",
-            message(
-                "case.still_stopped",
-                "the limit still stops {robot}: {reason}",
-                robot=self._robot,
-                reason=reason,
-            ),
+            "case.still_stopped",
+            "the limit still stops {robot}: {reason}",
+            robot=self._robot,
+            reason=reason,
         )
 
     def close(self) -> None:

@@ -20,7 +20,6 @@ from sqlalchemy import Engine
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.extensions import ExtensionPoint
-from handover.messages import message
 from handover_cases.model.body import Body
 from handover_cases.model.command import Command
 from handover_cases.model.sensor import Sensor
@@ -72,14 +71,12 @@ class Machine(ABC):
     def configure(self, options: Mapping[str, Any]) -> None:
         """Take what the person chooses before a start. Raises `Problem` for what cannot be chosen."""
         if options:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "No options",
-                message(
-                    "case.no_options",
-                    "this machine has no options; start it without {names}",
-                    names=", ".join(options),
-                ),
+                "case.no_options",
+                "this machine has no options; start it without {names}",
+                names=", ".join(options),
             )
 
     async def saved(self) -> None:  # noqa: B027 - for machines that keep a log

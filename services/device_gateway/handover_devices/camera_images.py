@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_devices.protocol.live import ImagePart
 from handover_devices.protocol.messages import BadMessage
 from handover_devices.registry.pictures import media_type_of
@@ -51,15 +50,13 @@ class CameraImages:
         """
         media_type, now_s, before = media_type_of(content), self._now(), self._images.get(device)
         if before is not None and 0 <= now_s - before.at_s < MIN_INTERVAL_S:
-            raise Problem(
+            raise Problem.translated(
                 TOO_FAST,
                 "Too many images",
-                message(
-                    "device.images_too_fast",
-                    "{device} may send {rate} images a second; wait before the next one",
-                    device=device,
-                    rate=round(1 / MIN_INTERVAL_S),
-                ),
+                "device.images_too_fast",
+                "{device} may send {rate} images a second; wait before the next one",
+                device=device,
+                rate=round(1 / MIN_INTERVAL_S),
             )
         if before is None:
             self._require_place(device, len(self._images))
@@ -106,12 +103,10 @@ class CameraImages:
 
     def _require_place(self, device: str, count: int) -> None:
         if device not in self._images and count >= MAX_CAMERAS:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Too many cameras",
-                message(
-                    "device.too_many_cameras",
-                    "{count} devices send images already; stop one and delete it",
-                    count=MAX_CAMERAS,
-                ),
+                "device.too_many_cameras",
+                "{count} devices send images already; stop one and delete it",
+                count=MAX_CAMERAS,
             )

@@ -19,7 +19,6 @@ from pydantic import ValidationError
 from handover.control.control_link import ControlLink, Ended
 from handover.errors import Problem
 from handover.formats.validation import fault_text
-from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_datamodels.streams import HumanInput
@@ -116,15 +115,13 @@ class DeviceInputs:
         """Drive `robot` with `device`, with the credentials of a person. Raises `Problem` 409."""
         before = self.of(device)
         if before is not None and before.ended is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Device in use",
-                message(
-                    "device.in_use",
-                    "{device} drives {robot} already; end that control first",
-                    device=device,
-                    robot=before.robot,
-                ),
+                "device.in_use",
+                "{device} drives {robot} already; end that control first",
+                device=device,
+                robot=before.robot,
             )
         path = f"/robots/{quote(robot, safe='')}/control?{urlencode(query)}"
         service = self._own_url if robot in self._gateway.devices and robot != device else self._url

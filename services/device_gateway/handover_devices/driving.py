@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from handover.control.dead_man import TIMEOUT_S, DeadMan
-from handover.errors import HandoverError
-from handover.messages import message
+from handover.errors import TranslatedError
 from handover_datamodels.streams import HumanInput
 from handover_devices.metrics import DRIVE_STOP_BEGIN
 from handover_devices.model.description import DeviceKind, Joint
@@ -40,7 +39,7 @@ LOOK_AHEAD_S: Final = 0.3
 REST_EVENT: Final = "rest"
 
 
-class NotDrivable(HandoverError):
+class NotDrivable(TranslatedError):
     """This robot cannot be driven now; the message names the way out."""
 
 
@@ -68,29 +67,21 @@ def require_drivable(device: Device) -> None:
     """Raise `NotDrivable` for a device that is no robot, is away, or whose program takes no velocities."""
     limits = DriveLimits.of(device)
     if limits.base is None and not limits.joints:
-        raise NotDrivable(
-            message(
-                "device.not_a_robot",
-                "{device} has neither joints nor a base that moves; register it as a robot with its joints",
-                device=device.name,
-            )
+        raise NotDrivable.translated(
+            "device.not_a_robot",
+            "{device} has neither joints nor a base that moves; register it as a robot with its joints",
+            device=device.name,
         )
     if device.link is None:
-        raise NotDrivable(
-            message(
-                "device.not_connected",
-                "{device} is not connected; start its program",
-                device=device.name,
-            )
+        raise NotDrivable.translated(
+            "device.not_connected", "{device} is not connected; start its program", device=device.name
         )
     if not device.drives:
-        raise NotDrivable(
-            message(
-                "device.takes_no_motion",
-                "the program of {device} follows no velocities; let it register a function with "
-                "DeviceClient.drive",
-                device=device.name,
-            )
+        raise NotDrivable.translated(
+            "device.takes_no_motion",
+            "the program of {device} follows no velocities; let it register a function with "
+            "DeviceClient.drive",
+            device=device.name,
         )
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import orjson
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_bpmn.forms.form_js import FormFile
 
 
@@ -46,14 +45,12 @@ class FormRegistry:
         """Return a version of a form, by default the latest; raise `Problem` 404 if there is none."""
         form = self.find(form_id, version)
         if form is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such form",
-                message(
-                    "form.unknown",
-                    'there is no form "{form}" of this version; deploy it with POST /forms',
-                    form=form_id,
-                ),
+                "form.unknown",
+                'there is no form "{form}" of this version; deploy it with POST /forms',
+                form=form_id,
             )
         return form
 

@@ -116,8 +116,8 @@ class PeopleActs:
         if not is_claimable(task):
             raise _performed(task)
         if self._process.record.status is TaskStatus.PAUSED:
-            raise Problem(
-                409, "Process is paused", message("tasklist.paused", "the process of this task is paused")
+            raise Problem.translated(
+                409, "Process is paused", "tasklist.paused", "the process of this task is paused"
             )
         offer = offer_of(task)
         if not override and not offer.includes(self._by, groups):
@@ -225,33 +225,33 @@ class PeopleActs:
     def _open_task(self) -> TaskRecord:
         task = self._process.tasks.get(self._id)
         if task is None:
-            raise Problem(409, "Task has ended", message("tasklist.ended", "this task has ended already"))
+            raise Problem.translated(409, "Task has ended", "tasklist.ended", "this task has ended already")
         if not is_for_people(link["object"] for link in task.entity["involves"]["value"]):
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Not a task of a person",
-                message("tasklist.not_for_people", "{task} is performed by a device", task=self._id),
+                "tasklist.not_for_people",
+                "{task} is performed by a device",
+                task=self._id,
             )
         return task
 
     def _refuse_others(self) -> None:
         who = self._task.claimed_by
         if who is not None and who != self._by:
-            raise Problem(
-                409, "Task is taken", message("tasklist.taken", "{who} has claimed this task", who=who)
+            raise Problem.translated(
+                409, "Task is taken", "tasklist.taken", "{who} has claimed this task", who=who
             )
 
     def _require_own(self) -> None:
         self._refuse_others()
         if self._task.claimed_by is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Task is not claimed",
-                message(
-                    "tasklist.not_claimed",
-                    "this task is {status}; claim it first",
-                    status=self._task.status.value,
-                ),
+                "tasklist.not_claimed",
+                "this task is {status}; claim it first",
+                status=self._task.status.value,
             )
 
     def _report(
@@ -273,10 +273,10 @@ class PeopleActs:
 
 
 def _performed(task: TaskRecord) -> Problem:
-    return Problem(
+    return Problem.translated(
         409,
         "Task is performed",
-        message(
-            "tasklist.performed", "a component performs this task; it is {status}", status=task.status.value
-        ),
+        "tasklist.performed",
+        "a component performs this task; it is {status}",
+        status=task.status.value,
     )

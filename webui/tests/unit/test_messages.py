@@ -27,11 +27,19 @@ def test_messages_are_extracted_and_nested_by_code(tmp_path: Path) -> None:
     assert english(found_messages(root)) == {"arm": {"away": "the arm {{robot}} is away"}, "b": "{x}"}
 
 
+def test_errors_that_are_translated_have_messages(tmp_path: Path) -> None:
+    root = module(
+        tmp_path, 'TaskFailed.translated("a", "{x}", x=1)', 'Problem.translated(404, "No", "b", "{y}", y=1)'
+    )
+    assert english(found_messages(root)) == {"a": "{{x}}", "b": "{{y}}"}
+
+
 @pytest.mark.parametrize(
     ("call", "why"),
     [
         ('message("a", f"no {name}")', "literal"),
         ('message(code, "x")', "literal"),
+        ('Problem.translated(404, "No", "b", f"{y}")', "literal"),
         ('message("a", "{x:.3f}", x=1)', "plain name"),
         ('message("a", "{x.y}", x=1)', "plain name"),
         ('message("a", "{x}", y=1)', "no parameter x"),

@@ -14,7 +14,6 @@ from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.formats.validation import MAX_INTEGER, Moment
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
@@ -165,14 +164,12 @@ def _add_channels(app: FastAPI, store: Store, directory: Directory, senders: Sen
         """Add or replace a channel."""
         _require_writable(name, in_file=name in directory.in_file.channels)
         if isinstance(channel, AppriseChannel):
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Only in the file",
-                message(
-                    "alert_router.apprise_in_file",
-                    "a channel of the type apprise can reach any address, so it stands in the file of "
-                    "HANDOVER_ALERT_ROUTES only",
-                ),
+                "alert_router.apprise_in_file",
+                "a channel of the type apprise can reach any address, so it stands in the file of "
+                "HANDOVER_ALERT_ROUTES only",
             )
         _require_not_full(len(directory.channels), MAX_CHANNELS, is_new=name not in directory.channels)
         present = directory.channels.get(name)
@@ -188,15 +185,13 @@ def _add_channels(app: FastAPI, store: Store, directory: Directory, senders: Sen
         _known_channel(directory, name)
         users = directory.users_of(name)
         if users:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "In use",
-                message(
-                    "alert_router.channel_in_use",
-                    'the route "{route}" uses the channel "{channel}"; change the route first',
-                    route=users[0],
-                    channel=name,
-                ),
+                "alert_router.channel_in_use",
+                'the route "{route}" uses the channel "{channel}"; change the route first',
+                route=users[0],
+                channel=name,
             )
         await directory.set_channel(name, None)
 
@@ -286,53 +281,45 @@ def _known_channel(directory: Directory, name: str, status: int = 404) -> Channe
 
 
 def _unknown(kind: str, name: str, status: int) -> Problem:
-    return Problem(
+    return Problem.translated(
         status,
         f"No such {kind}",
-        message(
-            "alert_router.unknown",
-            'there is no {kind} "{name}"; add it with PUT, or correct the name',
-            kind=kind,
-            name=name[:64],
-        ),
+        "alert_router.unknown",
+        'there is no {kind} "{name}"; add it with PUT, or correct the name',
+        kind=kind,
+        name=name[:64],
     )
 
 
 def _require_writable(name: str, *, in_file: bool) -> None:
     if in_file:
-        raise Problem(
+        raise Problem.translated(
             409,
             "In the file",
-            message(
-                "alert_router.in_file",
-                '"{name}" is in the file of HANDOVER_ALERT_ROUTES; change it there and restart the alert '
-                "router, or choose another name",
-                name=name,
-            ),
+            "alert_router.in_file",
+            '"{name}" is in the file of HANDOVER_ALERT_ROUTES; change it there and restart the alert '
+            "router, or choose another name",
+            name=name,
         )
     if not is_name(name):
-        raise Problem(
+        raise Problem.translated(
             422,
             "Not a name",
-            message(
-                "alert_router.bad_name",
-                '"{name}" cannot be a name here: 1 to 64 letters, digits, "_", "." or "-", a letter or digit '
-                "first",
-                name=name[:64],
-            ),
+            "alert_router.bad_name",
+            '"{name}" cannot be a name here: 1 to 64 letters, digits, "_", "." or "-", a letter or digit '
+            "first",
+            name=name[:64],
         )
 
 
 def _require_not_full(count: int, maximum: int, *, is_new: bool) -> None:
     if is_new and count >= maximum:
-        raise Problem(
+        raise Problem.translated(
             409,
             "Too many",
-            message(
-                "alert_router.too_many",
-                "there are {maximum} already, the maximum; delete one",
-                maximum=maximum,
-            ),
+            "alert_router.too_many",
+            "there are {maximum} already, the maximum; delete one",
+            maximum=maximum,
         )
 
 

@@ -11,7 +11,7 @@ from pydantic.alias_generators import to_camel
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import TaggedRoutes
-from handover.messages import message, with_code
+from handover.messages import with_code
 from handover.security.act_recording import lowers
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -136,15 +136,13 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
     def runner_of(case: str) -> MachineRunner:
         runner = runners.get(case)
         if runner is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Unknown case",
-                message(
-                    "case.unknown",
-                    'no machine of the case "{case}" runs; those that run are: {known}',
-                    case=case,
-                    known=", ".join(runners) or "none",
-                ),
+                "case.unknown",
+                'no machine of the case "{case}" runs; those that run are: {known}',
+                case=case,
+                known=", ".join(runners) or "none",
             )
         return runner
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_cases.body_link import BodyLink
@@ -103,12 +103,12 @@ class MachineRunner:
     def begin_trial(self, duration_s: float | None, *, consents_to_model: bool = False) -> None:
         """Begin a trial. Raises `Problem` 409 while one runs."""
         if self.trial is not None and self.trial.is_running:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Trial runs",
-                message(
-                    "case.trial_runs", "a trial of {case} runs already; stop it first", case=self.case.name
-                ),
+                "case.trial_runs",
+                "a trial of {case} runs already; stop it first",
+                case=self.case.name,
             )
         self.trial = Trial(
             duration_s,

@@ -8,7 +8,6 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_devices.model.description import DeviceDescription
 
 MAX_PARAMETERS_BYTES: Final = 32 * 1024
@@ -17,30 +16,26 @@ MAX_PARAMETERS_BYTES: Final = 32 * 1024
 def unknown_command(device: str, name: str, description: DeviceDescription) -> Problem:
     """Return the refusal of a command that the device does not take."""
     names = ", ".join(command.name for command in description.commands) or "–"
-    return Problem(
+    return Problem.translated(
         404,
         "No such command",
-        message(
-            "device.command_unknown",
-            '{device} takes no command "{command}"; it takes {known}',
-            device=device,
-            command=name[:64],
-            known=names,
-        ),
+        "device.command_unknown",
+        '{device} takes no command "{command}"; it takes {known}',
+        device=device,
+        command=name[:64],
+        known=names,
     )
 
 
 def no_command(device: str, identifier: str) -> Problem:
     """Return the answer for an id that no command of the device has."""
-    return Problem(
+    return Problem.translated(
         404,
         "No such command",
-        message(
-            "device.no_command_with_id",
-            '{device} has no command with the id "{id}"',
-            device=device,
-            id=identifier[:128],
-        ),
+        "device.no_command_with_id",
+        '{device} has no command with the id "{id}"',
+        device=device,
+        id=identifier[:128],
     )
 
 
@@ -49,106 +44,92 @@ def require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str,
     try:
         size = len(orjson.dumps(dict(parameters)))
     except TypeError as error:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong parameters",
-            message(
-                "device.parameters_no_json", "the parameters are no plain JSON: {error}", error=str(error)
-            ),
+            "device.parameters_no_json",
+            "the parameters are no plain JSON: {error}",
+            error=str(error),
         ) from None
     if size > MAX_PARAMETERS_BYTES:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong parameters",
-            message(
-                "device.parameters_too_large",
-                "the parameters have {size} bytes, and at most {maximum} fit",
-                size=size,
-                maximum=MAX_PARAMETERS_BYTES,
-            ),
+            "device.parameters_too_large",
+            "the parameters have {size} bytes, and at most {maximum} fit",
+            size=size,
+            maximum=MAX_PARAMETERS_BYTES,
         )
     if schema is None:
         return
     fault: ValidationError | None = best_match(Draft202012Validator(schema).iter_errors(dict(parameters)))
     if fault is not None:
         where = "".join(f", {part}" for part in [name, *fault.absolute_path])[2:]
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong parameters",
-            message(
-                "device.parameters_invalid",
-                "parameters of {place}: {reason}",
-                place=where,
-                reason=fault.message[:300],
-            ),
+            "device.parameters_invalid",
+            "parameters of {place}: {reason}",
+            place=where,
+            reason=fault.message[:300],
         )
 
 
 def too_many_commands(device: str, maximum: int) -> Problem:
     """Return the refusal of a command while `maximum` are open."""
-    return Problem(
+    return Problem.translated(
         429,
         "Too many commands",
-        message(
-            "device.commands_too_many",
-            "{device} has {maximum} open commands; wait until some have ended",
-            device=device,
-            maximum=maximum,
-        ),
+        "device.commands_too_many",
+        "{device} has {maximum} open commands; wait until some have ended",
+        device=device,
+        maximum=maximum,
     )
 
 
 def id_taken(identifier: str) -> Problem:
     """Return the refusal of a command whose id another one has."""
-    return Problem(
+    return Problem.translated(
         409,
         "Another command",
-        message(
-            "device.command_id_taken",
-            'the id "{id}" is that of another command; use a new one',
-            id=identifier,
-        ),
+        "device.command_id_taken",
+        'the id "{id}" is that of another command; use a new one',
+        id=identifier,
     )
 
 
 def device_away(device: str, command: str) -> Problem:
     """Return the refusal of a motion of a device that is not connected."""
-    return Problem(
+    return Problem.translated(
         409,
         "Device away",
-        message(
-            "device.motion_away",
-            '{device} is not connected, and "{command}" is a motion, which is never queued; '
-            "connect the device and send the command again",
-            device=device,
-            command=command,
-        ),
+        "device.motion_away",
+        '{device} is not connected, and "{command}" is a motion, which is never queued; '
+        "connect the device and send the command again",
+        device=device,
+        command=command,
     )
 
 
 def edge_away(device: str, command: str, edge: str) -> Problem:
     """Return the refusal of a motion of a device whose edge is not connected."""
-    return Problem(
+    return Problem.translated(
         409,
         "Edge away",
-        message(
-            "device.motion_edge_away",
-            '{device} is reached through the edge {edge}, which is not connected, and "{command}" is a '
-            "motion, which is never queued; restore the connection of the edge and send the command again",
-            device=device,
-            command=command,
-            edge=edge,
-        ),
+        "device.motion_edge_away",
+        '{device} is reached through the edge {edge}, which is not connected, and "{command}" is a '
+        "motion, which is never queued; restore the connection of the edge and send the command again",
+        device=device,
+        command=command,
+        edge=edge,
     )
 
 
 def no_longer_leading() -> Problem:
     """Return the answer to a client whose command may not have been written."""
-    return Problem(
+    return Problem.translated(
         503,
         "No leader",
-        message(
-            "device.leader_changed",
-            "another gateway took over; ask for the command by its id, and send it again if there is none",
-        ),
+        "device.leader_changed",
+        "another gateway took over; ask for the command by its id, and send it again if there is none",
     )

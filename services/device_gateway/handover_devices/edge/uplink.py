@@ -22,7 +22,7 @@ from typing import Any, Final
 import orjson
 from pydantic import ValidationError
 
-from handover.errors import HandoverError, Problem
+from handover.errors import HandoverError, Problem, TranslatedError
 from handover.network.tls_trust import handshake_fault
 from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
@@ -51,7 +51,7 @@ DELETE_S: Final = 0.25
 """Acknowledged messages are deleted at most this often."""
 
 
-class LinkLost(HandoverError):
+class LinkLost(TranslatedError):
     """The connection with the centre has ended; the text says why."""
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from handover.errors import Problem, UsageError
-from handover.messages import message
 from handover.transport_security.local_authority import AUTHORITY, LocalAuthority
 from handover_devices.settings import GatewaySettings
 
@@ -30,23 +29,23 @@ def new_certificate(settings: GatewaySettings, device: str) -> NewCertificate:
     """Make a certificate for a device; raise `Problem` 409 if it could not connect with it."""
     folder = settings.own_authority
     if not settings.has_device_tls or not (folder / AUTHORITY).is_file():
-        raise Problem(
+        raise Problem.translated(
             409,
             "No authority",
-            message(
-                "device.no_authority",
-                "certificates need TLS on the port of devices and the authority in {folder}; run `handover "
-                "secure` there, or set HANDOVER_AUTHORITY_DIR, and restart the gateway; or use a token",
-                folder=str(folder),
-            ),
+            "device.no_authority",
+            "certificates need TLS on the port of devices and the authority in {folder}; run `handover "
+            "secure` there, or set HANDOVER_AUTHORITY_DIR, and restart the gateway; or use a token",
+            folder=str(folder),
         )
     try:
         authority = LocalAuthority(folder)
     except UsageError as error:
-        raise Problem(
+        raise Problem.translated(
             409,
             "Authority unusable",
-            message("device.authority_unusable", "no certificate was made: {reason}", reason=str(error)),
+            "device.authority_unusable",
+            "no certificate was made: {reason}",
+            reason=str(error),
         ) from None
     certificate, key = authority.issue_client(device)
     return NewCertificate(

@@ -9,7 +9,6 @@ from typing import Final
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.messages import message
 from handover_devices.registry.entities import SOURCE
 
 MAX_NAMES: Final = 50
@@ -28,16 +27,14 @@ class FreeNames:
         """Raise `Problem` 409 if another component performs the Tasks of the Device, `BrokerError`."""
         performer = await asyncio.shield(self._performer_of(entity))
         if performer not in {None, SOURCE}:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Name taken",
-                message(
-                    "device.entity_taken",
-                    "{entity} belongs to {performer}, which performs its Tasks; choose another name for this "
-                    "device",
-                    entity=entity,
-                    performer=str(performer)[:100],
-                ),
+                "device.entity_taken",
+                "{entity} belongs to {performer}, which performs its Tasks; choose another name for this "
+                "device",
+                entity=entity,
+                performer=str(performer)[:100],
             )
 
     def _performer_of(self, entity: str) -> "asyncio.Future[str | None]":

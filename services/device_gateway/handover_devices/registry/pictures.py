@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from handover.errors import Problem
-from handover.messages import message
 
 MAX_PICTURE_BYTES: Final = 2 * 1024 * 1024
 MAX_SIDE: Final = 8192
@@ -26,18 +25,16 @@ def media_type_of(content: bytes) -> str:
     media_type = _format_of(content)
     for width, height in _sizes_in(content, media_type):
         if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Picture too large",
-                message(
-                    "device.picture_too_large",
-                    "the picture has {width} x {height} pixels; make it smaller: at most {side} on a side, "
-                    "and {million} million in all",
-                    width=width,
-                    height=height,
-                    side=MAX_SIDE,
-                    million=MAX_PIXELS // 1_000_000,
-                ),
+                "device.picture_too_large",
+                "the picture has {width} x {height} pixels; make it smaller: at most {side} on a side, "
+                "and {million} million in all",
+                width=width,
+                height=height,
+                side=MAX_SIDE,
+                million=MAX_PIXELS // 1_000_000,
             )
     return media_type
 
@@ -92,10 +89,9 @@ def _format_of(content: bytes) -> str:
         return "image/jpeg"
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
         return "image/webp"
-    raise Problem(
+    raise Problem.translated(
         422,
         "No picture",
-        message(
-            "device.picture_unusable", "the file is no PNG, JPEG or WebP picture; convert it to one of them"
-        ),
+        "device.picture_unusable",
+        "the file is no PNG, JPEG or WebP picture; convert it to one of them",
     )

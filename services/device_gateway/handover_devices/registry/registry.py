@@ -10,7 +10,7 @@ from typing import Final
 from sqlalchemy import Engine
 
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.secret_tokens import is_token, new_token, token_hash
 from handover.telemetry import get_logger
 from handover_devices.model.description import DeviceDescription
@@ -79,39 +79,33 @@ class DeviceRegistry:
         """Return a device; raise `Problem` 404."""
         stored = self.devices.get(name)
         if stored is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such device",
-                message(
-                    "device.unknown",
-                    'there is no device "{device}"; add it with `handover device add {device}`',
-                    device=name,
-                ),
+                "device.unknown",
+                'there is no device "{device}"; add it with `handover device add {device}`',
+                device=name,
             )
         return stored
 
     async def add(self, name: str, description: DeviceDescription) -> NewToken:
         """Register a device and return its token."""
         if not is_device_name(name):
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Not a name",
-                message(
-                    "device.bad_name",
-                    '"{name}" cannot be the name of a device: 1 to 64 letters, digits, "_", "." or "-", a '
-                    "letter or digit first",
-                    name=name[:64],
-                ),
+                "device.bad_name",
+                '"{name}" cannot be the name of a device: 1 to 64 letters, digits, "_", "." or "-", a '
+                "letter or digit first",
+                name=name[:64],
             )
         if name in self.devices:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Name taken",
-                message(
-                    "device.name_taken",
-                    'there is a device "{device}" already; choose another name',
-                    device=name,
-                ),
+                "device.name_taken",
+                'there is a device "{device}" already; choose another name',
+                device=name,
             )
         now_us, token = int(self._clock() * 1e6), new_token(TOKEN_KIND)
         device = Device(StoredDevice(name, description, token_hash(token), now_us, now_us), has_news=True)

@@ -86,8 +86,6 @@ def _limit(element: "etree._Element | None", name: str, default: float | None) -
 
 
 def _refused(reason: Message) -> Problem:
-    return Problem(
-        422,
-        "No URDF",
-        message("device.urdf_unusable", "the URDF cannot be used: {reason}", reason=reason),
+    return Problem.translated(
+        422, "No URDF", "device.urdf_unusable", "the URDF cannot be used: {reason}", reason=reason
     )

@@ -20,7 +20,6 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from handover.errors import Problem
 from handover.http.origin_guard import send_problem
 from handover.http.websocket_closing import close_websocket
-from handover.messages import message
 from handover.network.http_client import Address, SendError, StreamingHttpClient
 from handover.network.tls_trust import client_context
 from handover.security.guard import PUBLIC_PATHS
@@ -204,19 +203,19 @@ def _target(scope: Scope) -> str:
 
 
 def _too_large() -> Problem:
-    return Problem(
+    return Problem.translated(
         413,
         "Too large",
-        message("device.body_too_large", "a body has at most {maximum} bytes", maximum=MAX_BODY_BYTES),
+        "device.body_too_large",
+        "a body has at most {maximum} bytes",
+        maximum=MAX_BODY_BYTES,
     )
 
 
 def _no_leader() -> Problem:
-    return Problem(
+    return Problem.translated(
         503,
         "No leader",
-        message(
-            "device.no_leader",
-            "no device gateway leads at the moment; another one takes over, try again in a second",
-        ),
+        "device.no_leader",
+        "no device gateway leads at the moment; another one takes over, try again in a second",
     )

@@ -13,7 +13,6 @@ from handover.alerts import alert_id
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.settings import Settings
@@ -102,26 +101,24 @@ def add_anomaly_routes(
     def rule_named(name: str) -> Rule:
         rule = monitor.rules.get(name)
         if rule is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such rule",
-                message(
-                    "device.rule_unknown", 'there is no rule "{rule}"; GET /rules lists them', rule=name[:64]
-                ),
+                "device.rule_unknown",
+                'there is no rule "{rule}"; GET /rules lists them',
+                rule=name[:64],
             )
         return rule
 
     def require_writable(name: str) -> None:
         if name in in_file:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Rule of a file",
-                message(
-                    "device.rule_in_file",
-                    'the rule "{rule}" is in the file of HANDOVER_DEVICE_RULES; change it there and restart '
-                    "the device gateway, or choose another name",
-                    rule=name,
-                ),
+                "device.rule_in_file",
+                'the rule "{rule}" is in the file of HANDOVER_DEVICE_RULES; change it there and restart '
+                "the device gateway, or choose another name",
+                rule=name,
             )
 
     @app.get("/rules", tags=["anomalies"], dependencies=[can_read])
@@ -140,25 +137,21 @@ def add_anomaly_routes(
         """Add or replace a rule; a replaced rule begins without a past, and its Alerts are cleared."""
         require_writable(name)
         if not is_rule_name(name):
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Not a name",
-                message(
-                    "device.rule_bad_name",
-                    '"{rule}" cannot be the name of a rule: 1 to 64 letters, digits, "_", "." or "-", '
-                    "a letter or digit first",
-                    rule=name[:64],
-                ),
+                "device.rule_bad_name",
+                '"{rule}" cannot be the name of a rule: 1 to 64 letters, digits, "_", "." or "-", '
+                "a letter or digit first",
+                rule=name[:64],
             )
         if name not in monitor.rules and len(monitor.rules) >= MAX_RULES:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Too many rules",
-                message(
-                    "device.rules_too_many",
-                    "there are {maximum} rules, the maximum; delete one, or use patterns for devices",
-                    maximum=MAX_RULES,
-                ),
+                "device.rules_too_many",
+                "there are {maximum} rules, the maximum; delete one, or use patterns for devices",
+                maximum=MAX_RULES,
             )
         text = rule.model_dump_json(by_alias=True, exclude_defaults=False)
         now_us = int(time.time() * 1e6)

@@ -10,7 +10,6 @@ from pydantic.alias_generators import to_camel
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
 from handover.serving.service import accepts
@@ -75,9 +74,7 @@ def add_camera_routes(
         gateway.device(device)
         newest = images.of(device)
         if newest is None:
-            raise Problem(
-                404,
-                "No image",
-                message("device.no_image", "{device} has sent no image yet", device=device),
+            raise Problem.translated(
+                404, "No image", "device.no_image", "{device} has sent no image yet", device=device
             )
         return Response(newest.content, media_type=newest.media_type, headers={"Cache-Control": "no-store"})

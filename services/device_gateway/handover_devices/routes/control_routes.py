@@ -9,7 +9,6 @@ from pydantic.alias_generators import to_camel
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import TaggedRoutes
-from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, in_path, require, require_by_handler
@@ -104,12 +103,12 @@ def add_control_routes(
         _require(request, caller, new.robot)
         guard.require(caller, Permission.READ, guard.settings.entity_id("Device", device))
         if gateway.device(device).link is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Not connected",
-                message(
-                    "device.not_connected", "{device} is not connected; start its program", device=device
-                ),
+                "device.not_connected",
+                "{device} is not connected; start its program",
+                device=device,
             )
         authorization = request.headers.get("authorization")
         credentials = {} if authorization is None else {"Authorization": authorization}
@@ -140,8 +139,8 @@ def _found(gateway: DeviceGateway, inputs: DeviceInputs, device: str) -> DeviceC
     gateway.device(device)
     control = inputs.of(device)
     if control is None:
-        raise Problem(
-            404, "No control", message("device.drives_nothing", "{device} drives no robot", device=device)
+        raise Problem.translated(
+            404, "No control", "device.drives_nothing", "{device} drives no robot", device=device
         )
     return control
 

@@ -13,7 +13,6 @@ from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import sends
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
 from handover.serving.service import XML_TYPES, accepts, json_response
@@ -60,10 +59,8 @@ class NewDevice(StrictModel):
     def described(self) -> DeviceDescription:
         """Return the description; raise `Problem` if there is none, or two."""
         if (self.template is None) == (self.description is None):
-            raise Problem(
-                422,
-                "No description",
-                message("device.no_description", "give either a template or a description"),
+            raise Problem.translated(
+                422, "No description", "device.no_description", "give either a template or a description"
             )
         if self.template is not None:
             return template(self.template)
@@ -155,15 +152,13 @@ def add_device_routes(
         gateway.device(device)
         file = await asyncio.to_thread(device_store.file_of, engine, device, kind)
         if file is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 f"No {kind}",
-                message(
-                    "device.no_file",
-                    "{device} has no {kind}; upload one with PUT on this address",
-                    device=device,
-                    kind=kind,
-                ),
+                "device.no_file",
+                "{device} has no {kind}; upload one with PUT on this address",
+                device=device,
+                kind=kind,
             )
         return Response(
             file.content, media_type=file.media_type, headers={"X-Content-Type-Options": "nosniff"}

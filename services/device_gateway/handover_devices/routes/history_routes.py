@@ -18,7 +18,6 @@ from handover.errors import Problem
 from handover.formats.validation import MAX_INTEGER
 from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
 from handover_datamodels.times import iso
@@ -159,12 +158,11 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         scheme, _, token = authorization.partition(" ")
         reader = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
         if gateway.writer.is_full:
-            raise Problem(
+            raise Problem.translated(
                 503,
                 "Too much at once",
-                message(
-                    "device.database_behind", "the database is behind; send the message again in a second"
-                ),
+                "device.database_behind",
+                "the database is behind; send the message again in a second",
             )
         answered: asyncio.Future[Sequence[Mapping[str, Any]]] = asyncio.get_running_loop().create_future()
         gateway.receive(reader, [await request.body()], answered.set_result)
@@ -180,16 +178,14 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
             return series
         missing = [name for name in names if name not in series]
         if missing:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such value",
-                message(
-                    "device.value_unknown",
-                    '{device} has no stored value "{name}"; it has {known}',
-                    device=device,
-                    name=missing[0][:64],
-                    known=", ".join(series) or "–",
-                ),
+                "device.value_unknown",
+                '{device} has no stored value "{name}"; it has {known}',
+                device=device,
+                name=missing[0][:64],
+                known=", ".join(series) or "–",
             )
         return {name: series[name] for name in names}
 
@@ -207,17 +203,15 @@ def _forecast(engine: Engine, series: int, horizon_s: float, steps: int, now_s: 
     try:
         prediction = forecast(values, steps, per_day)
     except TooShort as short:
-        raise Problem(
+        raise Problem.translated(
             409,
             "History too short",
-            message(
-                "device.forecast_too_short",
-                "a forecast of {hours} h needs values of the last {needed} h, with few gaps; there are "
-                "values for {present} h. Ask for a shorter time, or later",
-                hours=round(horizon_s / 3600, 1),
-                needed=round(short.needed * width_us / HOUR_US, 1),
-                present=round(short.present * width_us / HOUR_US, 1),
-            ),
+            "device.forecast_too_short",
+            "a forecast of {hours} h needs values of the last {needed} h, with few gaps; there are "
+            "values for {present} h. Ask for a shorter time, or later",
+            hours=round(horizon_s / 3600, 1),
+            needed=round(short.needed * width_us / HOUR_US, 1),
+            present=round(short.present * width_us / HOUR_US, 1),
         ) from None
     times = [(end_us + (step + 0.5) * width_us) / 1e6 for step in range(steps)]
     band = zip(
@@ -237,10 +231,8 @@ def _interval(begin: float | None, end: float | None) -> tuple[int, int]:
     end_s = time.time() + 1 if end is None else end
     begin_s = end_s - DAY_S if begin is None else begin
     if begin_s >= end_s:
-        raise Problem(
-            422,
-            "No interval",
-            message("device.no_interval", "begin must be before end, both in seconds since 1970"),
+        raise Problem.translated(
+            422, "No interval", "device.no_interval", "begin must be before end, both in seconds since 1970"
         )
     return int(begin_s * 1e6), int(end_s * 1e6)
 

@@ -25,7 +25,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from handover.database.outage import database_reason
 from handover.errors import Problem
-from handover.messages import message
 from handover.runtime.retry import Backoff
 from handover.security.audit_trail import AuditedRequest, current_request, record_request
 from handover.telemetry import get_logger
@@ -330,12 +329,10 @@ def delete_history(connection: Connection, device: str) -> None:
 def unavailable(error: SQLAlchemyError) -> Problem:
     """Return the answer to a request that the database did not carry out."""
     reason = database_reason(error)
-    return Problem(
+    return Problem.translated(
         503,
         "Database unavailable",
-        message(
-            "device.database_refused",
-            "nothing was changed: the database refused it ({reason}); try again later",
-            reason=reason,
-        ),
+        "device.database_refused",
+        "nothing was changed: the database refused it ({reason}); try again later",
+        reason=reason,
     )

@@ -14,7 +14,6 @@ from typing import Final
 from sqlalchemy import Engine
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_devices.storage import history
 
 GROUP_ROWS: Final = 50_000
@@ -30,14 +29,12 @@ def write_parquet(engine: Engine, series: Mapping[str, int], begin_us: int, end_
         import pyarrow as pa  # noqa: PLC0415 - an extra
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError:
-        raise Problem(
+        raise Problem.translated(
             501,
             "No Parquet",
-            message(
-                "device.no_parquet",
-                "Parquet needs pyarrow, which is not installed; install the extra parquet where "
-                "the device gateway runs, or take the CSV",
-            ),
+            "device.no_parquet",
+            "Parquet needs pyarrow, which is not installed; install the extra parquet where "
+            "the device gateway runs, or take the CSV",
         ) from None
     schema = pa.schema(
         [

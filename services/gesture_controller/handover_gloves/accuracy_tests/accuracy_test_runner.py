@@ -16,7 +16,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from handover.database.outage import in_database
 from handover.errors import Problem
-from handover.messages import message
 from handover.telemetry import get_logger
 from handover_datamodels.times import iso
 from handover_gloves.accuracy_tests.report import first_recognized
@@ -124,24 +123,21 @@ class AccuracyTestRunner:
         self._require_no_other_test(glove)
         codes = self._codes(gestures)
         if len(codes) * rounds > MAX_TRIALS:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Too long",
-                message(
-                    "accuracy_test.too_long",
-                    "{gestures} gestures in {rounds} rounds are more than {limit} trials",
-                    gestures=len(codes),
-                    rounds=rounds,
-                    limit=MAX_TRIALS,
-                ),
+                "accuracy_test.too_long",
+                "{gestures} gestures in {rounds} rounds are more than {limit} trials",
+                gestures=len(codes),
+                rounds=rounds,
+                limit=MAX_TRIALS,
             )
         if hold_ms >= limit_ms:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Too short",
-                message(
-                    "accuracy_test.too_short", "the time limit must be longer than a gesture has to be kept"
-                ),
+                "accuracy_test.too_short",
+                "the time limit must be longer than a gesture has to be kept",
             )
         used_seed = secrets.randbelow(MAX_SEED) if seed is None else seed
         gap_ms = glove.reader.config.timing.gap_ms
@@ -159,26 +155,24 @@ class AccuracyTestRunner:
         if running is None:
             test = await self._stored(test_id)
             if test.phase.is_over:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Over",
-                    message(
-                        "accuracy_test.ended", "this test is {phase}; begin another", phase=test.phase.value
-                    ),
+                    "accuracy_test.ended",
+                    "this test is {phase}; begin another",
+                    phase=test.phase.value,
                 )
             glove = self._gloves.named(test.glove)
             self._require_no_other_test(glove)
             done = len(await asyncio.to_thread(self._store.trials, test_id))
             running = RunningTest(test, glove, Progress(done, Phase.INTERRUPTED))
         if not running.progress.phase.waits_for_resume:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Is on its way",
-                message(
-                    "accuracy_test.not_waiting",
-                    "this test waits for nothing: {phase}",
-                    phase=running.progress.phase.value,
-                ),
+                "accuracy_test.not_waiting",
+                "this test waits for nothing: {phase}",
+                phase=running.progress.phase.value,
             )
         self._require_no_other_test(running.glove, but=test_id)
         await self._save_phase(test_id, Phase.REST, "")
@@ -334,28 +328,24 @@ class AccuracyTestRunner:
         for name in gestures:
             gesture = self._gestures.find(name)
             if gesture is None:
-                raise Problem(
+                raise Problem.translated(
                     422,
                     "Unknown gesture",
-                    message(
-                        "accuracy_test.unknown_gesture",
-                        'there is no gesture "{name}"; {hint}',
-                        name=name,
-                        hint=self._gestures.like(name),
-                    ),
+                    "accuracy_test.unknown_gesture",
+                    'there is no gesture "{name}"; {hint}',
+                    name=name,
+                    hint=self._gestures.like(name),
                 )
             if gesture in self._gestures.composites:
                 parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(gesture))
-                raise Problem(
+                raise Problem.translated(
                     422,
                     "Composed gesture",
-                    message(
-                        "accuracy_test.composed_gesture",
-                        '"{known}" is composed of {parts}; an accuracy test asks for one shape of one '
-                        "hand at a time, so test those instead",
-                        known=gesture,
-                        parts=parts,
-                    ),
+                    "accuracy_test.composed_gesture",
+                    '"{known}" is composed of {parts}; an accuracy test asks for one shape of one '
+                    "hand at a time, so test those instead",
+                    known=gesture,
+                    parts=parts,
                 )
             codes[gesture] = self._gestures.codes[gesture]
         return codes
@@ -363,25 +353,21 @@ class AccuracyTestRunner:
     def _require_no_other_test(self, glove: Glove, but: str | None = None) -> None:
         other = next((test for test in self._running.values() if test.glove is glove), None)
         if other is not None and other.test.id != but:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Is being tested",
-                message(
-                    "accuracy_test.glove_in_test",
-                    "{glove} is in the middle of the test {test}; finish or stop that first",
-                    glove=glove.name,
-                    test=other.test.id,
-                ),
+                "accuracy_test.glove_in_test",
+                "{glove} is in the middle of the test {test}; finish or stop that first",
+                glove=glove.name,
+                test=other.test.id,
             )
 
 
 def _unknown(test_id: str) -> Problem:
-    return Problem(
+    return Problem.translated(
         404,
         "Unknown test",
-        message(
-            "accuracy_test.unknown_test",
-            'there is no accuracy test "{test_id}"; /tests lists those there are',
-            test_id=test_id,
-        ),
+        "accuracy_test.unknown_test",
+        'there is no accuracy test "{test_id}"; /tests lists those there are',
+        test_id=test_id,
     )

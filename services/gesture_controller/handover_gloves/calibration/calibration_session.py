@@ -12,7 +12,7 @@ from typing import Any
 
 from handover.database.outage import in_database
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.telemetry import get_logger
 from handover_gloves.calibration.calibration_store import CalibrationStore
 from handover_gloves.calibration.calibration_wizard import (
@@ -110,24 +110,20 @@ class CalibrationSessions:
         A current session of the glove is replaced.
         """
         if not glove.is_connected:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Glove away",
-                message(
-                    "calibration.glove_away",
-                    "{glove} is not connected; put it on and switch it on",
-                    glove=glove.name,
-                ),
+                "calibration.glove_away",
+                "{glove} is not connected; put it on and switch it on",
+                glove=glove.name,
             )
         if glove.observers.accuracy_test is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Test on its way",
-                message(
-                    "calibration.test_running",
-                    "an accuracy test is on its way with {glove}; stop it first",
-                    glove=glove.name,
-                ),
+                "calibration.test_running",
+                "an accuracy test is on its way with {glove}; stop it first",
+                glove=glove.name,
             )
         code = None
         if gesture is not None:
@@ -165,14 +161,12 @@ class CalibrationSessions:
             thresholds = M2O2P_THRESHOLDS.with_changes(offered.get("thresholds", {}))
             calibration = calibration_from(offered, thresholds)
         if calibration is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Nothing offered",
-                message(
-                    "calibration.nothing_offered",
-                    "no calibration of {glove} waits to be accepted",
-                    glove=glove.name,
-                ),
+                "calibration.nothing_offered",
+                "no calibration of {glove} waits to be accepted",
+                glove=glove.name,
             )
         await self._fits.use_calibration(glove, calibration)
 
@@ -191,15 +185,13 @@ class CalibrationSessions:
         code, calibration = _code_of(glove, gesture), _calibration_of(glove)
         others = tuple(sample for sample in calibration.samples if sample.code != code)
         if len(others) == len(calibration.samples):
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No sample",
-                message(
-                    "calibration.no_sample",
-                    'there is no sample of "{gesture}" for {glove}',
-                    gesture=gesture,
-                    glove=glove.name,
-                ),
+                "calibration.no_sample",
+                'there is no sample of "{gesture}" for {glove}',
+                gesture=gesture,
+                glove=glove.name,
             )
         await self._save_samples(glove, replace(calibration, samples=others))
 
@@ -289,18 +281,18 @@ class CalibrationSessions:
     async def _outcome(self, session: CalibrationSession) -> dict[str, Any]:
         glove, wizard = session.glove, session.wizard
         if wizard.phase is WizardPhase.GIVEN_UP:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Given up",
-                message(
-                    "calibration.hand_not_still", "the hand was never still; begin again when you are ready"
-                ),
+                "calibration.hand_not_still",
+                "the hand was never still; begin again when you are ready",
             )
         if glove.person != session.person:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Somebody else",
-                message("calibration.wearer_changed", "somebody else wears the glove by now; begin again"),
+                "calibration.wearer_changed",
+                "somebody else wears the glove by now; begin again",
             )
         if session.gesture is not None:
             await self.add_sample(glove, session.gesture, wizard.captured[0])
@@ -334,15 +326,13 @@ def _code_of(glove: Glove, gesture: str) -> str:
     name = gestures.find(gesture) or gestures.names.get(gesture)
     code = gestures.codes.get(name or "")
     if code is None:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Unknown gesture",
-            message(
-                "calibration.unknown_gesture",
-                'there is no gesture "{gesture}"; {hint}',
-                gesture=gesture,
-                hint=gestures.like(gesture),
-            ),
+            "calibration.unknown_gesture",
+            'there is no gesture "{gesture}"; {hint}',
+            gesture=gesture,
+            hint=gestures.like(gesture),
         )
     return code
 
@@ -350,15 +340,13 @@ def _code_of(glove: Glove, gesture: str) -> str:
 def _calibration_of(glove: Glove) -> Calibration:
     calibration = glove.reader.config.calibration
     if calibration is None:
-        raise Problem(
+        raise Problem.translated(
             409,
             "Not calibrated",
-            message(
-                "calibration.not_calibrated",
-                "{glove} knows no fist and open hand of {person} yet; calibrate it with them first",
-                glove=glove.name,
-                person=glove.person or "who wears it",
-            ),
+            "calibration.not_calibrated",
+            "{glove} knows no fist and open hand of {person} yet; calibrate it with them first",
+            glove=glove.name,
+            person=glove.person or "who wears it",
         )
     return calibration
 

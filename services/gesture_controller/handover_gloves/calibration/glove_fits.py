@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover_gloves.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
 from handover_gloves.calibration.glove_records import GloveRecords
 from handover_gloves.gloves.glove import Glove, GloveListener
@@ -68,15 +68,13 @@ class GloveFits:
             previous = self.records.fit_of(glove).previous
             if previous is None:
                 whose = f" for {glove.person}" if glove.person else ""
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Nothing to restore",
-                    message(
-                        "glove.nothing_to_restore",
-                        "the thresholds of {glove}{whose} were never changed",
-                        glove=glove.name,
-                        whose=whose,
-                    ),
+                    "glove.nothing_to_restore",
+                    "the thresholds of {glove}{whose} were never changed",
+                    glove=glove.name,
+                    whose=whose,
                 )
             await self._use_thresholds(glove, previous)
 

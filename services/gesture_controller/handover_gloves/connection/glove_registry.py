@@ -116,10 +116,8 @@ class GloveRegistry:
     async def remove_token(self, glove: Glove) -> None:
         """Remove the token of the glove; raise `Problem` 404 if it has none."""
         if not self.admission.has_token(glove.name):
-            raise Problem(
-                404,
-                "No token",
-                message("glove.no_token", "{glove} has no token of its own", glove=glove.name),
+            raise Problem.translated(
+                404, "No token", "glove.no_token", "{glove} has no token of its own", glove=glove.name
             )
         await self._change_token(glove, None, "it has none of its own any more")
 
@@ -135,12 +133,13 @@ class GloveRegistry:
         """
         if not is_glove_name(name):
             rule = 'a name is 1 to 64 letters, digits, ".", "_" or "-"'
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Wrong name",
-                message(
-                    "glove.wrong_name", 'a glove cannot be called "{name}"; {rule}', name=name, rule=rule
-                ),
+                "glove.wrong_name",
+                'a glove cannot be called "{name}"; {rule}',
+                name=name,
+                rule=rule,
             )
         present = self.known.get(name)
         if present is not None:
@@ -148,17 +147,15 @@ class GloveRegistry:
             return present, False
         worn = next((other for other in self.known.worn_by(person) if other.hand == (hand or "right")), None)
         if worn is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Worn already",
-                message(
-                    "glove.worn_already",
-                    "{person} wears {worn}; a person wears one {hand} glove, so take that off first "
-                    "(PUT /gloves/{worn}/person) or declare one of the other hand",
-                    person=person,
-                    worn=worn.name,
-                    hand=worn.hand,
-                ),
+                "glove.worn_already",
+                "{person} wears {worn}; a person wears one {hand} glove, so take that off first "
+                "(PUT /gloves/{worn}/person) or declare one of the other hand",
+                person=person,
+                worn=worn.name,
+                hand=worn.hand,
             )
         try:
             glove = self._adopt_if_allowed(GloveConfiguration(name, hand or "right", person))
@@ -224,15 +221,13 @@ def _require_same(glove: Glove, hand: str | None, person: str | None) -> None:
     """Raise `Problem` 409 if a known glove is declared with another hand or person."""
     if hand in {None, glove.hand} and person in {None, glove.person}:
         return
-    raise Problem(
+    raise Problem.translated(
         409,
         "Known otherwise",
-        message(
-            "glove.known_otherwise",
-            "{name} is the {hand} glove of {person}; declare another name, or choose who "
-            "wears it with PUT /gloves/{name}/person",
-            name=glove.name,
-            hand=glove.hand,
-            person=glove.person or "nobody",
-        ),
+        "glove.known_otherwise",
+        "{name} is the {hand} glove of {person}; declare another name, or choose who "
+        "wears it with PUT /gloves/{name}/person",
+        name=glove.name,
+        hand=glove.hand,
+        person=glove.person or "nobody",
     )

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_gloves.gloves.glove import Glove
 
 
@@ -29,15 +28,13 @@ class KnownGloves:
         """Return the glove called `name`; raise `Problem` 404 if it is not known."""
         if name not in self._gloves:
             names = ", ".join(self._gloves) or "none yet"
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Unknown glove",
-                message(
-                    "glove.unknown_glove",
-                    'there is no glove "{name}"; known: {known}',
-                    name=name,
-                    known=names,
-                ),
+                "glove.unknown_glove",
+                'there is no glove "{name}"; known: {known}',
+                name=name,
+                known=names,
             )
         return self._gloves[name]
 

@@ -60,15 +60,13 @@ class People:
         all_names = self.names()
         if name in all_names:
             return Person(name)
-        raise Problem(
+        raise Problem.translated(
             404,
             "Unknown person",
-            message(
-                "people.unknown_person",
-                'there is nobody called "{name}"; known: {known}. Add them with PUT /people/{name}',
-                name=name,
-                known=", ".join(all_names) or "nobody yet",
-            ),
+            "people.unknown_person",
+            'there is nobody called "{name}"; known: {known}. Add them with PUT /people/{name}',
+            name=name,
+            known=", ".join(all_names) or "nobody yet",
         )
 
     def gestures_of(self, name: str | None) -> Gestures:
@@ -115,15 +113,13 @@ class People:
         async with self.changing:
             person = self.named(name)
             if command not in person.commands:
-                raise Problem(
+                raise Problem.translated(
                     404,
                     "Not their own",
-                    message(
-                        "people.command_of_site",
-                        "{name} gives the command {command} as the site has it",
-                        name=name,
-                        command=command,
-                    ),
+                    "people.command_of_site",
+                    "{name} gives the command {command} as the site has it",
+                    name=name,
+                    command=command,
                 )
             left = {key: gesture for key, gesture in person.commands.items() if key != command}
             await self._set_commands(person, left)
@@ -158,15 +154,13 @@ class People:
             person, gestures={key: kept for key, kept in person.gestures.items() if key != gesture}
         )
         if len(others.gestures) >= MAX_OWN_GESTURES:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Too many gestures",
-                message(
-                    "people.too_many_gestures",
-                    "{name} has {limit} gestures of their own; delete one first",
-                    name=name,
-                    limit=MAX_OWN_GESTURES,
-                ),
+                "people.too_many_gestures",
+                "{name} has {limit} gestures of their own; delete one first",
+                name=name,
+                limit=MAX_OWN_GESTURES,
             )
         nearest = self._nearest(others, gesture, own, thresholds, unreliable)
         changed = replace(others, gestures={**others.gestures, gesture: own})
@@ -227,16 +221,14 @@ class People:
         name = person.name
         if gesture not in person.gestures:
             own = ", ".join(person.gestures) or "none"
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Not their own",
-                message(
-                    "people.not_their_own",
-                    '"{gesture}" is no gesture of {name}\'s own; those are: {own}',
-                    gesture=gesture,
-                    name=name,
-                    own=own,
-                ),
+                "people.not_their_own",
+                '"{gesture}" is no gesture of {name}\'s own; those are: {own}',
+                gesture=gesture,
+                name=name,
+                own=own,
             )
         left = {key: kept for key, kept in person.gestures.items() if key != gesture}
         freed = [command for command, shown in person.commands.items() if shown == gesture]
@@ -245,15 +237,13 @@ class People:
         try:
             commands_of(changed, self._base_commands(name), gestures_of(changed, self.site.gestures))
         except (WrongGesture, WrongCommand) as error:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "In use",
-                message(
-                    "people.in_use",
-                    '"{gesture}" cannot be deleted: {error}; change or delete that first',
-                    gesture=gesture,
-                    error=text_of(error),
-                ),
+                "people.in_use",
+                '"{gesture}" cannot be deleted: {error}; change or delete that first',
+                gesture=gesture,
+                error=text_of(error),
             ) from None
         await self._keep(changed)
         return freed
@@ -311,15 +301,13 @@ def neighbour_view(neighbour: Neighbour | None) -> NeighbourView | None:
 def require_person_name(name: str) -> None:
     """Raise `Problem` 422 if `name` cannot be a part of entity ids and URLs."""
     if not is_glove_name(name):
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong name",
-            message(
-                "people.wrong_name",
-                'a person cannot be called "{name}"; a name is 1 to 64 letters, digits, ".", "_" or "-"; '
-                "what people call them is the title",
-                name=name[:MAX_NAME_LENGTH],
-            ),
+            "people.wrong_name",
+            'a person cannot be called "{name}"; a name is 1 to 64 letters, digits, ".", "_" or "-"; '
+            "what people call them is the title",
+            name=name[:MAX_NAME_LENGTH],
         )
 
 
@@ -331,14 +319,12 @@ def _require_gesture_name(name: str) -> None:
         or not name.isprintable()
         or is_code(name)
     ):
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong name",
-            message(
-                "people.wrong_gesture_name",
-                'a gesture cannot be called "{name}"; give it 1 to {limit} characters '
-                "that can be read, without a slash, and no bare code",
-                name=name[:MAX_NAME_LENGTH],
-                limit=MAX_NAME_LENGTH,
-            ),
+            "people.wrong_gesture_name",
+            'a gesture cannot be called "{name}"; give it 1 to {limit} characters '
+            "that can be read, without a slash, and no bare code",
+            name=name[:MAX_NAME_LENGTH],
+            limit=MAX_NAME_LENGTH,
         )

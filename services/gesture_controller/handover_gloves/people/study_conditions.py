@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from handover.errors import Problem
-from handover.messages import message
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +58,12 @@ class StudyConditions:
         """Raise `Problem` 409 if a study decides whose gestures count for one of them."""
         condition = self.find(glove, person)
         if condition is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Study under way",
-                message(
-                    "people.in_study",
-                    "{participant} tries gestures in a study, so what {who} shows cannot change until this "
-                    "part is over; finish it on the page Studies, or delete the session there",
-                    participant=condition.participant,
-                    who=person or glove,
-                ),
+                "people.in_study",
+                "{participant} tries gestures in a study, so what {who} shows cannot change until this "
+                "part is over; finish it on the page Studies, or delete the session there",
+                participant=condition.participant,
+                who=person or glove,
             )

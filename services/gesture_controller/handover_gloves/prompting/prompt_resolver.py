@@ -11,7 +11,6 @@ from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.job import TaskFailed
-from handover.messages import message
 from handover.runtime.retry import retry
 from handover.telemetry import get_logger
 from handover_datamodels.entities import Task
@@ -139,13 +138,11 @@ def _known(named: Any, gestures: Gestures) -> str:
     gesture = gestures.find(named) if isinstance(named, str) else None
     if gesture is None:
         hint = gestures.like(str(named))
-        raise TaskFailed(
-            message(
-                "task.unknown_gesture",
-                'the Task asks for the unknown gesture "{named}"; {hint}',
-                named=named,
-                hint=hint,
-            )
+        raise TaskFailed.translated(
+            "task.unknown_gesture",
+            'the Task asks for the unknown gesture "{named}"; {hint}',
+            named=named,
+            hint=hint,
         )
     return gesture
 
@@ -153,13 +150,11 @@ def _known(named: Any, gestures: Gestures) -> str:
 def _gesture_of_command(command_id: int, commands: Commands) -> str:
     gesture = commands.gestures.get(command_id)
     if gesture is None:
-        raise TaskFailed(
-            message(
-                "task.command_without_gesture",
-                "the Task asks for the command {command_id}, which has no gesture; name a "
-                "gesture in its workParameters or give the command one in the gestures file",
-                command_id=command_id,
-            )
+        raise TaskFailed.translated(
+            "task.command_without_gesture",
+            "the Task asks for the command {command_id}, which has no gesture; name a "
+            "gesture in its workParameters or give the command one in the gestures file",
+            command_id=command_id,
         )
     return gesture
 
@@ -170,10 +165,8 @@ def _command_id(value: Any) -> int | None:
     if isinstance(value, str) and value.isdecimal():
         return int(value)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise TaskFailed(
-            message(
-                "task.command_not_whole", 'commandId is a whole number such as 3, not "{given}"', given=value
-            )
+        raise TaskFailed.translated(
+            "task.command_not_whole", 'commandId is a whole number such as 3, not "{given}"', given=value
         )
     return value
 

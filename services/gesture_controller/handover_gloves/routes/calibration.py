@@ -9,7 +9,6 @@ from handover.errors import Problem
 from handover.formats.strict_json import RequestBody, StrictJson
 from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
 from handover_gloves.calibration.calibration_session import CalibrationSessions
@@ -83,14 +82,12 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
         worn = gloves.named(glove)
         seen, reader = worn.reader.state.recognition, worn.reader.config.recognizer
         if seen is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Nothing seen",
-                message(
-                    "calibration.nothing_seen",
-                    "{glove} has sent no frame yet; put it on and switch it on",
-                    glove=glove,
-                ),
+                "calibration.nothing_seen",
+                "{glove} has sent no frame yet; put it on and switch it on",
+                glove=glove,
             )
         return {
             "recognizer": worn.reader.config.recognizer_name,

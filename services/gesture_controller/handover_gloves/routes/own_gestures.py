@@ -11,7 +11,7 @@ from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
 from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_gloves.calibration.sensor_diagnostics import find_lasting_faults
@@ -148,15 +148,13 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
     finally:
         glove.observers.watchers.discard(record)
     if glove.connection.traffic.frames == before:
-        raise Problem(
+        raise Problem.translated(
             409,
             "Glove silent",
-            message(
-                "people.glove_silent",
-                "{glove} has sent nothing for {seconds} s; put it on and switch it on first",
-                glove=glove.name,
-                seconds=f"{for_ms / 1000:g}",
-            ),
+            "people.glove_silent",
+            "{glove} has sent nothing for {seconds} s; put it on and switch it on first",
+            glove=glove.name,
+            seconds=f"{for_ms / 1000:g}",
         )
     return frames
 

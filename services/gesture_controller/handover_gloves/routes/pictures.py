@@ -12,7 +12,6 @@ from fastapi import FastAPI, Header, Response
 from handover.distribution import install_command
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.guard import require_somewhere
 from handover.security.permissions import Permission
 from handover_gloves.pictures.motion import Hand, Motion, Pose
@@ -74,15 +73,13 @@ def _gif(poses: tuple[Pose, ...], motion: Motion) -> bytes:
     try:
         from handover_gloves.pictures.gif import gif_of  # noqa: PLC0415 - loads Pillow
     except ModuleNotFoundError as error:
-        raise Problem(
+        raise Problem.translated(
             501,
             "Not installed",
-            message(
-                "gesture.gif_not_installed",
-                "a GIF needs {library}; take the SVG, or install the extra: {command}",
-                library=error.name,
-                command=install_command("gif"),
-            ),
+            "gesture.gif_not_installed",
+            "a GIF needs {library}; take the SVG, or install the extra: {command}",
+            library=error.name,
+            command=install_command("gif"),
         ) from None
     return gif_of(poses, motion)
 
@@ -96,16 +93,14 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
         (candidate for candidate in everything if _plain(candidate) == _plain(name)), None
     )
     if title is None:
-        raise Problem(
+        raise Problem.translated(
             404,
             "Unknown gesture",
-            message(
-                "gesture.unknown_gesture",
-                'there is no gesture "{name}"; {hint}, or give five states, thumb first, such as '
-                "02222 (0 straight, 1 between, 2 bent)",
-                name=name,
-                hint=gestures.like(name),
-            ),
+            "gesture.unknown_gesture",
+            'there is no gesture "{name}"; {hint}, or give five states, thumb first, such as '
+            "02222 (0 straight, 1 between, 2 bent)",
+            name=name,
+            hint=gestures.like(name),
         )
     parts = gestures.parts_of(title)
     if isinstance(gestures.composites.get(title), TwoHandGesture):

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Request, Response
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
 from handover.http.body_limit import max_body
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import authenticated, guard_of, require
 from handover.security.permissions import Permission
@@ -68,14 +68,12 @@ def add_profiles(app: FastAPI, parts: PeopleParts) -> None:
         async for chunk in request.stream():
             body += chunk
             if len(body) > MAX_PROFILE_BYTES:
-                raise Problem(
+                raise Problem.translated(
                     413,
                     "Too long",
-                    message(
-                        "people.profile_too_long",
-                        "a profile has {limit} bytes at most",
-                        limit=MAX_PROFILE_BYTES,
-                    ),
+                    "people.profile_too_long",
+                    "a profile has {limit} bytes at most",
+                    limit=MAX_PROFILE_BYTES,
                 )
         with _profile_errors():
             text = body.decode("utf-8")
@@ -92,20 +90,16 @@ def _profile_errors() -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:
-        raise Problem(
-            422,
-            "Wrong profile",
-            message("people.profile_not_utf8", "profile.yaml: not UTF-8 text; save it as UTF-8"),
+        raise Problem.translated(
+            422, "Wrong profile", "people.profile_not_utf8", "profile.yaml: not UTF-8 text; save it as UTF-8"
         ) from None
     except WrongFile as error:
         raise Problem(422, "Wrong profile", text_of(error)) from None
     except OffloadFailed as error:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Wrong profile",
-            message(
-                "people.profile_not_read",
-                "profile.yaml cannot be read ({error}); make it smaller",
-                error=text_of(error),
-            ),
+            "people.profile_not_read",
+            "profile.yaml cannot be read ({error}); make it smaller",
+            error=text_of(error),
         ) from None

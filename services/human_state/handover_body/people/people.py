@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_body.fusion.baseline import Baseline
 from handover_body.people.consent import MAX_CONSENT_DAYS, Consent, Purpose
 from handover_body.storage.store import ConsentRow, LimitRow, PersonRow, SensorRow, Store
@@ -91,14 +90,12 @@ class People:
         """Return a person; raise `Problem` 404."""
         match = self._persons.get(name)
         if match is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Unknown person",
-                message(
-                    "health.unknown_person",
-                    'no body signals of "{person}" are known; add the person first',
-                    person=name,
-                ),
+                "health.unknown_person",
+                'no body signals of "{person}" are known; add the person first',
+                person=name,
             )
         return match
 
@@ -112,12 +109,12 @@ class People:
         for person in self._persons.values():
             if name in person.sensors:
                 return person.sensors[name]
-        raise Problem(
+        raise Problem.translated(
             404,
             "Unknown sensor",
-            message(
-                "health.unknown_sensor", 'there is no body sensor "{sensor}"; add it to a person', sensor=name
-            ),
+            "health.unknown_sensor",
+            'there is no body sensor "{sensor}"; add it to a person',
+            sensor=name,
         )
 
     async def put(self, name: str, baseline: Baseline, curve: tuple[float, float, float]) -> Person:
@@ -141,20 +138,19 @@ class People:
         async with self._turn:
             person, given_us = self.person(name), now_us()
             if Purpose.LIVE not in purposes:
-                raise Problem(
+                raise Problem.translated(
                     422,
                     "No consent",
-                    message("health.live_required", 'every purpose requires "live"; add it to the purposes'),
+                    "health.live_required",
+                    'every purpose requires "live"; add it to the purposes',
                 )
             if not given_us < ends_us <= given_us + MAX_CONSENT_DAYS * 86_400_000_000:
-                raise Problem(
+                raise Problem.translated(
                     422,
                     "No end",
-                    message(
-                        "health.consent_end",
-                        "a consent ends in the future, within {days} days; give another end",
-                        days=int(MAX_CONSENT_DAYS),
-                    ),
+                    "health.consent_end",
+                    "a consent ends in the future, within {days} days; give another end",
+                    days=int(MAX_CONSENT_DAYS),
                 )
             row = ConsentRow(name, frozenset(purposes), given_us, ends_us, given_by[:200])
             await asyncio.to_thread(self._store.add_consent, row)
@@ -199,14 +195,12 @@ class People:
         async with self._turn:
             person = self.person(name)
             if is_bound and Purpose.SPEED_LIMITS not in person.purposes():
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "No consent",
-                    message(
-                        "health.no_limit_consent",
-                        "{person} does not consent to speed limits; ask the person, then bind the robot",
-                        person=name,
-                    ),
+                    "health.no_limit_consent",
+                    "{person} does not consent to speed limits; ask the person, then bind the robot",
+                    person=name,
                 )
             await asyncio.to_thread(self._store.save_binding, robot, name, is_bound=is_bound)
             robots = person.robots | {robot} if is_bound else person.robots - {robot}

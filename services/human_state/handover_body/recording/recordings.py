@@ -14,7 +14,6 @@ from enum import StrEnum
 from typing import Final
 
 from handover.errors import HandoverError, Problem
-from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from handover_body.formats.errors import ExchangeError
@@ -143,14 +142,12 @@ class Recordings:
         """Return a recording of a pseudonym; raise `Problem` 404."""
         row = self._rows.get(identifier)
         if row is None or row.subject != subject:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "Unknown recording",
-                message(
-                    "health.unknown_recording",
-                    'there is no recording "{recording}" of this person; it may have been deleted',
-                    recording=identifier,
-                ),
+                "health.unknown_recording",
+                'there is no recording "{recording}" of this person; it may have been deleted',
+                recording=identifier,
             )
         return row
 
@@ -168,26 +165,22 @@ class Recordings:
             person = self._people.person(name)
             monitor = self._monitoring.monitors.get(name)
             if Purpose.RECORDING not in person.purposes() or monitor is None:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "No consent",
-                    message(
-                        "health.no_recording_consent",
-                        "{person} does not consent to recordings; ask the person, then record",
-                        person=name,
-                    ),
+                    "health.no_recording_consent",
+                    "{person} does not consent to recordings; ask the person, then record",
+                    person=name,
                 )
             if not self.archive.has_key:
                 raise no_key()
             if name in self._running:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Already recording",
-                    message(
-                        "health.already_recording",
-                        "{person} is being recorded; stop that recording first",
-                        person=name,
-                    ),
+                    "health.already_recording",
+                    "{person} is being recorded; stop that recording first",
+                    person=name,
                 )
             if await asyncio.to_thread(self.archive.free_bytes) < MIN_FREE_BYTES:
                 raise Problem(
@@ -225,10 +218,8 @@ class Recordings:
         """Add a marker to a recording that runs. Raises `Problem` 409."""
         running = self._find(row.id)
         if running is None or running.ending is not None:
-            raise Problem(
-                409,
-                "Not recording",
-                message("health.not_recording", "the recording has ended; start another one"),
+            raise Problem.translated(
+                409, "Not recording", "health.not_recording", "the recording has ended; start another one"
             )
         self._take(running, marker)
 
@@ -378,12 +369,10 @@ class Recordings:
 
 def no_key() -> Problem:
     """Return the problem that recordings have no key."""
-    return Problem(
+    return Problem.translated(
         409,
         "No key",
-        message(
-            "health.no_recording_key",
-            "recordings are encrypted, and no key is set; set HANDOVER_HEALTH_RECORDING_KEY to the output of "
-            "openssl rand -base64 32 and restart the service",
-        ),
+        "health.no_recording_key",
+        "recordings are encrypted, and no key is set; set HANDOVER_HEALTH_RECORDING_KEY to the output of "
+        "openssl rand -base64 32 and restart the service",
     )

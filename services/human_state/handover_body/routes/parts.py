@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from handover.errors import Problem
-from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require_by_handler
 from handover.security.permissions import Permission
@@ -31,14 +30,11 @@ class Parts:
         self.people.person(person)
         monitor = self.monitoring.monitors.get(person)
         if monitor is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "No consent",
-                message(
-                    "health.no_consent",
-                    "{person} has given no consent that is valid now, so nothing is processed; "
-                    "ask the person",
-                    person=person,
-                ),
+                "health.no_consent",
+                "{person} has given no consent that is valid now, so nothing is processed; ask the person",
+                person=person,
             )
         return monitor

@@ -8,7 +8,6 @@ from fastapi import Depends, FastAPI, Query, Request, Response
 
 from handover.errors import Problem
 from handover.formats.validation import LocalMoment
-from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require_by_handler
 from handover.security.permissions import Permission
@@ -248,14 +247,12 @@ def _add_limits(app: FastAPI, parts: Parts) -> None:
     def limit_of(person: str) -> LimitView:
         view = limit_view(parts.monitor_of(person), monitoring)
         if view is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "No consent",
-                message(
-                    "health.no_limits",
-                    "{person} does not consent to speed limits; ask the person",
-                    person=person,
-                ),
+                "health.no_limits",
+                "{person} does not consent to speed limits; ask the person",
+                person=person,
             )
         return view
 

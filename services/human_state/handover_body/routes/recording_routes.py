@@ -12,7 +12,6 @@ from starlette.responses import StreamingResponse
 
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.permissions import Permission
 from handover_body.formats.json_messages import Marker
 from handover_body.people.people import People
@@ -162,10 +161,8 @@ def _digest(sha256: bytes) -> str:
 
 def _ended(row: RecordingRow) -> RecordingRow:
     if row.ended_us is None:
-        raise Problem(
-            409,
-            "Still recording",
-            message("health.still_recording", "the recording has not ended; stop it first"),
+        raise Problem.translated(
+            409, "Still recording", "health.still_recording", "the recording has not ended; stop it first"
         )
     return row
 

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from handover.errors import HandoverError, Problem
 from handover.formats.validation import fault_text
 from handover.http.api_description import TaggedRoutes
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.guard import guard_of, require_somewhere
 from handover.security.permissions import Permission
 from handover_body.drivers.base import SENSOR_DRIVERS, SensorDriver
@@ -77,15 +77,13 @@ def add_sensor_routes(app: FastAPI, parts: Parts) -> None:
         try:
             devices = await kind.discover(timeout_s)
         except (HandoverError, OSError, RuntimeError) as error:  # no adapter, or no library of the driver
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Cannot search",
-                message(
-                    "health.cannot_search",
-                    "{driver} cannot search here: {why}",
-                    driver=driver,
-                    why=text_of(error),
-                ),
+                "health.cannot_search",
+                "{driver} cannot search here: {why}",
+                driver=driver,
+                why=text_of(error),
             ) from error
         return [
             FoundView(address=device.address, name=device.name, rssi_dbm=device.rssi_dbm)

@@ -13,7 +13,6 @@ from pydantic import Field
 from handover.errors import Problem
 from handover.formats.strict_json import RequestBody
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.runtime.offload import Offload, OffloadFailed
 from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
@@ -106,10 +105,12 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     async def delete_person(person: str, request: Request) -> None:
         """Delete all sessions of a person with their answers beyond recovery; 404 if there are none."""
         if not await sessions.delete_person({person, of_person(request)}):
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No session",
-                message("study.no_session_of_person", "{person} takes part in no study", person=person[:64]),
+                "study.no_session_of_person",
+                "{person} takes part in no study",
+                person=person[:64],
             )
 
     @routes.get("/analysis", dependencies=[require(Permission.READ_STUDIES)])

@@ -10,7 +10,7 @@ from itertools import chain
 from typing import Any
 
 from handover.errors import HandoverError, Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.execution.state import Library, RunFailed
 from handover_bpmn.languages.base import quote_names
@@ -96,29 +96,25 @@ class DefinitionRegistry(Library):
         """Raise `Problem` 409 if no process of a definition, or of this version of it, may start."""
         hold = next((hold_ for hold_ in self.holds_of(name) if hold_.kind is not HoldKind.PAUSED), None)
         if hold is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Definition is suspended",
-                message(
-                    "process.definition_suspended",
-                    'no process of "{name}" starts: {by} has suspended or deleted it; activate or deploy it',
-                    name=name,
-                    by=hold.by,
-                ),
+                "process.definition_suspended",
+                'no process of "{name}" starts: {by} has suspended or deleted it; activate or deploy it',
+                name=name,
+                by=hold.by,
             )
         deleted = None if version is None else self.deleted_versions(name).get(version)
         if deleted is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Version is deleted",
-                message(
-                    "process.version_is_deleted",
-                    'no process of version {version} of "{name}" starts: {by} has deleted it; '
-                    "name another version",
-                    version=version,
-                    name=name,
-                    by=deleted.by,
-                ),
+                "process.version_is_deleted",
+                'no process of version {version} of "{name}" starts: {by} has deleted it; '
+                "name another version",
+                version=version,
+                name=name,
+                by=deleted.by,
             )
 
     def _is_deleted(self, name: str) -> bool:
@@ -129,29 +125,25 @@ class DefinitionRegistry(Library):
         versions = self._records.get(name)
         if not versions or (version is None and self._is_deleted(name)):
             names = quote_names((record.name for record in self.latest()), near=name)
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such definition",
-                message(
-                    "bpmn.no_such_definition",
-                    'there is no definition "{name}"; deployed are: {known}',
-                    name=name,
-                    known=names,
-                ),
+                "bpmn.no_such_definition",
+                'there is no definition "{name}"; deployed are: {known}',
+                name=name,
+                known=names,
             )
         if version is None:
             return versions[-1]
         if not 1 <= version <= len(versions):
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such version",
-                message(
-                    "bpmn.no_such_version",
-                    '"{name}" has the versions 1 to {versions}, not {version}',
-                    name=name,
-                    versions=len(versions),
-                    version=version,
-                ),
+                "bpmn.no_such_version",
+                '"{name}" has the versions 1 to {versions}, not {version}',
+                name=name,
+                versions=len(versions),
+                version=version,
             )
         return versions[version - 1]
 
@@ -203,8 +195,8 @@ class DefinitionRegistry(Library):
         tagged = self.tagged(name, tag)
         if tagged is not None:
             return self.plan(name, tagged.version)
-        raise RunFailed(
-            message("bpmn.no_such_tag", '"{name}" has no version with the tag "{tag}"', name=name, tag=tag)
+        raise RunFailed.translated(
+            "bpmn.no_such_tag", '"{name}" has no version with the tag "{tag}"', name=name, tag=tag
         )
 
     def tagged(self, name: str, tag: str) -> DefinitionRecord | None:

@@ -11,8 +11,7 @@ from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import quote, urljoin, urlsplit, urlunsplit
 
-from handover.errors import HandoverError
-from handover.messages import message
+from handover.errors import TranslatedError
 from handover.network.http_client import (
     BodyReadingHttpClient,
     HttpResponse,
@@ -41,7 +40,7 @@ PATH_CHARACTERS = "/%:@!$&'()*+,;=~"
 HEADERS = (("Accept", "*/*"), ("Accept-Encoding", "gzip, deflate"))
 
 
-class DownloadFailed(HandoverError):
+class DownloadFailed(TranslatedError):
     """The file was not received; the message says why."""
 
 
@@ -58,8 +57,8 @@ class Downloader:
     async def download(self, url: str, *, timeout_s: float = TIMEOUT_S) -> bytes:
         """Return the file at `url`; raise `DownloadFailed`."""
         if len(url) > MAX_URL:
-            raise DownloadFailed(
-                message("offer.url_too_long", "the address has more than {limit} characters", limit=MAX_URL)
+            raise DownloadFailed.translated(
+                "offer.url_too_long", "the address has more than {limit} characters", limit=MAX_URL
             )
         try:
             async with asyncio.timeout(timeout_s):
@@ -75,22 +74,15 @@ class Downloader:
                 url = urljoin(url, location.encode("latin-1").decode("utf-8", "replace"))
                 continue
             if answer.status != HTTPStatus.OK:
-                raise DownloadFailed(
-                    message(
-                        "offer.download_status",
-                        "{url} answers with the status {status}",
-                        url=url,
-                        status=answer.status,
-                    )
+                raise DownloadFailed.translated(
+                    "offer.download_status",
+                    "{url} answers with the status {status}",
+                    url=url,
+                    status=answer.status,
                 )
             return answer.body
-        raise DownloadFailed(
-            message(
-                "offer.redirects",
-                "{url} is redirected more than {limit} times",
-                url=url,
-                limit=MAX_REDIRECTS,
-            )
+        raise DownloadFailed.translated(
+            "offer.redirects", "{url} is redirected more than {limit} times", url=url, limit=MAX_REDIRECTS
         )
 
     async def _get(self, url: str, timeout_s: float) -> HttpResponse:
@@ -106,29 +98,25 @@ def _reported(url: str, timeout_s: float) -> Iterator[None]:
     except ResponseTimeout:
         raise _slow(url, timeout_s) from None
     except ResponseTooLarge:
-        raise DownloadFailed(
-            message(
-                "offer.download_too_large",
-                "{url} has more than {limit} bytes, the limit of a BPMN file",
-                url=url,
-                limit=MAX_BYTES,
-            )
+        raise DownloadFailed.translated(
+            "offer.download_too_large",
+            "{url} has more than {limit} bytes, the limit of a BPMN file",
+            url=url,
+            limit=MAX_BYTES,
         ) from None
     except (SendError, ValueError, OSError) as error:
         reason = str(error) or type(error).__name__
-        raise DownloadFailed(
-            message("offer.download_failed", "{url} cannot be loaded: {why}", url=url, why=reason)
+        raise DownloadFailed.translated(
+            "offer.download_failed", "{url} cannot be loaded: {why}", url=url, why=reason
         ) from None
 
 
 def _slow(url: str, timeout_s: float) -> DownloadFailed:
-    return DownloadFailed(
-        message(
-            "offer.download_slow",
-            "{url} did not send the file within {seconds} s",
-            url=url,
-            seconds=f"{timeout_s:g}",
-        )
+    return DownloadFailed.translated(
+        "offer.download_slow",
+        "{url} did not send the file within {seconds} s",
+        url=url,
+        seconds=f"{timeout_s:g}",
     )
 
 
@@ -139,12 +127,10 @@ def _as_ascii(url: str) -> str:
     """
     parts = urlsplit(url)
     if parts.scheme.lower() not in SCHEMES:
-        raise DownloadFailed(
-            message(
-                "offer.scheme",
-                'bpmn is neither a BPMN file nor an http or https address: "{start}"',
-                start=url[:100],
-            )
+        raise DownloadFailed.translated(
+            "offer.scheme",
+            'bpmn is neither a BPMN file nor an http or https address: "{start}"',
+            start=url[:100],
         )
     if not parts.hostname:
         raise ValueError("the address has no host")

@@ -9,7 +9,6 @@ from datetime import datetime, timedelta
 from typing import Any, Protocol
 
 from handover.errors import Problem
-from handover.messages import message
 from handover.telemetry import get_logger
 from handover_bpmn.execution.machine import ThrownMessage, ThrownSignal
 from handover_bpmn.execution.state import WaitType
@@ -126,15 +125,13 @@ class EventDelivery:
         self.update_index(step)
         candidates = self._receivers(record)
         if len({receiver.process.record.id for receiver in candidates}) > 1:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Several processes wait",
-                message(
-                    "process.message_ambiguous",
-                    '{count} processes wait for the message "{name}"; give the key or the process',
-                    count=len(candidates),
-                    name=record.name,
-                ),
+                "process.message_ambiguous",
+                '{count} processes wait for the message "{name}"; give the key or the process',
+                count=len(candidates),
+                name=record.name,
             )
         return self._hand_over(step, record, candidates, now)
 

@@ -80,15 +80,13 @@ class DefinitionHolds:
                 process.run is not None and process.record.definition == definition for process in processes
             )
             if running:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Processes run",
-                    message(
-                        "process.definition_runs",
-                        '{count} processes of "{name}" run; cancel them, or suspend it until they have ended',
-                        count=running,
-                        name=definition,
-                    ),
+                    "process.definition_runs",
+                    '{count} processes of "{name}" run; cancel them, or suspend it until they have ended',
+                    count=running,
+                    name=definition,
                 )
             self._begin(step, self._hold(definition, HoldKind.DELETED, by, why))
             step.holds[definition, HoldKind.SUSPENDED] = step.holds[definition, HoldKind.PAUSED] = None

@@ -8,7 +8,7 @@ from pathlib import PurePath
 from typing import Any
 
 from handover.errors import Problem
-from handover.messages import Message, message
+from handover.messages import Message
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.forms.form_js import FormFile, read_form
 from handover_bpmn.notation.faults import as_json
@@ -138,15 +138,13 @@ class Deployments:
         def act(step: Step) -> MappingTable:
             present = step.mappings[-1] if step.mappings else self._state.allocator.rules.mapping
             if version not in {None, present.version}:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Mapping has changed",
-                    message(
-                        "allocation.mapping_changed",
-                        "the mapping has the version {present}, not {version}; read it and change it again",
-                        present=present.version,
-                        version=version,
-                    ),
+                    "allocation.mapping_changed",
+                    "the mapping has the version {present}, not {version}; read it and change it again",
+                    present=present.version,
+                    version=version,
                 )
             now, verified = self._state.clock(), step.is_verified(by)
             table = MappingTable(present.version + 1, tuple(entries), by, why, now, verified)

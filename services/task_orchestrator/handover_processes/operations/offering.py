@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import cast
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_bpmn.notation.comparison import changed_elements
 from handover_bpmn.notation.faults import BadBpmn
 from handover_bpmn.notation.file import BpmnFile, read_bpmn
@@ -85,10 +84,8 @@ class Offering:
         """Return an offer; raise `Problem` 404 if there is none."""
         record = self._state.offers.find(offer)
         if record is None:
-            raise Problem(
-                404,
-                "No such offer",
-                message("offer.unknown", 'there is no offer "{offer}"', offer=offer),
+            raise Problem.translated(
+                404, "No such offer", "offer.unknown", 'there is no offer "{offer}"', offer=offer
             )
         return record
 
@@ -106,14 +103,12 @@ class Offering:
         record = self._state.offers.present(step, offer)
         if record is None or record.status not in allowed:
             status = "deleted" if record is None else record.status.value
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Offer is closed",
-                message(
-                    "offer.closed",
-                    "the offer is {status}; look at the present offer of the entity",
-                    status=status,
-                ),
+                "offer.closed",
+                "the offer is {status}; look at the present offer of the entity",
+                status=status,
             )
         return record
 

@@ -8,7 +8,7 @@ from typing import Any
 import orjson
 
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.languages.native import is_name
 from handover_processes.operations.start_forms import FormOfStart
@@ -169,14 +169,12 @@ class ProcessControl:
         """
         plan = await self._plan(definition, version)
         if plan.version == source:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Same version",
-                message(
-                    "process.same_version",
-                    "the processes of version {version} cannot be migrated to the same version",
-                    version=source,
-                ),
+                "process.same_version",
+                "the processes of version {version} cannot be migrated to the same version",
+                version=source,
             )
 
         def migrating(process: Process) -> Callable[[Step], MigrationReport]:
@@ -248,24 +246,20 @@ def check_variables(variables: Mapping[str, Any]) -> None:
     """Raise `Problem` 422 for names or values that process variables cannot have."""
     for name in variables:
         if not is_name(name):
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Bad parameter",
-                message(
-                    "process.bad_parameter_name",
-                    '"{name}" cannot be the name of a process variable',
-                    name=name,
-                ),
+                "process.bad_parameter_name",
+                '"{name}" cannot be the name of a process variable',
+                name=name,
             )
     try:
         orjson.dumps(variables)
     except TypeError as error:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Bad parameter",
-            message(
-                "process.parameters_not_json",
-                "the parameters are no plain JSON: {error}",
-                error=text_of(error),
-            ),
+            "process.parameters_not_json",
+            "the parameters are no plain JSON: {error}",
+            error=text_of(error),
         ) from None

@@ -7,7 +7,6 @@ from uuid import uuid4
 
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem
-from handover.messages import message
 from handover_datamodels.entities import TaskStatus
 from handover_datamodels.states import Outcome
 from handover_processes.operations.broker_changes import BrokerChanges
@@ -37,10 +36,12 @@ class Tasklist:
         """Return a Task; raise `Problem` 404 if there is none."""
         task: TaskRecord | None = await self._state.on_disk(self._state.store.task, task_id)
         if task is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such task",
-                message("tasklist.unknown", "there is no task {task}; it may be deleted", task=task_id),
+                "tasklist.unknown",
+                "there is no task {task}; it may be deleted",
+                task=task_id,
             )
         return task
 
@@ -101,14 +102,12 @@ class Tasklist:
             if repeated is not None:
                 return repeated
             if stored + len(pending) >= MAX_COMMENTS:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Too many comments",
-                    message(
-                        "tasklist.too_many_comments",
-                        "a process has at most {max} comments",
-                        max=MAX_COMMENTS,
-                    ),
+                    "tasklist.too_many_comments",
+                    "a process has at most {max} comments",
+                    max=MAX_COMMENTS,
                 )
             now = self._state.clock()
             verified, kind = step.is_verified(by), TaskActKind.COMMENT

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.execution.migration import Finding
 from handover_bpmn.execution.run import Run
@@ -100,15 +100,13 @@ def incident_of(process: Process, task_id: str) -> str:
     Raises `Problem` 404 if the Task is none of this process, 409 if it is the reason of no incident.
     """
     if task_id not in process.composed:
-        raise Problem(
+        raise Problem.translated(
             404,
             "No such Task",
-            message(
-                "process.no_such_task",
-                '{process} has no Task "{task_id}"',
-                process=process.record.id,
-                task_id=task_id,
-            ),
+            "process.no_such_task",
+            '{process} has no Task "{task_id}"',
+            process=process.record.id,
+            task_id=task_id,
         )
     for incident in process.record.incidents:
         if incident.task == task_id:
@@ -132,10 +130,8 @@ def mend(
     if token is not None:
         element = run.element(token)
         if element is None:
-            raise Problem(
-                404,
-                "No such token",
-                message("process.no_such_token", 'there is no token "{token}"', token=token),
+            raise Problem.translated(
+                404, "No such token", "process.no_such_token", 'there is no token "{token}"', token=token
             )
         act = replace(act, element=element)
     if scope is not None:
@@ -172,15 +168,13 @@ def migrate(
     run = process.require_running()
     source, target = process.record.version, plan.version
     if source == target:
-        raise Problem(
+        raise Problem.translated(
             409,
             "Has this version",
-            message(
-                "process.has_version",
-                "{process} has version {version} already",
-                process=process.record.id,
-                version=source,
-            ),
+            "process.has_version",
+            "{process} has version {version} already",
+            process=process.record.id,
+            version=source,
         )
     open_tasks = {task.token: task.id for task in process.tasks.values() if process.is_current(run, task)}
     mapping = act.mapping or {}

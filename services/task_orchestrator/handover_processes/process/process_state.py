@@ -6,7 +6,6 @@ from datetime import datetime
 from typing import Any
 
 from handover.errors import Problem
-from handover.messages import message
 from handover.tasks.task_life import is_reachable
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.execution.run import Run
@@ -74,15 +73,13 @@ class ProcessState:
     def require_running(self) -> Run:
         """Return the run; raise `Problem` 409 if the process has ended."""
         if self.run is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Process has ended",
-                message(
-                    "process.process_has_ended",
-                    "{process} is {status} already",
-                    process=self.record.id,
-                    status=self.record.status,
-                ),
+                "process.process_has_ended",
+                "{process} is {status} already",
+                process=self.record.id,
+                status=self.record.status,
             )
         return self.run
 

@@ -129,23 +129,21 @@ class SpanReservations:
         """Release a reservation that is held; raise `Problem` 404 or 409 if there is none."""
         record = next((candidate for candidate in reversed(self.records) if candidate.key == key), None)
         if record is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such reservation",
-                message(
-                    "reservation.unknown",
-                    '{process} has no reservation "{key}"',
-                    process=self.process,
-                    key=key,
-                ),
+                "reservation.unknown",
+                '{process} has no reservation "{key}"',
+                process=self.process,
+                key=key,
             )
         if record.state is not ReservationState.HELD or record.outer is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Not held",
-                message(
-                    "reservation.not_held", '"{name}" holds nothing that could be released', name=record.name
-                ),
+                "reservation.not_held",
+                '"{name}" holds nothing that could be released',
+                name=record.name,
             )
         self._unregister(key)
         reason = message("reservation.released", "released by {by}", by=by)

@@ -8,7 +8,6 @@ from fastapi import FastAPI, Query, Response
 from handover.errors import HandoverError, Problem
 from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.allocation.mapping import MappingRequest
@@ -35,15 +34,13 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
             return json_response(mapping_view(orchestrator.state.allocator.rules.mapping))
         table = await orchestrator.on_disk(orchestrator.store.mapping, version)
         if table is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such version",
-                message(
-                    "allocation.no_such_mapping",
-                    "there is no version {version} of the mapping; the latest is {latest}",
-                    version=version,
-                    latest=orchestrator.state.allocator.rules.mapping.version,
-                ),
+                "allocation.no_such_mapping",
+                "there is no version {version} of the mapping; the latest is {latest}",
+                version=version,
+                latest=orchestrator.state.allocator.rules.mapping.version,
             )
         return json_response(mapping_view(table))
 

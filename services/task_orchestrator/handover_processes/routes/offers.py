@@ -6,7 +6,6 @@ from fastapi import FastAPI, Query, Request, Response
 
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY
@@ -56,7 +55,7 @@ def add_offers(app: FastAPI, at: Components) -> None:
         orchestrator.offering.require(offer)
         xml = await orchestrator.on_disk(orchestrator.store.offer_file, offer)
         if xml is None:
-            raise Problem(404, "No file", message("offer.no_file", "the offer has no BPMN file"))
+            raise Problem.translated(404, "No file", "offer.no_file", "the offer has no BPMN file")
         return Response(xml, media_type="application/xml")
 
     @routes.post(

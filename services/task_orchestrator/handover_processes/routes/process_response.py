@@ -6,7 +6,6 @@ from fastapi import Response
 
 from handover.database.outage import shown_after_change
 from handover.errors import Problem
-from handover.messages import message
 from handover_processes.documents.document import json_response
 from handover_processes.documents.processes import ProcessView, process_view
 from handover_processes.running.components import Components
@@ -30,10 +29,12 @@ async def process_content(at: Components, process_id: str) -> ProcessView:
     store, registry = at.orchestrator.store, at.orchestrator.state.registry
     seen = await at.orchestrator.read(store.everything, at.plain_id(process_id))
     if seen is None:
-        raise Problem(
+        raise Problem.translated(
             404,
             "No such process",
-            message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+            "process.unknown",
+            'there is no process "{process_id}"',
+            process_id=process_id,
         )
     await registry.prepare(registry.record(seen[0].definition, seen[0].version))
     active = at.orchestrator.state.active_processes.processes.get(seen[0].id)

@@ -8,7 +8,6 @@ from fastapi import FastAPI, Query, Response
 
 from handover.errors import HandoverError, Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_processes.definitions.definition_registry import DefinitionRegistry
@@ -66,15 +65,13 @@ def step_hours(step: str | None, period: Period) -> int:
     if step is None:
         step = "hour" if length <= DEFAULT_HOURLY else "day"
     if step == "hour" and length > MAX_HOURLY:
-        raise Problem(
+        raise Problem.translated(
             422,
             "Bad period",
-            message(
-                "statistics.too_many_hours",
-                "the period has {days} days; ask by hour for {max_days} days at most, or by day",
-                days=length.days,
-                max_days=MAX_HOURLY.days,
-            ),
+            "statistics.too_many_hours",
+            "the period has {days} days; ask by hour for {max_days} days at most, or by day",
+            days=length.days,
+            max_days=MAX_HOURLY.days,
         )
     return 1 if step == "hour" else DAY_H
 

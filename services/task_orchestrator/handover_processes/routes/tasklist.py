@@ -9,7 +9,6 @@ from handover.database.outage import shown_after_change
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes
 from handover.http.body_limit import max_body
-from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -223,7 +222,7 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
     seen = await at.orchestrator.on_disk(store.everything, task.process)
     acts = await at.orchestrator.on_disk(store.task_acts, task.process)
     if seen is None:
-        raise Problem(404, "No such task", message("tasklist.gone", "the process of this task is deleted"))
+        raise Problem.translated(404, "No such task", "tasklist.gone", "the process of this task is deleted")
     record, tasks, moves = seen
     deployed = registry.record(record.definition, record.version)
     await registry.prepare(deployed)

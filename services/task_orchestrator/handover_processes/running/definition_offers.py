@@ -18,7 +18,7 @@ from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
 from handover.errors import Problem
 from handover.files.content_digest import is_ours
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
@@ -134,22 +134,22 @@ class DefinitionOffers:
             entity = await self._broker.retrieve(record.entity)
         except NotFound:
             await self._withdraw(record.entity)
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Entity is gone",
-                message("offer.gone", "{entity} was deleted from the broker", entity=record.entity),
+                "offer.gone",
+                "{entity} was deleted from the broker",
+                entity=record.entity,
             ) from None
         candidate = read_candidate(entity)
         if candidate is None or candidate.id != record.id or is_ours(entity):
             await self._receive([entity])
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Entity has changed",
-                message(
-                    "offer.changed",
-                    "{entity} was changed meanwhile; look at the present offer of it",
-                    entity=record.entity,
-                ),
+                "offer.changed",
+                "{entity} was changed meanwhile; look at the present offer of it",
+                entity=record.entity,
             )
 
     async def _receive(self, entities: Iterable[Mapping[str, Any]]) -> None:

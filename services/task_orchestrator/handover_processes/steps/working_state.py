@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 from handover.errors import HandoverError, Problem
-from handover.messages import message
 from handover_bpmn.model import Definition
 from handover_datamodels.entities import TaskStatus
 from handover_processes import metrics
@@ -196,10 +195,12 @@ class WorkingState:
         """Return a process as the database has it; raise `Problem` 404 if there is none."""
         records: list[ProcessRecord] = await self.on_disk(self.store.processes, [process_id])
         if not records:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such process",
-                message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+                "process.unknown",
+                'there is no process "{process_id}"',
+                process_id=process_id,
             )
         return records[0]
 

@@ -141,14 +141,12 @@ def processes_page(
     if before is not None:
         began = connection.scalar(select(table.started_at).where(table.id == before))
         if began is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such process",
-                message(
-                    "process.unknown_mark",
-                    'there is no process "{before}" to come before',
-                    before=before,
-                ),
+                "process.unknown_mark",
+                'there is no process "{before}" to come before',
+                before=before,
             )
         statement = statement.where(tuple_(started, name) < tuple_(began, before))
     return statement.order_by(started.desc(), name.desc()).limit(limit)

@@ -18,7 +18,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 from typing import Protocol, Self, TypeVar
 
-from handover.messages import message
 from handover.runtime.control_cycle import runs_in_cycle
 from handover.tasks.device_lease import Authority
 from handover_robots.driver_base.context import Clock
@@ -146,12 +145,10 @@ class CyclicRobot(Robot):
         def course(start: Joints, now_s: float) -> PlannedCourse:
             away_rad = _distance_rad(start, trajectory.start)
             if away_rad > START_TOLERANCE_RAD:
-                raise RobotFault(
-                    message(
-                        "robot.not_at_the_start",
-                        "the joints are {angle} rad away from the start of the planned motion; plan again",
-                        angle=f"{away_rad:.3f}",
-                    )
+                raise RobotFault.translated(
+                    "robot.not_at_the_start",
+                    "the joints are {angle} rad away from the start of the planned motion; plan again",
+                    angle=f"{away_rad:.3f}",
                 )
             return PlannedCourse(trajectory, self.limits, now_s)
 
@@ -185,11 +182,8 @@ class CyclicRobot(Robot):
         robot is switched off.
         """
         if self.switched_off.is_set():
-            raise RobotFault(
-                message(
-                    "robot.switched_off",
-                    "the robot is switched off; start the trajectory tool again",
-                )
+            raise RobotFault.translated(
+                "robot.switched_off", "the robot is switched off; start the trajectory tool again"
             )
         doing = asyncio.wrap_future(self.submit(cycles))
         try:
@@ -217,11 +211,8 @@ class CyclicRobot(Robot):
 
     async def _run(self, make: Callable[[Joints, float], Motion], pace: Pace) -> bool:
         if self._stopping is not None:
-            raise RobotFault(
-                message(
-                    "robot.in_motion",
-                    "the robot is in motion; wait for its end or stop it before another motion",
-                )
+            raise RobotFault.translated(
+                "robot.in_motion", "the robot is in motion; wait for its end or stop it before another motion"
             )
         authority = self._authority = self.authority()
         stopping = self._stopping = Event()

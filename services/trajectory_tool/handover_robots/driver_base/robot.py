@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
-from handover.messages import message
 from handover_robots.model.faults import LeaseEnded, NoPath, RobotFault, UnknownOutcome, Unreachable
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.joints import Joints, JointState, Pace, Velocity
@@ -85,22 +84,18 @@ class Robot(ABC):
         authority = lease.authority()
         if not authority.is_valid():
             if lease.holder is not None:
-                raise LeaseEnded(
-                    message(
-                        "robot.lease_taken",
-                        "{holder} holds the lease of {device}, so it is not commanded from here; stop that "
-                        "process to take over",
-                        device=lease.device,
-                        holder=lease.holder,
-                    )
-                )
-            raise LeaseEnded(
-                message(
-                    "robot.lease_not_granted",
-                    "the orchestrator has not granted the lease of {device}, so it is not commanded; start "
-                    "the orchestrator, or set HANDOVER_DEVICE_LEASES=off in a cell without one",
+                raise LeaseEnded.translated(
+                    "robot.lease_taken",
+                    "{holder} holds the lease of {device}, so it is not commanded from here; stop that "
+                    "process to take over",
                     device=lease.device,
+                    holder=lease.holder,
                 )
+            raise LeaseEnded.translated(
+                "robot.lease_not_granted",
+                "the orchestrator has not granted the lease of {device}, so it is not commanded; start "
+                "the orchestrator, or set HANDOVER_DEVICE_LEASES=off in a cell without one",
+                device=lease.device,
             )
         return authority
 
@@ -145,13 +140,11 @@ class Robot(ABC):
         A stop stays on the path of the trajectory. Raises `RobotFault`, also if the driver only moves on
         straight lines in joint space.
         """
-        raise RobotFault(
-            message(
-                "robot.driver_cannot_follow",
-                "the driver {driver} cannot follow planned motions; use another driver, or a scene "
-                "without obstacles",
-                driver=type(self).__name__,
-            )
+        raise RobotFault.translated(
+            "robot.driver_cannot_follow",
+            "the driver {driver} cannot follow planned motions; use another driver, or a scene "
+            "without obstacles",
+            driver=type(self).__name__,
         )
 
     async def servo(self, velocity: Velocity, until: Callable[[], bool], pace: Pace) -> bool:  # noqa: ARG002
@@ -160,12 +153,10 @@ class Robot(ABC):
         The limiter changes velocities that lead beyond a limit. Returns True at rest, and False after a stop
         because of a pace of 0. Raises `RobotFault`, also if the driver has no velocity commands.
         """
-        raise RobotFault(
-            message(
-                "robot.driver_has_no_servo",
-                "the driver {driver} follows no velocity commands; use another driver",
-                driver=type(self).__name__,
-            )
+        raise RobotFault.translated(
+            "robot.driver_has_no_servo",
+            "the driver {driver} follows no velocity commands; use another driver",
+            driver=type(self).__name__,
         )
 
     async def stop(self, category: StopCategory) -> None:  # noqa: ARG002
@@ -173,12 +164,10 @@ class Robot(ABC):
 
         Raises `RobotFault`, also if the driver cannot stop a motion of another caller.
         """
-        raise RobotFault(
-            message(
-                "robot.driver_has_no_stop",
-                "the driver {driver} has no stop command; pause or cancel the Task",
-                driver=type(self).__name__,
-            )
+        raise RobotFault.translated(
+            "robot.driver_has_no_stop",
+            "the driver {driver} has no stop command; pause or cancel the Task",
+            driver=type(self).__name__,
         )
 
     def digital_inputs(self) -> int | None:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.retry import Backoff, retry
 from handover.settings import Settings
 from handover.tasks.task_life import FINISHED
@@ -83,13 +83,11 @@ class Orders:
         try:
             await self._broker.create(task)
         except BrokerError as error:
-            raise RobotFault(
-                message(
-                    "robot.order_refused",
-                    "the order for {resource} was not posted: {error}",
-                    resource=self.resource,
-                    error=text_of(error),
-                )
+            raise RobotFault.translated(
+                "robot.order_refused",
+                "the order for {resource} was not posted: {error}",
+                resource=self.resource,
+                error=text_of(error),
             ) from error
         self._task = task
         return task.id
@@ -111,24 +109,20 @@ class Orders:
                 return Ended(done, outputs if isinstance(outputs, Mapping) else {})
             if clock() - given_s > within_s:
                 await self._withdraw(order)
-                raise UnknownOutcome(
-                    message(
-                        "robot.motion_overdue",
-                        "the motion of {resource} did not end within {within_s} s",
-                        resource=self.resource,
-                        within_s=f"{within_s:.0f}",
-                    )
+                raise UnknownOutcome.translated(
+                    "robot.motion_overdue",
+                    "the motion of {resource} did not end within {within_s} s",
+                    resource=self.resource,
+                    within_s=f"{within_s:.0f}",
                 )
             waits = self._task is None or self._task.status.value is TaskStatus.PENDING
             if waits and clock() - given_s > ACCEPT_TIMEOUT_S:
                 await self._withdraw(order)
-                raise RobotFault(
-                    message(
-                        "robot.order_not_accepted",
-                        "no performer accepts orders for {resource}; start the ROS bridge with a "
-                        "mapping that does (handover run ros-bridge; HANDOVER_ROS_MAPPING=arm)",
-                        resource=self.resource,
-                    )
+                raise RobotFault.translated(
+                    "robot.order_not_accepted",
+                    "no performer accepts orders for {resource}; start the ROS bridge with a "
+                    "mapping that does (handover run ros-bridge; HANDOVER_ROS_MAPPING=arm)",
+                    resource=self.resource,
                 )
             await self._wait_for_change()
 
@@ -174,12 +168,8 @@ class Orders:
         try:
             self._task = await self._broker.get(order, Task)
         except NotFound:
-            raise UnknownOutcome(
-                message(
-                    "robot.order_deleted",
-                    "another client has deleted the order {order}",
-                    order=order,
-                )
+            raise UnknownOutcome.translated(
+                "robot.order_deleted", "another client has deleted the order {order}", order=order
             ) from None
         except BrokerError as error:
             log.info("order not read", order=order, error=str(error))

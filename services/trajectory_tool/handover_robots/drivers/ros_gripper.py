@@ -9,7 +9,6 @@ from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError
 from handover.broker.resync import Resync
-from handover.messages import message
 from handover.subscriptions.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
 from handover.subscriptions.record import SubscriptionRecord
@@ -80,13 +79,11 @@ class RosGripper:
         self.is_closed = True
         stalled = ended.outputs.get("stalled") is True
         if not ended.completed and not stalled:
-            raise RobotFault(
-                message(
-                    "robot.gripper_did_not_close",
-                    "the gripper of {arm} did not close: {reason}",
-                    arm=self._arm,
-                    reason=ended.reason,
-                )
+            raise RobotFault.translated(
+                "robot.gripper_did_not_close",
+                "the gripper of {arm} did not close: {reason}",
+                arm=self._arm,
+                reason=ended.reason,
             )
         return stalled
 
@@ -94,13 +91,11 @@ class RosGripper:
         """Open the gripper."""
         ended = await self._perform("openGripper")
         if not ended.completed:
-            raise RobotFault(
-                message(
-                    "robot.gripper_did_not_open",
-                    "the gripper of {arm} did not open: {reason}",
-                    arm=self._arm,
-                    reason=ended.reason,
-                )
+            raise RobotFault.translated(
+                "robot.gripper_did_not_open",
+                "the gripper of {arm} did not open: {reason}",
+                arm=self._arm,
+                reason=ended.reason,
             )
         self.is_closed = False
 
@@ -108,14 +103,12 @@ class RosGripper:
         order = await self._orders.give(operation)
         ended = await self._orders.end_of(order, self._within_s)
         if is_outcome_unknown(ended.outputs):
-            raise UnknownOutcome(
-                message(
-                    "robot.gripper_unknown",
-                    "whether the gripper of {arm} has moved is unknown: {reason}; look what it holds, then "
-                    "free it on the page of the robot",
-                    arm=self._arm,
-                    reason=ended.reason,
-                )
+            raise UnknownOutcome.translated(
+                "robot.gripper_unknown",
+                "whether the gripper of {arm} has moved is unknown: {reason}; look what it holds, then "
+                "free it on the page of the robot",
+                arm=self._arm,
+                reason=ended.reason,
             )
         return ended
 

@@ -19,7 +19,7 @@ from websockets.exceptions import InvalidURI, WebSocketException
 from handover.broker import Credentials
 from handover.control.limit_link import exchange
 from handover.errors import HandoverError
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.retry import Backoff
 from handover.telemetry import get_logger
 from handover_datamodels.arm_stream import (
@@ -119,8 +119,8 @@ class RosLink:
 
     def _send(self, command: BaseModel) -> None:
         if self._socket is None or self._loop is None:
-            raise RobotFault(
-                message("robot.ros_not_connected", "the arm is not connected: {fault}", fault=self.fault)
+            raise RobotFault.translated(
+                "robot.ros_not_connected", "the arm is not connected: {fault}", fault=self.fault
             )
         self._loop.call_soon_threadsafe(self._outgoing.put_nowait, command)
 
@@ -209,23 +209,19 @@ def in_order(joint_names: Sequence[str], names: Any, values: Any) -> Joints:
     Drivers report the joints of a gripper, or of a second arm, in the same message, in any order.
     """
     if not isinstance(names, Sequence) or not isinstance(values, Sequence) or len(names) != len(values):
-        raise RobotFault(
-            message(
-                "robot.joint_count_differs",
-                "{names} joint names and {values} values are reported",
-                names=len(names or ()),
-                values=len(values or ()),
-            )
+        raise RobotFault.translated(
+            "robot.joint_count_differs",
+            "{names} joint names and {values} values are reported",
+            names=len(names or ()),
+            values=len(values or ()),
         )
     by_name = dict(zip(names, values, strict=True))
     missing = [name for name in joint_names if not isinstance(by_name.get(name), int | float)]
     if missing:
-        raise RobotFault(
-            message(
-                "robot.joints_missing",
-                "{missing} are not reported; the reported joints are {given}",
-                missing=", ".join(missing),
-                given=", ".join(by_name),
-            )
+        raise RobotFault.translated(
+            "robot.joints_missing",
+            "{missing} are not reported; the reported joints are {given}",
+            missing=", ".join(missing),
+            given=", ".join(by_name),
         )
     return tuple(float(by_name[name]) for name in joint_names)

@@ -141,12 +141,10 @@ class RosRobot(CyclicRobot):
         """Command the velocities of a setpoint; used by `servo`."""
         self._way.advance(self.clock.now_s(), setpoint.positions)
         if not self._way.is_near(self.measured().positions):
-            raise RobotFault(
-                message(
-                    "robot.ros_does_not_follow",
-                    "{arm} does not follow the commanded velocities; check its velocity controller",
-                    arm=self.arm,
-                )
+            raise RobotFault.translated(
+                "robot.ros_does_not_follow",
+                "{arm} does not follow the commanded velocities; check its velocity controller",
+                arm=self.arm,
             )
         self.link.velocity(self._velocities(setpoint))
 
@@ -163,12 +161,10 @@ class RosRobot(CyclicRobot):
     async def servo(self, velocity: Velocity, until: Callable[[], bool], pace: Pace) -> bool:
         """Move with the latest joint velocities; see `Robot.servo`."""
         if self.options.velocity_topic is None:
-            raise RobotFault(
-                message(
-                    "robot.ros_has_no_velocity_topic",
-                    "{arm} has no velocity topic; set velocity_topic in the settings of the driver",
-                    arm=self.arm,
-                )
+            raise RobotFault.translated(
+                "robot.ros_has_no_velocity_topic",
+                "{arm} has no velocity topic; set velocity_topic in the settings of the driver",
+                arm=self.arm,
             )
         motion = super().servo
         return await self._perform(lambda: motion(velocity, until, pace))
@@ -179,13 +175,11 @@ class RosRobot(CyclicRobot):
         async with self._in_motion:
             pass
         if category == 1:
-            raise RobotFault(
-                message(
-                    "robot.driver_has_no_power",
-                    "{arm} has been stopped, and its power cannot be removed through ROS; switch it off at "
-                    "its controller",
-                    arm=self.arm,
-                )
+            raise RobotFault.translated(
+                "robot.driver_has_no_power",
+                "{arm} has been stopped, and its power cannot be removed through ROS; switch it off at "
+                "its controller",
+                arm=self.arm,
             )
 
     async def close_gripper(self) -> bool:
@@ -208,11 +202,8 @@ class RosRobot(CyclicRobot):
     async def _perform(self, motion: Callable[[], Any]) -> bool:
         """Run a motion until the measured joints are at rest."""
         if self._in_motion.locked():
-            raise RobotFault(
-                message(
-                    "robot.in_motion",
-                    "the robot is in motion; wait for its end or stop it before another motion",
-                )
+            raise RobotFault.translated(
+                "robot.in_motion", "the robot is in motion; wait for its end or stop it before another motion"
             )
         async with self._in_motion:
             if not self.switched_off.is_set():
@@ -352,13 +343,11 @@ class RosRobot(CyclicRobot):
                 )
             )
         if end is None and (cycle - plan.last) * self._cycle_s > END_TIMEOUT_S:
-            raise RobotFault(
-                message(
-                    "robot.motion_overdue",
-                    "the motion of {resource} did not end within {within_s} s",
-                    resource=self.arm,
-                    within_s=f"{(plan.last - plan.first) * self._cycle_s + END_TIMEOUT_S:.0f}",
-                )
+            raise RobotFault.translated(
+                "robot.motion_overdue",
+                "the motion of {resource} did not end within {within_s} s",
+                resource=self.arm,
+                within_s=f"{(plan.last - plan.first) * self._cycle_s + END_TIMEOUT_S:.0f}",
             )
         return end is not None and cycle >= plan.last
 
@@ -371,12 +360,10 @@ class RosRobot(CyclicRobot):
             return
         if distance_rad(measured, plan.began_at) > FOLLOWING_RAD:
             raise _FellBehind(f"{self.arm} did not follow its goal")
-        raise RobotFault(
-            message(
-                "robot.ros_does_not_move",
-                "{arm} does not follow its goal; check that its trajectory controller is active",
-                arm=self.arm,
-            )
+        raise RobotFault.translated(
+            "robot.ros_does_not_move",
+            "{arm} does not follow its goal; check that its trajectory controller is active",
+            arm=self.arm,
         )
 
     @runs_in_cycle
@@ -398,8 +385,8 @@ class RosRobot(CyclicRobot):
                 before, since_s = now, time.monotonic()
             elif time.monotonic() - since_s >= STILL_S:
                 return
-        raise RobotFault(
-            message("robot.not_at_rest", "{arm} was stopped and is not at rest; check it", arm=self.arm)
+        raise RobotFault.translated(
+            "robot.not_at_rest", "{arm} was stopped and is not at rest; check it", arm=self.arm
         )
 
     async def _current_joints(self) -> Joints:
@@ -414,12 +401,10 @@ class RosRobot(CyclicRobot):
             await asyncio.sleep(POLL_S)
 
     def _unknown(self, fault: str) -> RobotFault:
-        return RobotFault(
-            message(
-                "robot.joints_unknown",
-                "the joints of {arm} are unknown: {fault}; start its driver, and the "
-                "ROS bridge with a mapping that reports them (handover bridge check arm)",
-                arm=self.arm,
-                fault=fault,
-            )
+        return RobotFault.translated(
+            "robot.joints_unknown",
+            "the joints of {arm} are unknown: {fault}; start its driver, and the "
+            "ROS bridge with a mapping that reports them (handover bridge check arm)",
+            arm=self.arm,
+            fault=fault,
         )

@@ -19,7 +19,7 @@ from typing import Any, Protocol, overload
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization
 from ruckig import Trajectory as RuckigProfile
 
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.limits.guards import Guard
 from handover_robots.model.faults import RobotFault
@@ -211,12 +211,8 @@ class JointLimiter:
         for guard in self.guards:
             reason = reason or guard.violation(setpoint)
         if reason is not None:
-            raise RobotFault(
-                message(
-                    "robot.limit_violated",
-                    "the motion was stopped by the limiter: {reason}",
-                    reason=reason,
-                )
+            raise RobotFault.translated(
+                "robot.limit_violated", "the motion was stopped by the limiter: {reason}", reason=reason
             )
 
     @runs_in_cycle
@@ -322,13 +318,11 @@ class JointLimiter:
                 failure = error
             else:
                 return profile
-        raise RobotFault(
-            message(
-                "robot.no_motion_because",
-                "there is no motion along {line}: {error}",
-                line="a stop",
-                error=text_of(failure),
-            )
+        raise RobotFault.translated(
+            "robot.no_motion_because",
+            "there is no motion along {line}: {error}",
+            line="a stop",
+            error=text_of(failure),
         ) from failure
 
 

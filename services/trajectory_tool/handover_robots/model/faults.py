@@ -1,9 +1,9 @@
 """Why a robot does not move: the robot itself, its reach, or what is in the way."""
 
-from handover.errors import HandoverError
+from handover.errors import HandoverError, TranslatedError
 
 
-class RobotFault(HandoverError):
+class RobotFault(TranslatedError):
     """The robot cannot move; the message has the reason and the remedy."""
 
 
@@ -19,5 +19,5 @@ class Unreachable(HandoverError):
     """The robot cannot reach a pose or a joint position; the message has the distance or the limit."""
 
 
-class NoPath(HandoverError):
+class NoPath(TranslatedError):
     """Something is in the way; the message names what would touch, or that no way was found in time."""

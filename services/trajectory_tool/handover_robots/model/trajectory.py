@@ -11,7 +11,7 @@ from typing import Any
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 from ruckig import Trajectory as RuckigProfile
 
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.joints import Joints
 
@@ -100,13 +100,11 @@ class Course:
         self.stopping = False
         self._line = _Line(start, target)
         if not all(map(math.isfinite, (*start, *target))):
-            raise RobotFault(
-                message(
-                    "robot.no_motion",
-                    "there is no motion from {start} to {target}: each angle must be a number",
-                    start=str(start),
-                    target=str(target),
-                )
+            raise RobotFault.translated(
+                "robot.no_motion",
+                "there is no motion from {start} to {target}: each angle must be a number",
+                start=str(start),
+                target=str(target),
             )
         self._cruise = cruise
         self._limits = limits
@@ -176,22 +174,18 @@ class Course:
         try:
             result = Ruckig(1).calculate(inputs, profile)
         except RuckigError as error:
-            raise RobotFault(
-                message(
-                    "robot.no_motion_because",
-                    "there is no motion along {line}: {error}",
-                    line=str(self._line),
-                    error=text_of(error),
-                )
+            raise RobotFault.translated(
+                "robot.no_motion_because",
+                "there is no motion along {line}: {error}",
+                line=str(self._line),
+                error=text_of(error),
             ) from error
         if result not in {Result.Working, Result.Finished}:
-            raise RobotFault(
-                message(
-                    "robot.no_motion_along",
-                    "there is no motion along {line}: {result}",
-                    line=str(self._line),
-                    result=result,
-                )
+            raise RobotFault.translated(
+                "robot.no_motion_along",
+                "there is no motion along {line}: {result}",
+                line=str(self._line),
+                result=result,
             )
         self._profile, self._duration_s = profile, float(profile.duration)
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handover.errors import HandoverError
-from handover.messages import message
+from handover.errors import TranslatedError
 from handover_robots.model.poses import Frame, Vector
 from handover_robots.perception.depth_image import Array, DepthImage, frame_of
 from handover_robots.scene.vision import SeenBall
@@ -38,7 +37,7 @@ MIN_SHARE = 0.7
 """So many of the rays through the ball must end at its surface."""
 
 
-class NotCalibrated(HandoverError):
+class NotCalibrated(TranslatedError):
     """The images do not determine the mount; the message has the reason."""
 
 
@@ -116,11 +115,9 @@ def in_hand(samples: Sequence[SeenBall], nominal: Frame) -> Calibration:
             residuals.append(turn @ (turned + translation) + shift - place)
         jacobian, residual = np.vstack(rows), np.concatenate(residuals)
         if float(np.linalg.cond(jacobian)) > MAX_CONDITION:
-            raise NotCalibrated(
-                message(
-                    "robot.camera_poses_alike",
-                    "the poses of the images are too much alike; tilt the camera about two axes",
-                )
+            raise NotCalibrated.translated(
+                "robot.camera_poses_alike",
+                "the poses of the images are too much alike; tilt the camera about two axes",
             )
         step = -np.linalg.lstsq(jacobian, residual, rcond=None)[0]
         rotation = _turn(step[:3]) @ rotation
@@ -133,20 +130,18 @@ def in_hand(samples: Sequence[SeenBall], nominal: Frame) -> Calibration:
 def fixed(balls: Sequence[Vector], seen: Sequence[Vector]) -> Calibration:
     """Return the mount of a camera that sees balls at known places. Raises `NotCalibrated`."""
     if len(balls) < MIN_BALLS:
-        raise NotCalibrated(
-            message(
-                "robot.too_few_balls",
-                "the camera sees {seen} balls, and {needed} are needed; put more of them into its view",
-                seen=len(balls),
-                needed=MIN_BALLS,
-            )
+        raise NotCalibrated.translated(
+            "robot.too_few_balls",
+            "the camera sees {seen} balls, and {needed} are needed; put more of them into its view",
+            seen=len(balls),
+            needed=MIN_BALLS,
         )
     places, measured = np.array(balls), np.array(seen)
     from_known, from_found = places - places.mean(axis=0), measured - measured.mean(axis=0)
     u, sizes, v = np.linalg.svd(from_found.T @ from_known)
     if sizes[1] < 1e-6 * max(sizes[0], 1e-12):
-        raise NotCalibrated(
-            message("robot.balls_in_line", "the balls are in one line; move one of them aside")
+        raise NotCalibrated.translated(
+            "robot.balls_in_line", "the balls are in one line; move one of them aside"
         )
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))])
     rotation = v.T @ mirror @ u.T
@@ -157,24 +152,20 @@ def fixed(balls: Sequence[Vector], seen: Sequence[Vector]) -> Calibration:
 def _checked(rotation: Array, translation: Array, residuals: Array) -> Calibration:
     left_m = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if left_m > MAX_RESIDUAL_M:
-        raise NotCalibrated(
-            message(
-                "robot.camera_residual",
-                "the images disagree by {residual} mm; hold the ball still and check its radius",
-                residual=f"{1000 * left_m:.1f}",
-            )
+        raise NotCalibrated.translated(
+            "robot.camera_residual",
+            "the images disagree by {residual} mm; hold the ball still and check its radius",
+            residual=f"{1000 * left_m:.1f}",
         )
     return Calibration(frame_of(rotation[:, 0], rotation[:, 1], rotation[:, 2], translation), left_m)
 
 
 def _too_few(seen: int, needed: int) -> NotCalibrated:
-    return NotCalibrated(
-        message(
-            "robot.ball_rarely_seen",
-            "the ball was found in {seen} images, and {needed} are needed; move it into the view",
-            seen=seen,
-            needed=needed,
-        )
+    return NotCalibrated.translated(
+        "robot.ball_rarely_seen",
+        "the ball was found in {seen} images, and {needed} are needed; move it into the view",
+        seen=seen,
+        needed=needed,
     )
 
 

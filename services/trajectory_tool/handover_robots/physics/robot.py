@@ -13,7 +13,6 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from typing import Self, TypeVar
 
-from handover.messages import message
 from handover.runtime.control_cycle import runs_in_cycle
 from handover_robots.driver_base.context import Clock, RobotContext
 from handover_robots.driver_base.control_thread import Cycles
@@ -126,14 +125,12 @@ class PhysicsRobot(CyclicRobot):
         if blocked is not None:
             self.arm.unblock()
             self.setpoint = Setpoint.at_rest(self.arm.positions)
-            raise RobotFault(
-                message(
-                    "robot.arm_blocked",
-                    "{joint} was {angle} rad away from its command: the arm meets something or carries too "
-                    "much; clear its way, then move it away",
-                    joint=blocked.joint,
-                    angle=f"{abs(blocked.error):.2f}",
-                )
+            raise RobotFault.translated(
+                "robot.arm_blocked",
+                "{joint} was {angle} rad away from its command: the arm meets something or carries too "
+                "much; clear its way, then move it away",
+                joint=blocked.joint,
+                angle=f"{abs(blocked.error):.2f}",
             )
         self.arm.command(setpoint)
         if self._positions is not None:

@@ -4,7 +4,7 @@ import asyncio
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from handover.messages import Message, message
+from handover.messages import Message
 from handover_robots.model.faults import RobotFault
 from handover_robots.model.poses import NO_TURN, Frame, Pose, Vector
 from handover_robots.model.robot_model import RobotModel
@@ -151,12 +151,10 @@ class PhysicsVision:
     def _look(self, bin_name: str, view: int) -> list[Sighting]:
         bin_, fingers = self._scene.bins[bin_name], self._fingers
         if fingers is None:
-            raise RobotFault(
-                message(
-                    "robot.no_gripper_for_bins",
-                    "{robot} has no gripper for bin picking; let another robot scan",
-                    robot=self._robot,
-                )
+            raise RobotFault.translated(
+                "robot.no_gripper_for_bins",
+                "{robot} has no gripper for bin picking; let another robot scan",
+                robot=self._robot,
             )
         assert bin_.walls is not None  # noqa: S101 - checked when the robot is made
         camera = bin_.camera or HAND_CAMERA

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from handover.messages import Message, message
+from handover.messages import Message
 from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.joint_trajectory import JointTrajectory
 from handover_robots.model.joints import Joints
@@ -235,12 +235,8 @@ class Planner:
             return
         touch = motions.first_contact(list(samples))
         if touch is not None:
-            raise NoPath(
-                message(
-                    "robot.motion_blocked",
-                    "{pair} on the way",
-                    pair=self._why.contact(touch, margin_m),
-                )
+            raise NoPath.translated(
+                "robot.motion_blocked", "{pair} on the way", pair=self._why.contact(touch, margin_m)
             )
 
     def why_not_free(self, joints: Joints, margin_m: float = 0.0) -> Message | None:
@@ -333,16 +329,14 @@ class Planner:
         assert self._torques is not None  # noqa: S101 - set with the world
         speed = self._torques.allowed_speed(trajectory)
         if isinstance(speed, Overload):
-            raise NoPath(
-                message(
-                    "robot.torque_exceeded",
-                    "{joint} needs {torque} to hold the arm and {payload} kg on the way, more than its limit "
-                    "of {limit}; choose a way nearer to the base, or a lighter part",
-                    joint=speed.joint,
-                    torque=speed.needed,
-                    payload=f"{self._torques.payload_kg:g}",
-                    limit=speed.limit,
-                )
+            raise NoPath.translated(
+                "robot.torque_exceeded",
+                "{joint} needs {torque} to hold the arm and {payload} kg on the way, more than its limit "
+                "of {limit}; choose a way nearer to the base, or a lighter part",
+                joint=speed.joint,
+                torque=speed.needed,
+                payload=f"{self._torques.payload_kg:g}",
+                limit=speed.limit,
             )
         return Plan(trajectory if speed == 1.0 else trajectory.slowed(speed), tuple(path), margin_m)
 
@@ -370,12 +364,10 @@ class Planner:
             return self._plan(timing.line(only, only, self.limits), (only, only), motions.margin_m)
         if not motions.is_path_free(list(line.joints)):
             touch = motions.first_contact(list(line.joints))
-            raise NoPath(
-                message(
-                    "robot.line_blocked",
-                    "the tool cannot move straight: {pair} on the way",
-                    pair=self._why.contact(line.joints[0] if touch is None else touch, motions.margin_m),
-                )
+            raise NoPath.translated(
+                "robot.line_blocked",
+                "the tool cannot move straight: {pair} on the way",
+                pair=self._why.contact(line.joints[0] if touch is None else touch, motions.margin_m),
             )
         columns = np.column_stack([line.joints, line.at])
         curve = timing.Through(line.at, columns)
@@ -406,19 +398,15 @@ class Planner:
                 return margin_m
         least_m = self.options.margins_m[-1]
         if not self.collisions.is_free(start, least_m):
-            raise NoPath(
-                message(
-                    "robot.start_blocked",
-                    "the robot cannot start here: {pair}; move it away by hand, or correct the scene",
-                    pair=self._why.contact(start, least_m),
-                )
+            raise NoPath.translated(
+                "robot.start_blocked",
+                "the robot cannot start here: {pair}; move it away by hand, or correct the scene",
+                pair=self._why.contact(start, least_m),
             )
-        raise NoPath(
-            message(
-                "robot.target_blocked",
-                "the robot cannot be at the target: {pair}; choose another target",
-                pair=self._why.contact(goals[0], least_m),
-            )
+        raise NoPath.translated(
+            "robot.target_blocked",
+            "the robot cannot be at the target: {pair}; choose another target",
+            pair=self._why.contact(goals[0], least_m),
         )
 
 

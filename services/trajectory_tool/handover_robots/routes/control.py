@@ -21,7 +21,6 @@ from handover.control.leasing import (
 from handover.control.session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
 from handover.http.websocket_closing import close_websocket
-from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require
@@ -137,14 +136,12 @@ def _gamma(written: str | None) -> float:
     except ValueError:
         gamma = -1.0
     if not 0 < gamma <= MAX_GAMMA:
-        raise Problem(
+        raise Problem.translated(
             400,
             "No such scale",
-            message(
-                "robot.no_such_gamma",
-                "gamma, the scale of the input, must be a number above 0 and at most {limit}",
-                limit=f"{MAX_GAMMA:g}",
-            ),
+            "robot.no_such_gamma",
+            "gamma, the scale of the input, must be a number above 0 and at most {limit}",
+            limit=f"{MAX_GAMMA:g}",
         )
     return gamma
 

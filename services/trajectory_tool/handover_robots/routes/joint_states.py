@@ -13,7 +13,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.errors import Problem
 from handover.http.websocket_closing import close_websocket
-from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover_robots.driver_base.robot import Robot
@@ -86,13 +85,11 @@ def _rate(rate: str | None) -> float:
     except ValueError:
         hz = math.nan
     if not 0 < hz <= MAX_HZ:
-        raise Problem(
+        raise Problem.translated(
             400,
             "No such rate",
-            message(
-                "robot.no_such_rate",
-                "hz must be a number above 0 and at most {limit}",
-                limit=f"{MAX_HZ:.0f}",
-            ),
+            "robot.no_such_rate",
+            "hz must be a number above 0 and at most {limit}",
+            limit=f"{MAX_HZ:.0f}",
         )
     return hz

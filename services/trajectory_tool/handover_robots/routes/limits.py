@@ -17,7 +17,6 @@ from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import TaggedRoutes
 from handover.http.websocket_closing import close_websocket
-from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
@@ -87,14 +86,12 @@ def add_routes(app: FastAPI, find: Find) -> None:
         robot_limits, driver = find(robot)
         still = await robot_limits.reset(body.name)
         if still:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Still stopped",
-                message(
-                    "robot.limit_still_stops",
-                    "{sources} still stop the robot; look at the person and the sensor before the reset",
-                    sources=", ".join(still),
-                ),
+                "robot.limit_still_stops",
+                "{sources} still stop the robot; look at the person and the sensor before the reset",
+                sources=", ".join(still),
             )
         return view_of(robot_limits, driver)
 
@@ -116,15 +113,13 @@ def add_routes(app: FastAPI, find: Find) -> None:
         robot_limits, driver = find(robot)
         if not await robot_limits.remove(source, body.name, body.reason):
             sources = (*robot_limits.body.sources, *robot_limits.separation.sources)
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such source",
-                message(
-                    "robot.no_such_limit_source",
-                    'there is no source "{source}"; there is {known}',
-                    source=source,
-                    known=", ".join(sources) or "none",
-                ),
+                "robot.no_such_limit_source",
+                'there is no source "{source}"; there is {known}',
+                source=source,
+                known=", ".join(sources) or "none",
             )
         return view_of(robot_limits, driver)
 
@@ -142,14 +137,12 @@ def add_routes(app: FastAPI, find: Find) -> None:
         """Set the speed of the tool that was validated for an end effector, with the date of validation."""
         robot_limits, driver = find(robot)
         if body.validated_at > datetime.now(UTC):
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Not validated yet",
-                message(
-                    "robot.validated_in_future",
-                    "the date of validation of {end_effector} is in the future; enter when it was validated",
-                    end_effector=body.end_effector,
-                ),
+                "robot.validated_in_future",
+                "the date of validation of {end_effector} is in the future; enter when it was validated",
+                end_effector=body.end_effector,
             )
         speed = SafeSpeed.model_validate(body.model_dump(exclude={"name"}))
         await robot_limits.set_safe_speed(speed, body.name)

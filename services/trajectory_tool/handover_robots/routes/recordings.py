@@ -8,7 +8,6 @@ from fastapi.responses import FileResponse
 
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover_datamodels.times import iso
@@ -58,12 +57,13 @@ def _file(data_dir: Path, robot: str, name: str) -> Path:
     _require_plain(robot)
     file = file_of(data_dir, robot, name)
     if file is None:
-        raise Problem(
+        raise Problem.translated(
             404,
             "No such recording",
-            message(
-                "robot.no_such_recording", 'there is no recording "{name}" of {robot}', name=name, robot=robot
-            ),
+            "robot.no_such_recording",
+            'there is no recording "{name}" of {robot}',
+            name=name,
+            robot=robot,
         )
     return file
 

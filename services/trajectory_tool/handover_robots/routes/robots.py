@@ -11,7 +11,7 @@ from handover.control.lease import Leases
 from handover.errors import Problem
 from handover.formats.strict_json import StrictModel
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.guard import ResourceOf, in_path, require, require_somewhere
 from handover.security.permissions import Permission
 from handover_robots.cell.device import description
@@ -95,10 +95,12 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
         work = controller.work
         is_other = seen is not None and work is not None and work.task != seen.task
         if work is None or is_other or not work.confirm():
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Nothing to confirm",
-                message("robot.nothing_to_confirm", "{robot} waits for no confirmation", robot=robot),
+                "robot.nothing_to_confirm",
+                "{robot} waits for no confirmation",
+                robot=robot,
             )
         return view_of(controller, leases)
 
@@ -107,23 +109,23 @@ def add_robot_routes(app: FastAPI, controllers: Controllers, leases: Leases) -> 
         """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
         controller = controller_of(controllers, robot)
         if controller.work is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Robot at work",
-                message(
-                    "robot.robot_at_work",
-                    "{robot} executes {task}; wait for its end or cancel it",
-                    robot=robot,
-                    task=controller.work.task,
-                ),
+                "robot.robot_at_work",
+                "{robot} executes {task}; wait for its end or cancel it",
+                robot=robot,
+                task=controller.work.task,
             )
         try:
             await controller.unit.free()
         except RobotFault as fault:
-            raise Problem(
+            raise Problem.translated(
                 503,
                 "Robot fault",
-                message("robot.robot_fault", "the gripper cannot be opened: {fault}", fault=text_of(fault)),
+                "robot.robot_fault",
+                "the gripper cannot be opened: {fault}",
+                fault=text_of(fault),
             ) from fault
         controller.device.set_state(controller.device.state)
         return view_of(controller, leases)
@@ -133,15 +135,13 @@ def controller_of(controllers: Controllers, robot: str) -> Controller:
     """Return the controller of a robot. Raises `Problem` for an unknown one."""
     controller = controllers.of(robot)
     if controller is None:
-        raise Problem(
+        raise Problem.translated(
             404,
             "No such robot",
-            message(
-                "robot.no_such_robot",
-                'there is no robot "{robot}"; there is {known}',
-                robot=robot,
-                known=", ".join(controllers.by_name),
-            ),
+            "robot.no_such_robot",
+            'there is no robot "{robot}"; there is {known}',
+            robot=robot,
+            known=", ".join(controllers.by_name),
         )
     return controller
 

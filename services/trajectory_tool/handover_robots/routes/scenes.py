@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import Body, FastAPI, Header, Response
 
 from handover.errors import Problem, UsageError
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover_robots.cell.cell import RobotCell
@@ -60,24 +60,23 @@ def add_scene_routes(app: FastAPI, cell: RobotCell) -> None:
         moved away by hand, or the scene corrected.
         """
         if if_match is not None and if_match.strip('" ') not in {"*", cell.scene.digest}:
-            raise Problem(
+            raise Problem.translated(
                 412,
                 "Scene changed",
-                message("robot.scene_changed", "another client has changed the scene; read it again"),
+                "robot.scene_changed",
+                "another client has changed the scene; read it again",
             )
         try:
             await cell.change_scene(written)
         except UsageError as error:
             raise Problem(400, "Invalid scene", text_of(error)) from error
         except OSError as error:
-            raise Problem(
+            raise Problem.translated(
                 507,
                 "Scene not stored",
-                message(
-                    "robot.scene_not_stored",
-                    "the scene cannot be stored: {error}; free disk space or set HANDOVER_DATA_DIR",
-                    error=error.strerror,
-                ),
+                "robot.scene_not_stored",
+                "the scene cannot be stored: {error}; free disk space or set HANDOVER_DATA_DIR",
+                error=error.strerror,
             ) from error
         response.headers["ETag"] = f'"{cell.scene.digest}"'
         return {**_version(cell), "contacts": await cell.contacts()}

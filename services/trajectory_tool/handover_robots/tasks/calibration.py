@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from handover.errors import HandoverError
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.performer import TaskFailed
 from handover_robots.cell.robot_unit import RobotUnit
 from handover_robots.model.faults import NoPath, Unreachable
@@ -51,8 +51,8 @@ async def calibrate_camera(work: Work, request: CalibrateCamera) -> dict[str, An
     unit = work.unit
     vision = unit.robot.vision
     if vision is None:
-        raise TaskFailed(
-            message("robot.no_camera", "{robot} has no camera that can be calibrated", robot=unit.name)
+        raise TaskFailed.translated(
+            "robot.no_camera", "{robot} has no camera that can be calibrated", robot=unit.name
         )
     if request.camera is not None and request.camera != HAND:
         return await _calibrate_fixed(work, vision, request.camera, request.targets)
@@ -79,13 +79,11 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
     """Look at balls with a fixed camera; the robot stays where it is."""
     unit = work.unit
     if camera not in vision.fixed_cameras:
-        raise TaskFailed(
-            message(
-                "robot.unknown_camera",
-                'parameter "camera" of calibrateCamera: there is no camera "{camera}"; the scene has {known}',
-                camera=camera,
-                known=", ".join(vision.fixed_cameras) or "none",
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_camera",
+            'parameter "camera" of calibrateCamera: there is no camera "{camera}"; the scene has {known}',
+            camera=camera,
+            known=", ".join(vision.fixed_cameras) or "none",
         )
     places: list[Vector] = []
     seen: list[Vector] = []
@@ -103,14 +101,12 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
     except HandoverError as why:
         if not missed:
             raise _not_calibrated(why) from None
-        raise TaskFailed(
-            message(
-                "robot.camera_misses_balls",
-                "the camera is not calibrated: {why}. It does not see {missed}: each ball must be where the "
-                "scene has it, with nothing in front of it",
-                why=text_of(why),
-                missed=", ".join(missed),
-            )
+        raise TaskFailed.translated(
+            "robot.camera_misses_balls",
+            "the camera is not calibrated: {why}. It does not see {missed}: each ball must be where the "
+            "scene has it, with nothing in front of it",
+            why=text_of(why),
+            missed=", ".join(missed),
         ) from None
     return {**result, "balls": len(seen)}
 
@@ -123,21 +119,19 @@ def _ball(unit: RobotUnit, name: str) -> tuple[Vector, float]:
     """Return the place and the radius of a ball of the scene. Raises `TaskFailed`."""
     ball = unit.scene.obstacles.get(name)
     if ball is None or ball.sphere is None:
-        raise TaskFailed(
-            message(
-                "robot.no_ball",
-                'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball '
-                "into the cell and add it to the obstacles",
-                target=name,
-                known=", ".join(_spheres(unit)) or "none",
-            )
+        raise TaskFailed.translated(
+            "robot.no_ball",
+            'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball '
+            "into the cell and add it to the obstacles",
+            target=name,
+            known=", ".join(_spheres(unit)) or "none",
         )
     return ball.position, ball.sphere
 
 
 def _not_calibrated(why: HandoverError) -> TaskFailed:
-    return TaskFailed(
-        message("robot.camera_not_calibrated", "the camera is not calibrated: {why}", why=text_of(why))
+    return TaskFailed.translated(
+        "robot.camera_not_calibrated", "the camera is not calibrated: {why}", why=text_of(why)
     )
 
 

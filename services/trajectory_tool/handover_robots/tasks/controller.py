@@ -221,18 +221,16 @@ class Controller(Performer):
             raise TaskFailed(outcome_unknown(text_of(fault))) from fault
         except RobotFault as fault:
             after = DeviceState.ERROR
-            raise TaskFailed(
-                message("robot.cannot_move", "the robot cannot move: {fault}", fault=text_of(fault))
+            raise TaskFailed.translated(
+                "robot.cannot_move", "the robot cannot move: {fault}", fault=text_of(fault)
             ) from fault
         except OSError as error:
-            raise TaskFailed(
-                message(
-                    "robot.state_not_stored",
-                    "the state of the cell cannot be stored in {path}: {error}; free disk space or set "
-                    "HANDOVER_DATA_DIR",
-                    path=str(self.unit.file.path),
-                    error=error.strerror,
-                )
+            raise TaskFailed.translated(
+                "robot.state_not_stored",
+                "the state of the cell cannot be stored in {path}: {error}; free disk space or set "
+                "HANDOVER_DATA_DIR",
+                path=str(self.unit.file.path),
+                error=error.strerror,
             ) from error
         finally:
             self.work = None

@@ -43,25 +43,21 @@ async def pick(work: Work, request: Pick) -> Result:
         lay = before.find(part)
         await work.release(lay.place if lay else None)
         await _retreat(work, request, spot, above)
-        raise TaskFailed(
-            message(
-                "robot.other_part_there",
-                '"{part}" lies at {position} where "{asked}" was requested; '
-                "scan the bin again and give the part and the pose of the result",
-                part=part,
-                position=_position(spot),
-                asked=request.part,
-            )
+        raise TaskFailed.translated(
+            "robot.other_part_there",
+            '"{part}" lies at {position} where "{asked}" was requested; '
+            "scan the bin again and give the part and the pose of the result",
+            part=part,
+            position=_position(spot),
+            asked=request.part,
         )
     await _retreat(work, request, spot, above)
     await _require_held(work)
     if part is None:
-        raise TaskFailed(
-            message(
-                "robot.no_part_there",
-                "there was no part at {position}; scan the bin again and give the pose of the result",
-                position=_position(spot),
-            )
+        raise TaskFailed.translated(
+            "robot.no_part_there",
+            "there was no part at {position}; scan the bin again and give the pose of the result",
+            position=_position(spot),
         )
     return {"part": part, "gripped": True}
 
@@ -94,22 +90,18 @@ async def hand_over(work: Work, request: HandOver) -> Result:
         return _handed_over(request, done.part)
     gives = request.direction == "give"
     if gives and unit.held is None:
-        raise TaskFailed(message("robot.nothing_to_give", "the gripper is empty; pick a part to hand over"))
+        raise TaskFailed.translated("robot.nothing_to_give", "the gripper is empty; pick a part to hand over")
     if not gives and unit.held is not None:
-        raise TaskFailed(
-            message(
-                "robot.gripper_full",
-                'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
-                part=unit.held,
-            )
+        raise TaskFailed.translated(
+            "robot.gripper_full",
+            'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
+            part=unit.held,
         )
     by_contact = request.confirmation == "contact"
     if by_contact and unit.robot.wrist_force_n() is None:
-        raise TaskFailed(
-            message(
-                "robot.no_wrist_force",
-                'parameter "confirmation" of handOver: this robot has no force sensor; use "person"',
-            )
+        raise TaskFailed.translated(
+            "robot.no_wrist_force",
+            'parameter "confirmation" of handOver: this robot has no force sensor; use "person"',
         )
     target = await joints_of(work, request, unit.joints, "handOver")
     if not gives and unit.robot.gripper_closed:
@@ -117,19 +109,17 @@ async def hand_over(work: Work, request: HandOver) -> Result:
     work.intend(target, 0.0, unit.scene.gripper.acts_in_s)
     await work.go(target)
     if not await work.wait_for_confirmation(request.timeout_s, request.contact_n if by_contact else None):
-        raise TaskFailed(
-            message(
-                "robot.hand_over_not_confirmed",
-                "nobody confirmed the hand-over within {timeout} s; the gripper is unchanged",
-                timeout=f"{request.timeout_s:g}",
-            )
+        raise TaskFailed.translated(
+            "robot.hand_over_not_confirmed",
+            "nobody confirmed the hand-over within {timeout} s; the gripper is unchanged",
+            timeout=f"{request.timeout_s:g}",
         )
     part = unit.held or request.part or f"part of {work.task.rsplit(':', 1)[-1]}"
     if gives:
         await work.give()
     elif not await work.take(part):
-        raise TaskFailed(
-            message("robot.nothing_taken", "nothing was between the fingers; the gripper is open again")
+        raise TaskFailed.translated(
+            "robot.nothing_taken", "nothing was between the fingers; the gripper is open again"
         )
     return _handed_over(request, part)
 
@@ -163,12 +153,10 @@ def _require_known_outcome(work: Work) -> None:
 async def _already_picked(work: Work, request: Pick, held_part: str) -> Result:
     done = work.done_before()
     if done is None and request.part != held_part:
-        raise TaskFailed(
-            message(
-                "robot.gripper_full",
-                'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
-                part=held_part,
-            )
+        raise TaskFailed.translated(
+            "robot.gripper_full",
+            'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
+            part=held_part,
         )
     await _leave(work, request)
     return {"part": held_part, "gripped": True}
@@ -177,8 +165,8 @@ async def _already_picked(work: Work, request: Pick, held_part: str) -> Result:
 async def _already_placed(work: Work, request: Place) -> Result:
     done = work.done_before()
     if done is None or done.kind != "released":
-        raise TaskFailed(
-            message("robot.gripper_empty", "the gripper is empty; pick a part before one is placed")
+        raise TaskFailed.translated(
+            "robot.gripper_empty", "the gripper is empty; pick a part before one is placed"
         )
     await _leave(work, request)
     return _placed(done.part, done.place, done.pose)
@@ -205,30 +193,22 @@ def _where_to_pick(work: Work, request: Pick) -> Pose:
             raise TaskFailed(unknown_bin("pick", request.bin, unit.scene.bins))
         parts = unit.parts_in(request.bin)
         if not parts:
-            raise TaskFailed(
-                message(
-                    "robot.bin_empty",
-                    "{bin} is empty; fill it before a part is picked from it",
-                    bin=request.bin,
-                )
+            raise TaskFailed.translated(
+                "robot.bin_empty", "{bin} is empty; fill it before a part is picked from it", bin=request.bin
             )
         return parts[0].pose
     part = request.part or unit.seen
     if part is None:
-        raise TaskFailed(
-            message(
-                "robot.no_part_seen",
-                'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"',
-            )
+        raise TaskFailed.translated(
+            "robot.no_part_seen",
+            'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"',
         )
     lying = unit.contents.find(part)
     if lying is None:
-        raise TaskFailed(
-            message(
-                "robot.unknown_part",
-                'no part "{part}" lies in the cell; scan a bin and give the part of the result',
-                part=part,
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_part",
+            'no part "{part}" lies in the cell; scan a bin and give the part of the result',
+            part=part,
         )
     return lying.pose
 
@@ -239,13 +219,11 @@ async def _require_held(work: Work) -> None:
     if unit.held is None or unit.robot.is_holding is not False:
         return
     part = await unit.lose()
-    raise TaskFailed(
-        message(
-            "robot.part_slipped",
-            '"{part}" slipped out of the gripper near {position}; scan the bin, or take the part away',
-            part=part,
-            position=_position(unit.tool_pose),
-        )
+    raise TaskFailed.translated(
+        "robot.part_slipped",
+        '"{part}" slipped out of the gripper near {position}; scan the bin, or take the part away',
+        part=part,
+        position=_position(unit.tool_pose),
     )
 
 
@@ -255,22 +233,18 @@ async def _where_to_place(work: Work, request: Place) -> Pose:
     fixtures = work.unit.scene.fixtures
     name = request.location or ""
     if name not in fixtures:
-        raise TaskFailed(
-            message(
-                "robot.unknown_fixture",
-                'parameter "location" of place: there is no fixture "{fixture}"; the cell has {known}',
-                fixture=name,
-                known=", ".join(fixtures) or "none",
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_fixture",
+            'parameter "location" of place: there is no fixture "{fixture}"; the cell has {known}',
+            fixture=name,
+            known=", ".join(fixtures) or "none",
         )
     nest = await work.unit.nest_in(name)
     if nest is None:
-        raise TaskFailed(
-            message(
-                "robot.fixture_full",
-                "all nests of {fixture} are full; take parts out of it or place the part elsewhere",
-                fixture=name,
-            )
+        raise TaskFailed.translated(
+            "robot.fixture_full",
+            "all nests of {fixture} are full; take parts out of it or place the part elsewhere",
+            fixture=name,
         )
     return _with_grip(work, nest)
 
@@ -294,8 +268,8 @@ async def _from_above(work: Work, request: Approaching, spot: Pose, what: str) -
     try:
         there, down = await work.plan(lambda planner: planner.approach(unit.joints, before, spot))
     except (Unreachable, NoPath) as why:
-        raise TaskFailed(
-            message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
+        raise TaskFailed.translated(
+            "robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why)
         ) from None
     return there.target, down.target
 

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.performer import TaskFailed
 from handover_robots.model.faults import NoPath, Unreachable
 from handover_robots.model.joints import Joints
@@ -53,13 +53,8 @@ async def joints_of(work: Work, target: Target, near: Joints, where: str) -> Joi
     try:
         return model.allow(target.joints or ())
     except Unreachable as why:
-        raise TaskFailed(
-            message(
-                "robot.target_unreachable",
-                "{target}: {why}",
-                target=prefix.format("joints"),
-                why=text_of(why),
-            )
+        raise TaskFailed.translated(
+            "robot.target_unreachable", "{target}: {why}", target=prefix.format("joints"), why=text_of(why)
         ) from None
 
 
@@ -67,23 +62,21 @@ def _named(work: Work, name: str, where: str) -> Joints:
     unit = work.unit
     positions = {**unit.model.poses, "home": unit.home}
     if name not in positions:
-        raise TaskFailed(
-            message(
-                "robot.unknown_named_position",
-                '{target}: {robot} has no position "{name}"; it has {known}',
-                target=where,
-                robot=unit.model.name,
-                name=name,
-                known=", ".join(positions),
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_named_position",
+            '{target}: {robot} has no position "{name}"; it has {known}',
+            target=where,
+            robot=unit.model.name,
+            name=name,
+            known=", ".join(positions),
         )
     return positions[name]
 
 
 def _tilt(tilt: GivenTilt) -> Any:
     if not is_available():
-        raise TaskFailed(
-            message("robot.tilt_needs_planning", 'parameter "tilt" of moveTo needs the extra "motion"')
+        raise TaskFailed.translated(
+            "robot.tilt_needs_planning", 'parameter "tilt" of moveTo needs the extra "motion"'
         )
     from handover_robots.planning.tilt import Tilt  # noqa: PLC0415 - needs the extra
 
@@ -113,6 +106,6 @@ async def reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
             return await work.plan(lambda planner: planner.nearest_free(pose, near))
         return unit.model.reach(pose, near)
     except (Unreachable, NoPath) as why:
-        raise TaskFailed(
-            message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
+        raise TaskFailed.translated(
+            "robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why)
         ) from None

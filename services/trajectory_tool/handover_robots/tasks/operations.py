@@ -4,7 +4,6 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from handover.messages import message
 from handover.performer import TaskFailed
 from handover_robots.metrics import SCANS
 from handover_robots.tasks import bin_search
@@ -41,14 +40,12 @@ async def scan(work: Work, request: Scan) -> Result:
     seen_bin = unit.scene.bins[request.bin]
     views = (seen_bin.view, *seen_bin.more_views)
     if request.view >= len(views):
-        raise TaskFailed(
-            message(
-                "robot.unknown_view",
-                'parameter "view" of scan: {bin} has {count} views, from 0 to {last}',
-                bin=request.bin,
-                count=len(views),
-                last=len(views) - 1,
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_view",
+            'parameter "view" of scan: {bin} has {count} views, from 0 to {last}',
+            bin=request.bin,
+            count=len(views),
+            last=len(views) - 1,
         )
     pose = views[request.view].pose.moved(request.offset)
     view = await reach(work, pose, unit.joints, f"the view of {request.bin}")
@@ -85,12 +82,10 @@ OPERATIONS: Mapping[str, Operation] = {
 def operation_named(name: str) -> Operation:
     """Return the operation `name`. Raises `TaskFailed` with the known names."""
     if name not in OPERATIONS:
-        raise TaskFailed(
-            message(
-                "robot.unknown_operation",
-                'the robot knows no operation "{operation}"; give parameter "operation" as one of {known}',
-                operation=name,
-                known=", ".join(OPERATIONS),
-            )
+        raise TaskFailed.translated(
+            "robot.unknown_operation",
+            'the robot knows no operation "{operation}"; give parameter "operation" as one of {known}',
+            operation=name,
+            known=", ".join(OPERATIONS),
         )
     return OPERATIONS[name]

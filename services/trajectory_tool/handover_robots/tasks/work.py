@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from handover.errors import UsageError
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.performer import TaskFailed
 from handover_robots.cell.memory import Act
 from handover_robots.cell.motion import BlockedByNeighbour
@@ -171,13 +171,8 @@ class Work:
         try:
             yield
         except (Unreachable, NoPath, UsageError) as why:
-            raise TaskFailed(
-                message(
-                    "robot.motion_not_planned",
-                    "{operation}: {why}",
-                    operation=self.operation,
-                    why=text_of(why),
-                )
+            raise TaskFailed.translated(
+                "robot.motion_not_planned", "{operation}: {why}", operation=self.operation, why=text_of(why)
             ) from None
 
     async def plan(self, make: "Callable[[Planner], T]") -> T:

@@ -16,7 +16,7 @@ from typing import Self
 from fastapi import FastAPI
 
 from handover.errors import UsageError
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.runtime.control_cycle import runs_in_cycle
 from handover.telemetry import get_logger
 from handover_robots.driver_base.context import Clock, RobotContext
@@ -246,11 +246,8 @@ class UniversalRobot(CyclicRobot):
     async def _perform(self, motion: Callable[[Pace], Awaitable[bool]], pace: Pace) -> bool:
         """Run a motion with the program on the controller, until the measured joints are at rest."""
         if self._in_motion.locked():
-            raise RobotFault(
-                message(
-                    "robot.in_motion",
-                    "the robot is in motion; wait for its end or stop it before another motion",
-                )
+            raise RobotFault.translated(
+                "robot.in_motion", "the robot is in motion; wait for its end or stop it before another motion"
             )
         async with self._in_motion:
             try:
@@ -283,11 +280,9 @@ class UniversalRobot(CyclicRobot):
             raise fault
         await self._require_model()
         if self._speed_fraction() == 0.0:
-            raise RobotFault(
-                message(
-                    "robot.ur_speed_slider",
-                    "the speed slider of the controller is at 0 %; raise it at the teach pendant",
-                )
+            raise RobotFault.translated(
+                "robot.ur_speed_slider",
+                "the speed slider of the controller is at 0 %; raise it at the teach pendant",
             )
         self.exchange.hold()
         if not self._runs_program(self.exchange.report()):
@@ -362,19 +357,14 @@ class UniversalRobot(CyclicRobot):
         except DashboardError as error:
             is_remote, reason = None, f"{reason}; {error}"
         if is_remote is False:
-            return RobotFault(
-                message(
-                    "robot.ur_local_control",
-                    "the controller is in local control; select remote control at the teach pendant",
-                )
+            return RobotFault.translated(
+                "robot.ur_local_control",
+                "the controller is in local control; select remote control at the teach pendant",
             )
-        return RobotFault(
-            message(
-                "robot.ur_program_not_started",
-                "the controller did not start the motion program: {reason}; read the log at the teach "
-                "pendant",
-                reason=reason,
-            )
+        return RobotFault.translated(
+            "robot.ur_program_not_started",
+            "the controller did not start the motion program: {reason}; read the log at the teach pendant",
+            reason=reason,
         )
 
     async def _await_report(self, condition: Callable[[Report], bool], within_s: float) -> bool:
@@ -461,11 +451,8 @@ def _is_at_rest(report: Report) -> bool:
 
 def _ended(report: Report) -> RobotFault:
     reason = report.reason or RuntimeState(min(max(report.runtime_state, 0), 5)).name
-    return RobotFault(
-        message(
-            "robot.ur_program_ended",
-            "the motion program on the controller has ended during the motion ({reason}); send the Task "
-            "again",
-            reason=reason,
-        )
+    return RobotFault.translated(
+        "robot.ur_program_ended",
+        "the motion program on the controller has ended during the motion ({reason}); send the Task again",
+        reason=reason,
     )

@@ -5,7 +5,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
-from handover.messages import message
 from handover_robots.model.faults import RobotFault
 from handover_ur.options import UrOptions
 from handover_ur.shared_memory import Report
@@ -45,11 +44,9 @@ class NoGripper(UrGripper):
 
     @staticmethod
     def _fault() -> RobotFault:
-        return RobotFault(
-            message(
-                "robot.ur_no_gripper",
-                "no gripper is configured; set gripper to tool_io or robotiq in the settings of the driver",
-            )
+        return RobotFault.translated(
+            "robot.ur_no_gripper",
+            "no gripper is configured; set gripper to tool_io or robotiq in the settings of the driver",
         )
 
 
@@ -91,12 +88,10 @@ class ToolOutputGripper(UrGripper):
         deadline_s = time.monotonic() + OUTPUT_TIMEOUT_S
         while (self._report().digital_outputs >> TOOL_OUTPUT_BIT) & self._bit != value:
             if time.monotonic() > deadline_s:
-                raise RobotFault(
-                    message(
-                        "robot.ur_tool_output",
-                        "the tool output of the gripper does not change; check the tool I/O in the "
-                        "installation of the controller",
-                    )
+                raise RobotFault.translated(
+                    "robot.ur_tool_output",
+                    "the tool output of the gripper does not change; check the tool I/O in the "
+                    "installation of the controller",
                 )
             await asyncio.sleep(CHECK_EVERY_S)
         await asyncio.sleep(self._acts_in_s)
@@ -141,12 +136,10 @@ class RobotiqGripper(UrGripper):
             return _number(name, await _ask(reader, writer, f"GET {name}"))
 
         if await get("STA") != _ACTIVE:
-            raise RobotFault(
-                message(
-                    "robot.ur_gripper_not_active",
-                    "the Robotiq gripper is not activated; activate it at the teach pendant, its fingers "
-                    "move then",
-                )
+            raise RobotFault.translated(
+                "robot.ur_gripper_not_active",
+                "the Robotiq gripper is not activated; activate it at the teach pendant, its fingers "
+                "move then",
             )
         wanted = {"POS": position, "SPE": self._speed, "FOR": self._force, "GTO": 1}
         await _set(reader, writer, wanted)
@@ -161,13 +154,11 @@ class RobotiqGripper(UrGripper):
         return detected
 
     def _silent(self, reason: str) -> RobotFault:
-        return RobotFault(
-            message(
-                "robot.ur_gripper_fault",
-                "the Robotiq gripper at {address}: {reason}; check its URCap and its cable",
-                address=f"{self._address[0]}:{self._address[1]}",
-                reason=reason,
-            )
+        return RobotFault.translated(
+            "robot.ur_gripper_fault",
+            "the Robotiq gripper at {address}: {reason}; check its URCap and its cable",
+            address=f"{self._address[0]}:{self._address[1]}",
+            reason=reason,
         )
 
 

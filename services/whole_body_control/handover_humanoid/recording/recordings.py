@@ -15,7 +15,6 @@ from typing import Final
 
 from handover.errors import HandoverError, Problem
 from handover.formats.mcap_files import McapFileError, rewrite
-from handover.messages import message
 from handover.telemetry import get_logger
 from handover_humanoid.recording.files import Frames, read_frames
 from handover_humanoid.recording.recorder import Document, Recorder, RecordingEnd, RecordingLimits
@@ -95,14 +94,12 @@ class Recordings:
         """Return a recording. Raises `Problem` 404."""
         row = await asyncio.to_thread(self._store.find, recording)
         if row is None:
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such recording",
-                message(
-                    "humanoid.no_such_recording",
-                    'there is no recording "{recording}"; GET /recordings lists them',
-                    recording=recording,
-                ),
+                "humanoid.no_such_recording",
+                'there is no recording "{recording}"; GET /recordings lists them',
+                recording=recording,
             )
         return row
 
@@ -110,10 +107,11 @@ class Recordings:
         """Start a recording. Raises `Problem` 409 while one runs, 507 with a full disk."""
         async with self._turn:
             if self._row is not None:
-                raise Problem(
+                raise Problem.translated(
                     409,
                     "Already recording",
-                    message("humanoid.already_recording", "a recording runs already; stop it first"),
+                    "humanoid.already_recording",
+                    "a recording runs already; stop it first",
                 )
             row = RecordingRow(
                 f"R-{secrets.token_hex(8)}", self._humanoid, label, started_by[:200], time.time()
@@ -128,10 +126,8 @@ class Recordings:
         row = await self.find(recording)
         async with self._turn:
             if not self.is_running(row):
-                raise Problem(
-                    409,
-                    "Not recording",
-                    message("humanoid.not_recording", "the recording has ended already"),
+                raise Problem.translated(
+                    409, "Not recording", "humanoid.not_recording", "the recording has ended already"
                 )
             return await self._end(RecordingEnd.STOPPED)
 
@@ -153,15 +149,16 @@ class Recordings:
         """Return an ended recording and its file. Raises `Problem` 404 and 409."""
         row = await self.find(recording)
         if row.ended_s is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Still recording",
-                message("humanoid.still_recording", "the recording has not ended; stop it first"),
+                "humanoid.still_recording",
+                "the recording has not ended; stop it first",
             )
         path = self._path(row)
         if not path.is_file():
-            raise Problem(
-                410, "No file", message("humanoid.no_recording_file", "the file of the recording is missing")
+            raise Problem.translated(
+                410, "No file", "humanoid.no_recording_file", "the file of the recording is missing"
             )
         return row, path
 
@@ -171,12 +168,12 @@ class Recordings:
         try:
             return await asyncio.to_thread(read_frames, path, from_s, to_s)
         except (McapFileError, OSError) as error:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Cannot be read",
-                message(
-                    "humanoid.recording_damaged", "the recording cannot be read: {reason}", reason=str(error)
-                ),
+                "humanoid.recording_damaged",
+                "the recording cannot be read: {reason}",
+                reason=str(error),
             ) from None
 
     def _path(self, row: RecordingRow) -> Path:
@@ -187,14 +184,12 @@ class Recordings:
         keep = self._keep
         free = shutil.disk_usage(keep.folder).free - MIN_FREE_BYTES
         if free <= 0:
-            raise Problem(
+            raise Problem.translated(
                 507,
                 "Disk full",
-                message(
-                    "humanoid.disk_full",
-                    "a recording needs {megabytes} MB of free disk space",
-                    megabytes=MIN_FREE_BYTES // 2**20,
-                ),
+                "humanoid.disk_full",
+                "a recording needs {megabytes} MB of free disk space",
+                megabytes=MIN_FREE_BYTES // 2**20,
             )
         bounds = RecordingLimits(keep.max_s, min(keep.keep_bytes, free), keep.hz)
         self._store.add(asdict(row))

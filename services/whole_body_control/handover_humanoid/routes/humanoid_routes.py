@@ -12,7 +12,6 @@ from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem, UsageError
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.act_recording import lowers
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
@@ -184,10 +183,12 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
     async def remove(source: str) -> None:
         """Require a source no longer, for example after its person was unbound."""
         if not control.limits.limits.remove(source):
-            raise Problem(
+            raise Problem.translated(
                 404,
                 "No such source",
-                message("humanoid.no_such_source", 'no source "{source}" limits the humanoid', source=source),
+                "humanoid.no_such_source",
+                'no source "{source}" limits the humanoid',
+                source=source,
             )
         control.update_limit()
 

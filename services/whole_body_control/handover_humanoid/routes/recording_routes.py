@@ -10,7 +10,6 @@ from starlette.responses import FileResponse
 
 from handover.errors import Problem
 from handover.http.api_description import TaggedRoutes, sends
-from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -119,10 +118,11 @@ def add_recording_routes(app: FastAPI, recordings: Recordings) -> None:
         """Return live documents between two times in s after the start, by default of 20 s, for a replay."""
         end_s = from_s + DEFAULT_SPAN_S if to_s is None else to_s
         if end_s < from_s:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Bad span",
-                message("humanoid.bad_span", "the span is empty: from must not be after to; swap them"),
+                "humanoid.bad_span",
+                "the span is empty: from must not be after to; swap them",
             )
         part = await recordings.frames(recording, from_s, end_s)
         return FramesView(

@@ -13,7 +13,7 @@ from fastapi import FastAPI, Query, Request
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
-from handover.messages import message, text_of
+from handover.messages import text_of
 from handover.security.act_recording import lowers
 from handover.security.audit_trail import begin_act, current_request
 from handover.security.caller import Caller
@@ -189,18 +189,18 @@ def _require_current(training: Training, session: str) -> None:
     if current is None or current.id != session:
         raise _unknown(session)
     if current.is_ended:
-        raise Problem(
-            409,
-            "Session ended",
-            message("humanoid.session_ended", "the session has ended; start another one"),
+        raise Problem.translated(
+            409, "Session ended", "humanoid.session_ended", "the session has ended; start another one"
         )
 
 
 def _unknown(session: str) -> Problem:
-    return Problem(
+    return Problem.translated(
         404,
         "No such session",
-        message("humanoid.no_such_session", 'no session "{session}" is known or runs', session=session),
+        "humanoid.no_such_session",
+        'no session "{session}" is known or runs',
+        session=session,
     )
 
 

@@ -74,10 +74,11 @@ class CycleProcess:
     def start(self) -> None:
         """Start the process. Raises `Problem` 409 while it runs."""
         if self.is_running:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Control cycle runs",
-                message("humanoid.cycle_runs", "the control cycle runs; there is nothing to restart"),
+                "humanoid.cycle_runs",
+                "the control cycle runs; there is nothing to restart",
             )
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         for left in self.folder.iterdir():

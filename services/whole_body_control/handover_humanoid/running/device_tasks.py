@@ -53,13 +53,11 @@ class HumanoidTasks(Performer):
         operation = str(job.parameters.get("operation") or job.task.is_defined_by.object.rpartition(":")[2])
         parameters = _PARAMETERS.get(operation)
         if parameters is None:
-            raise TaskFailed(
-                message(
-                    "humanoid.no_such_operation",
-                    'the humanoid has no operation "{operation}"; it has: {known}',
-                    operation=operation,
-                    known=", ".join(_PARAMETERS),
-                )
+            raise TaskFailed.translated(
+                "humanoid.no_such_operation",
+                'the humanoid has no operation "{operation}"; it has: {known}',
+                operation=operation,
+                known=", ".join(_PARAMETERS),
             )
         wanted = {name: value for name, value in job.parameters.items() if name not in _NOT_PARAMETERS}
         try:

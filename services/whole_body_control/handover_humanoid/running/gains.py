@@ -64,15 +64,13 @@ class ChainGains:
     def _require(self, chain: str, shares: Shares) -> None:
         limits = self._model.gain_limits
         if chain not in limits:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Unknown chain",
-                message(
-                    "humanoid.no_gains_of_chain",
-                    'the gains of "{chain}" cannot be changed; the model permits: {chains}',
-                    chain=chain,
-                    chains=", ".join(limits) or "-",
-                ),
+                "humanoid.no_gains_of_chain",
+                'the gains of "{chain}" cannot be changed; the model permits: {chains}',
+                chain=chain,
+                chains=", ".join(limits) or "-",
             )
         _require_within(chain, "stiffness", shares.stiffness, limits[chain].stiffness)
         _require_within(chain, "damping", shares.damping, limits[chain].damping)

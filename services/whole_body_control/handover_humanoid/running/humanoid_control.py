@@ -179,14 +179,12 @@ class HumanoidControl:
         still = self.limits.limits.reset(time.monotonic())
         self.update_limit()
         if still:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Still stopped",
-                message(
-                    "humanoid.still_limited",
-                    "the limit of {source} still stops the humanoid; reset it at human state first",
-                    source=still[0],
-                ),
+                "humanoid.still_limited",
+                "the limit of {source} still stops the humanoid; reset it at human state first",
+                source=still[0],
             )
         await asyncio.to_thread(self._store.keep_stop, self.name, None)
         self.motion.reset()
@@ -197,29 +195,26 @@ class HumanoidControl:
         if wanted is self.motion.behaviour and not self.motion.is_finishing:
             return
         if not self.links.is_live or not self.is_standing:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Not standing",
-                message(
-                    "humanoid.not_standing",
-                    "the behaviour changes only while the humanoid stands on both feet; let it stand first",
-                ),
+                "humanoid.not_standing",
+                "the behaviour changes only while the humanoid stands on both feet; let it stand first",
             )
         if wanted is Behaviour.ASSISTED_WALKING and wanted not in self.offered:
-            raise Problem(
+            raise Problem.translated(
                 501,
                 "Cannot be led",
-                message(
-                    "humanoid.cannot_be_led",
-                    "this humanoid cannot be led by the hands: its model needs the grips left_hand and "
-                    "right_hand, and knees that are bent in the pose stand",
-                ),
+                "humanoid.cannot_be_led",
+                "this humanoid cannot be led by the hands: its model needs the grips left_hand and "
+                "right_hand, and knees that are bent in the pose stand",
             )
         if wanted is Behaviour.JUGGLING and not self.model.grips:
-            raise Problem(
+            raise Problem.translated(
                 501,
                 "Cannot juggle",
-                message("humanoid.no_grips", "no hand of this humanoid holds a ball; add grips to its model"),
+                "humanoid.no_grips",
+                "no hand of this humanoid holds a ball; add grips to its model",
             )
         self.motion.begin(wanted)
         if wanted is Behaviour.JUGGLING:

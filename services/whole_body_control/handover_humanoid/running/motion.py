@@ -16,7 +16,6 @@ import numpy as np
 from handover.control.dead_man import DeadMan
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
-from handover.messages import message
 from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.metrics import STOPS
 from handover_humanoid.patterns.footsteps import Footsteps, Wish
@@ -129,20 +128,19 @@ class Motion:
         """Raise `Problem` 409 or 422 unless the robot may throw to a target now."""
         self.require_free()
         if self.behaviour is not Behaviour.JUGGLING:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Not juggling",
-                message("humanoid.not_juggling", "the humanoid does not juggle; choose that behaviour first"),
+                "humanoid.not_juggling",
+                "the humanoid does not juggle; choose that behaviour first",
             )
         if not all(map(math.isfinite, target)) or math.hypot(*target) > MAX_REACH_M:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Out of reach",
-                message(
-                    "humanoid.target_far",
-                    "the target must be finite, and at most {limit} m away",
-                    limit=f"{MAX_REACH_M:g}",
-                ),
+                "humanoid.target_far",
+                "the target must be finite, and at most {limit} m away",
+                limit=f"{MAX_REACH_M:g}",
             )
 
     def set_throw(self, number: int, target: Sequence[float], hand: str, planned: PlannedThrow) -> None:
@@ -156,26 +154,22 @@ class Motion:
     def require_free(self) -> None:
         """Raise `Problem` 409 while a stop or a limit of 0 keeps the robot where it is."""
         if self.stopped is not None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Stopped",
-                message(
-                    "humanoid.stopped",
-                    "{by} stopped the humanoid: {reason}; reset it first",
-                    by=self.stopped.by,
-                    reason=self.stopped.reason,
-                ),
+                "humanoid.stopped",
+                "{by} stopped the humanoid: {reason}; reset it first",
+                by=self.stopped.by,
+                reason=self.stopped.reason,
             )
         if self.limit.fraction <= 0:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Limited",
-                message(
-                    "humanoid.limited",
-                    "the limit of {rule} lets the humanoid not move: {reason}",
-                    rule=self.limit.rule,
-                    reason=str(self.limit.reason),
-                ),
+                "humanoid.limited",
+                "the limit of {rule} lets the humanoid not move: {reason}",
+                rule=self.limit.rule,
+                reason=str(self.limit.reason),
             )
 
     def stop(self, by: str, reason: str, cause: str = "person") -> Stopped:

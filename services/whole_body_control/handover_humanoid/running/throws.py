@@ -154,10 +154,8 @@ class Throws:
 
     def _request(self, target: Sequence[float], hand: str) -> _Request:
         if self.is_busy:
-            raise Problem(
-                409,
-                "Throw planned",
-                message("humanoid.throw_planned", "another throw is being planned; wait for it"),
+            raise Problem.translated(
+                409, "Throw planned", "humanoid.throw_planned", "another throw is being planned; wait for it"
             )
         self._motion.require_throwing(target)
         # Of a cycle that an earlier service started.

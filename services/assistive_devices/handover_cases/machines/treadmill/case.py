@@ -120,28 +120,26 @@ class TreadmillMachine(Machine):
             self._plan = TrainingOptions.model_validate(options).plan()
         except ValidationError as error:
             wrong = fault_text(error, "training")
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Invalid training",
-                message("treadmill.options", "the training cannot be so: {wrong}", wrong=wrong),
+                "treadmill.options",
+                "the training cannot be so: {wrong}",
+                wrong=wrong,
             ) from None
         if self._plan.consents_to_model and self._model is None:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "No language model",
-                message(
-                    "treadmill.no_model",
-                    "no language model is set, so there is nothing to consent to; set "
-                    "HANDOVER_TRAINER_MODEL_URL, or start without it",
-                ),
+                "treadmill.no_model",
+                "no language model is set, so there is nothing to consent to; set "
+                "HANDOVER_TRAINER_MODEL_URL, or start without it",
             )
 
     def start(self) -> None:
         if self.training.is_running or not self.training.start(self._plan, self._now_s):
-            raise Problem(
-                409,
-                "Belt moves",
-                message("treadmill.moves", "the belt still moves; wait until it stands"),
+            raise Problem.translated(
+                409, "Belt moves", "treadmill.moves", "the belt still moves; wait until it stands"
             )
         self._session = new_id()
         plan = self._plan

@@ -6,7 +6,6 @@ from importlib.resources import files
 import yaml
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_devices.model.description import DeviceDescription
 
 
@@ -24,14 +23,12 @@ def template(name: str) -> DeviceDescription:
     """Return a template; raise `Problem` 404 with the names that there are."""
     description = templates().get(name)
     if description is None:
-        raise Problem(
+        raise Problem.translated(
             404,
             "No such template",
-            message(
-                "device.template_unknown",
-                'there is no template "{template}"; there are {known}',
-                template=name[:64],
-                known=", ".join(templates()),
-            ),
+            "device.template_unknown",
+            'there is no template "{template}"; there are {known}',
+            template=name[:64],
+            known=", ".join(templates()),
         )
     return description

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, TypeAlias
 
-from handover.messages import Message, message, text_of
+from handover.messages import Message, text_of
 from handover_bpmn.execution.graph import Graph, Plan
 from handover_bpmn.execution.state import (
     Frame,
@@ -374,13 +374,11 @@ class Machine:
     def check_steps(self, token: Token, following: int = 0) -> None:
         """Raise `RunFailed` if the tokens have entered too many nodes, with those that certainly follow."""
         if self.steps + following > MAX_STEPS:
-            raise RunFailed(
-                message(
-                    "process.endless_loop",
-                    'at "{element}": {limit} steps without waiting for anything',
-                    element=self.node(token).name or self.element(token),
-                    limit=MAX_STEPS,
-                )
+            raise RunFailed.translated(
+                "process.endless_loop",
+                'at "{element}": {limit} steps without waiting for anything',
+                element=self.node(token).name or self.element(token),
+                limit=MAX_STEPS,
             )
 
     def failure(self, token: Token, why: str) -> RunFailed:
@@ -388,7 +386,7 @@ class Machine:
         node = self.node(token)
         drawn = node.name if node.name and node.name != node.id else self.element(token)
         reason = why if isinstance(why, Message) else why.strip(" .")
-        return RunFailed(message("process.failed_at", 'at "{element}": {why}', element=drawn, why=reason))
+        return RunFailed.translated("process.failed_at", 'at "{element}": {why}', element=drawn, why=reason)
 
 
 def has_output_collection(node: Node) -> bool:

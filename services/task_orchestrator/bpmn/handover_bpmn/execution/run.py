@@ -457,16 +457,14 @@ class Run:
     def _token(self, token: str) -> Token:
         position = self._find(token)
         if position is None:
-            raise RunFailed(message("process.no_such_token", 'there is no token "{token}"', token=token))
+            raise RunFailed.translated("process.no_such_token", 'there is no token "{token}"', token=token)
         return position
 
     def _working(self, token: str) -> Token:
         position = self._token(token)
         if position.state is not TokenState.WORK:
-            raise RunFailed(
-                message(
-                    "process.token_not_open", 'nobody works on the activity of token "{token}"', token=token
-                )
+            raise RunFailed.translated(
+                "process.token_not_open", 'nobody works on the activity of token "{token}"', token=token
             )
         return position
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import orjson
 
-from handover.errors import HandoverError
+from handover.errors import TranslatedError
 from handover.messages import message, message_in, text_of, with_code
 from handover_bpmn.execution.graph import Graph, Plan
 from handover_bpmn.execution.tracked import Tracked
@@ -24,7 +24,7 @@ MAX_SNAPSHOT_BYTES = 4 * 1024 * 1024
 """Size of a snapshot; the variables are most of it."""
 
 
-class RunFailed(HandoverError):
+class RunFailed(TranslatedError):
     """The engine cannot do what is asked of it; the text names the element and the reason."""
 
 
@@ -375,12 +375,10 @@ def read_snapshot(snapshot: bytes, library: Library) -> State:
     """Return the state of a `snapshot`; raise `RunFailed` if this release cannot read it."""
     content = orjson.loads(snapshot)
     if content.get("version") != SNAPSHOT_VERSION:
-        raise RunFailed(
-            message(
-                "process.unknown_state_version",
-                "this release cannot read a run of the format {version}",
-                version=content.get("version"),
-            )
+        raise RunFailed.translated(
+            "process.unknown_state_version",
+            "this release cannot read a run of the format {version}",
+            version=content.get("version"),
         )
     state = State(
         next_id=content["next"],

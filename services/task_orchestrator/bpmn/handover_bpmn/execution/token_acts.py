@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from handover.messages import message
 from handover_bpmn.execution.activities import cancel_instance, open_work, set_results
 from handover_bpmn.execution.events import trigger
 from handover_bpmn.execution.machine import Machine
@@ -69,13 +68,11 @@ def move(machine: Machine, token: Token, node: str) -> None:
     frame = machine.frame_of(token)
     target = frame.graph.nodes.get(node)
     if target is None or target.kind is Kind.BOUNDARY_EVENT or target.triggered_by_event:
-        raise RunFailed(
-            message(
-                "process.cannot_move",
-                '"{node}" is no element of "{scope}" at which a token can be',
-                node=node,
-                scope=frame.scope,
-            )
+        raise RunFailed.translated(
+            "process.cannot_move",
+            '"{node}" is no element of "{scope}" at which a token can be',
+            node=node,
+            scope=frame.scope,
         )
     machine.add_token(frame, node)
     machine.remove(token)
@@ -92,7 +89,7 @@ def set_scope_variables(machine: Machine, scope: str, values: Mapping[str, Any])
     elif frame is not None and host is not None:
         frame.variables.update(values)
     else:
-        raise RunFailed(message("process.no_such_scope", 'there is no scope "{scope}"', scope=scope))
+        raise RunFailed.translated("process.no_such_scope", 'there is no scope "{scope}"', scope=scope)
     machine.variables_changed = True
     return machine.element(host)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handover.errors import Problem
-from handover.messages import message
 from handover_bpmn.languages.base import Expression, quote_names
 from handover_bpmn.model.activities import Activity, StartForm
 from handover_bpmn.model.events import ConditionalEvent, MessageEvent, SignalEvent
@@ -97,26 +96,22 @@ class Definition:
         missing = sorted(p.name for p in self.parameters.values() if p.required and p.name not in values)
         if unknown:
             names = quote_names(self.parameters)
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Unknown parameter",
-                message(
-                    "process.unknown_parameter",
-                    '"{unknown}" is no parameter of {definition}; its parameters are: {known}',
-                    unknown=unknown[0],
-                    definition=self.name,
-                    known=names,
-                ),
+                "process.unknown_parameter",
+                '"{unknown}" is no parameter of {definition}; its parameters are: {known}',
+                unknown=unknown[0],
+                definition=self.name,
+                known=names,
             )
         if missing:
-            raise Problem(
+            raise Problem.translated(
                 422,
                 "Missing parameter",
-                message(
-                    "process.missing_parameter",
-                    '{definition} cannot start without "{missing}"',
-                    definition=self.name,
-                    missing=missing[0],
-                ),
+                "process.missing_parameter",
+                '{definition} cannot start without "{missing}"',
+                definition=self.name,
+                missing=missing[0],
             )
         return {**{p.name: p.default for p in self.parameters.values()}, **values}

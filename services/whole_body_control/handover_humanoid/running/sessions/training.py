@@ -15,7 +15,6 @@ from uuid import uuid4
 import numpy as np
 
 from handover.errors import Problem
-from handover.messages import message
 from handover.telemetry import get_logger
 from handover_humanoid.behaviours.component_state import Behaviour
 from handover_humanoid.patterns.regions import Side
@@ -170,10 +169,11 @@ class Training:
         """Begin a session; the caller adds it to the store. Raises `Problem` 409."""
         control = self._control
         if self.current is not None and not self.current.is_ended:
-            raise Problem(
+            raise Problem.translated(
                 409,
                 "Session runs",
-                message("humanoid.session_runs", "a session runs already; end it before another one starts"),
+                "humanoid.session_runs",
+                "a session runs already; end it before another one starts",
             )
         control.motion.require_free()
         wanted = BEHAVIOURS[plan.application]

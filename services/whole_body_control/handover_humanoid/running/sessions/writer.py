@@ -7,7 +7,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from handover.database.outage import database_reason
 from handover.errors import Problem
-from handover.messages import message
 from handover_humanoid.running.sessions.store import SessionStore
 from handover_humanoid.running.sessions.training import Session, SessionPlan, Training
 from handover_humanoid.sessions.exercise import EndReason
@@ -32,14 +31,12 @@ class SessionWriter:
         except SQLAlchemyError as error:
             self._training.end(EndReason.FAULT)
             session.is_closed = True
-            raise Problem(
+            raise Problem.translated(
                 503,
                 "Not stored",
-                message(
-                    "humanoid.session_not_stored",
-                    "the session has ended again, since it cannot be stored: {reason}",
-                    reason=database_reason(error),
-                ),
+                "humanoid.session_not_stored",
+                "the session has ended again, since it cannot be stored: {reason}",
+                reason=database_reason(error),
             ) from None
         return session
 
