@@ -2,9 +2,9 @@
 
     python -m handover_web.messages          # write the English texts to app/src/i18n/en/server.json
 
-It consists of all calls `message("code", "template", …)`, and of those of a method `translated`, whose
-arguments end with both. The templates are the English texts. The German and Finnish texts are written by
-hand; a test of the page compares the languages.
+It consists of all calls `message("code", "template", …)`, of those of a method `translated`, whose arguments end
+with both, and of the descriptions of each `AlertType`, a table of templates by code. The templates are the English
+texts. The German and Finnish texts are written by hand; a test of the page compares the languages.
 """
 
 import ast
@@ -73,7 +73,7 @@ def english(messages: Iterator[FoundMessage]) -> dict[str, Any]:
 
 
 def _in_module(source: str, location: str) -> Iterator[FoundMessage]:
-    if "message(" not in source and ".translated(" not in source:
+    if not any(word in source for word in ("message(", ".translated(", "AlertType")):
         return
     for node in ast.walk(ast.parse(source)):
         match node:
@@ -81,6 +81,19 @@ def _in_module(source: str, location: str) -> Iterator[FoundMessage]:
                 yield _found(node, node.args, f"{location}:{node.lineno}")
             case ast.Call(func=ast.Attribute(attr="translated")):
                 yield _found(node, node.args[-2:], f"{location}:{node.lineno}")
+            case ast.Call(func=ast.Name(id="AlertType"), args=arguments):
+                for table in (argument for argument in arguments if isinstance(argument, ast.Dict)):
+                    yield from _described(table, f"{location}:{table.lineno}")
+
+
+def _described(table: ast.Dict, location: str) -> Iterator[FoundMessage]:
+    try:
+        descriptions: dict[str, str] = ast.literal_eval(table)
+    except ValueError:
+        raise InvalidMessage(f"{location}: the codes and templates of an Alert are literal strings") from None
+    for code, template in descriptions.items():
+        names = _placeholders(code, template, location)
+        yield FoundMessage(code, template, frozenset(names), location)
 
 
 def _found(call: ast.Call, arguments: Sequence[ast.expr], location: str) -> FoundMessage:
@@ -97,14 +110,24 @@ def _found(call: ast.Call, arguments: Sequence[ast.expr], location: str) -> Foun
     names = {keyword.arg for keyword in call.keywords}
     if None in names:
         raise InvalidMessage(f"{location}: name the parameters of {code} one by one instead of with **")
+    for name in _placeholders(code, template, location):
+        if name not in names:
+            raise InvalidMessage(f"{location}: {code} has no parameter {name}")
+    return FoundMessage(code, template, frozenset(name for name in names if name is not None), location)
+
+
+def _placeholders(code: str, template: str, location: str) -> list[str]:
+    """Return the names in a template; raise `InvalidMessage` for what cannot be translated."""
+    placeholders = []
     for _, name, form, conversion in string.Formatter().parse(template):
-        if name is not None and (form or conversion or not name.isidentifier()):
+        if name is None:
+            continue
+        if form or conversion or not name.isidentifier():
             raise InvalidMessage(
                 f"{location}: {{{name}}} in {code} must be a plain name; format the value before"
             )
-        if name is not None and name not in names:
-            raise InvalidMessage(f"{location}: {code} has no parameter {name}")
-    return FoundMessage(code, template, frozenset(name for name in names if name is not None), location)
+        placeholders.append(name)
+    return placeholders
 
 
 def _i18next_template(template: str) -> str:

@@ -6,7 +6,6 @@ from handover.alerts import raise_alert
 from handover.alerts.catalogue import WRITE_FAILED
 from handover.broker import MAX_FAULTS, BrokerClient, BrokerError, BrokerFault
 from handover.broker.latest_value_writer import LatestValueWriter
-from handover.messages import message
 from handover.settings import Settings
 
 
@@ -29,10 +28,8 @@ def reporting_writer(
             WRITE_FAILED,
             key=alert,
             source=settings.entity_id("Device", service),
-            description=message(
+            description=WRITE_FAILED.describe(
                 "alert.write_failed",
-                "The broker failed {times} times at the write of {key}, which stays there as it was: {why}. "
-                "The log of the broker says more",
                 times=str(MAX_FAULTS),
                 key=key,
                 why=str(error),

@@ -26,7 +26,7 @@ from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import SERVICE_RESTARTED
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import UsageError
-from handover.messages import Message, message
+from handover.messages import Message
 from handover.security.service_access import ServiceAccess
 from handover.settings import Settings
 
@@ -133,10 +133,8 @@ class Watchdog:
                     said.add(verdict)
                     self._say(_line(self._name, verdict, now_s - asked_s, cpu_s))
                 if verdict is Verdict.STUCK:
-                    self._to_report = message(
+                    self._to_report = SERVICE_RESTARTED.describe(
                         "service.restarted",
-                        "{service} did not answer for {silent} s although it worked, and was restarted; "
-                        "look at its log, and report what it did before",
                         service=self._name,
                         silent=round(now_s - asked_s),
                     )

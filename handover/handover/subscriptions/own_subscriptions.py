@@ -18,7 +18,6 @@ import orjson
 from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import SUBSCRIPTION_CHANGED
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NgsiLd, NotFound
-from handover.messages import message
 from handover.settings import Settings
 from handover.subscriptions.record import SubscriptionRecord
 from handover.telemetry import get_logger
@@ -122,11 +121,8 @@ class OwnSubscriptions:
                 SUBSCRIPTION_CHANGED,
                 key=self._key(subscription_id),
                 source=self._settings.entity_id("Device", self._name),
-                description=message(
+                description=SUBSCRIPTION_CHANGED.describe(
                     "service.subscription_changed",
-                    "somebody changed or deleted the subscription {subscription} of {service}; it is "
-                    "restored. The audit log of the broker names accounts; without accounts, look which "
-                    "program on this machine does it",
                     subscription=subscription_id,
                     service=self._name,
                 ),

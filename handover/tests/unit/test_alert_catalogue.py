@@ -1,6 +1,8 @@
 """The catalogue of Alerts: unique, used, known to the page, and documented."""
 
+import ast
 import re
+import string
 
 from handover.alerts import catalogue as alert_catalogue
 from handover.alerts.catalogue import CATALOGUE, AlertCategory, AlertType, as_markdown
@@ -38,6 +40,28 @@ def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
     assert set(named.values()) == set(CATALOGUE)
     for name in named:
         assert any(re.search(rf"\b{name}\b", source) for source in sources), name
+
+
+def test_services_give_what_a_description_needs() -> None:
+    """The texts are in the catalogue; a service names the kind, the code and the parameters."""
+    described = set()
+    for folder in ("handover", "services", "ros_fiware_bridge"):
+        for file in python_sources(REPOSITORY / folder):
+            source = file.read_text()
+            for call in ast.walk(ast.parse(source)) if ".describe(" in source else ():
+                match call:
+                    case ast.Call(
+                        func=ast.Attribute(
+                            value=ast.Name(id=name) | ast.Attribute(attr=name), attr="describe"
+                        ),
+                        args=[ast.Constant(value=str(code))],
+                        keywords=parameters,
+                    ) if name in vars(alert_catalogue):
+                        template = vars(alert_catalogue)[name].descriptions[code]
+                        needed = {part[1] for part in string.Formatter().parse(template) if part[1]}
+                        assert needed == {parameter.arg for parameter in parameters}, (file, code)
+                        described.add(code)
+    assert described == {code for alert_type in CATALOGUE for code in alert_type.descriptions}
 
 
 def test_no_service_writes_a_category_of_its_own() -> None:

@@ -14,7 +14,7 @@ from typing import Final
 from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import DEVICE_CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient, BrokerError
-from handover.messages import Message, message
+from handover.messages import Message
 from handover.runtime.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -111,10 +111,8 @@ def _key(name: str) -> str:
 
 
 def _description(name: str, end_us: int) -> Message:
-    return message(
+    return DEVICE_CERTIFICATE_EXPIRES.describe(
         "device.certificate_expires",
-        "the client certificate of {device} is valid until {end} UTC; make a new one with `handover device "
-        "certificate {device}` and copy it to the device",
         device=name,
         end=f"{datetime.fromtimestamp(end_us / 1e6, UTC):%Y-%m-%d %H:%M}",
     )

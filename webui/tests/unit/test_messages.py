@@ -34,6 +34,11 @@ def test_errors_that_are_translated_have_messages(tmp_path: Path) -> None:
     assert english(found_messages(root)) == {"a": "{{x}}", "b": "{{y}}"}
 
 
+def test_the_descriptions_of_an_alert_are_extracted(tmp_path: Path) -> None:
+    root = module(tmp_path, 'LOST = AlertType("task", "lost", {"alert.lost": "{task} is lost"})')
+    assert english(found_messages(root)) == {"alert": {"lost": "{{task}} is lost"}}
+
+
 @pytest.mark.parametrize(
     ("call", "why"),
     [
@@ -45,6 +50,8 @@ def test_errors_that_are_translated_have_messages(tmp_path: Path) -> None:
         ('message("a", "{x}", y=1)', "no parameter x"),
         ('message("a", "{x}", **all)', "one by one"),
         ('message("a", "x"), message("a", "y")', "another text"),
+        ('AlertType("task", {"a": text})', "literal"),
+        ('AlertType("task", {"a": "{x:.3f}"})', "plain name"),
         ('message("a", "x"), message("a.b", "y")', "begins with"),
     ],
 )

@@ -20,7 +20,7 @@ from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.alerts.catalogue import DEVICE_ANOMALY
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import HandoverError, Problem
-from handover.messages import Message, message
+from handover.messages import Message
 from handover.network.http_client import BodyReadingHttpClient, SendError
 from handover.runtime.retry import Backoff
 from handover.security.service_access import ServiceAccess
@@ -216,9 +216,8 @@ def described(watch: Watch) -> Message:
     note = f" {watch.rule.description}" if watch.rule.description else ""
     match watch.rule.check.type:
         case "limits":
-            return message(
+            return DEVICE_ANOMALY.describe(
                 "device.anomaly_limits",
-                "{device}: {name} is {measured}, beyond the limit {limit} (rule {rule}).{note}",
                 device=device,
                 name=name,
                 measured=measured,
@@ -227,9 +226,8 @@ def described(watch: Watch) -> Message:
                 note=note,
             )
         case "rateOfChange":
-            return message(
+            return DEVICE_ANOMALY.describe(
                 "device.anomaly_rate",
-                "{device}: {name} changes by {measured} a second, more than {limit} (rule {rule}).{note}",
                 device=device,
                 name=name,
                 measured=measured,
@@ -238,10 +236,8 @@ def described(watch: Watch) -> Message:
                 note=note,
             )
         case "zScore":
-            return message(
+            return DEVICE_ANOMALY.describe(
                 "device.anomaly_z_score",
-                "{device}: {name} is {measured} standard deviations from its mean, more than "
-                "{limit} (rule {rule}).{note}",
                 device=device,
                 name=name,
                 measured=measured,
@@ -250,9 +246,8 @@ def described(watch: Watch) -> Message:
                 note=note,
             )
         case "silence":
-            return message(
+            return DEVICE_ANOMALY.describe(
                 "device.anomaly_silence",
-                "{device} has sent no {name} for more than {limit} s (rule {rule}).{note}",
                 device=device,
                 name=name,
                 limit=limit,
@@ -260,10 +255,8 @@ def described(watch: Watch) -> Message:
                 note=note,
             )
         case "seasonal":
-            return message(
+            return DEVICE_ANOMALY.describe(
                 "device.anomaly_seasonal",
-                "{device}: {name} is {measured} standard deviations from what is usual at this "
-                "time, more than {limit} (rule {rule}).{note}",
                 device=device,
                 name=name,
                 measured=measured,

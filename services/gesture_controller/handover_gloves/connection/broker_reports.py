@@ -6,7 +6,6 @@ from handover.alerts import catalogue as alert_catalogue
 from handover.alerts import clear_alert, raise_alert, unshown_key
 from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient, BrokerError
-from handover.messages import message
 from handover.service_addresses import GESTURE_CONTROLLER
 from handover.telemetry import get_logger
 from handover_gloves import metrics
@@ -45,10 +44,8 @@ class BrokerReports:
             alert_catalogue.GLOVE_SILENT,
             key=f"{glove.name} silent",
             source=self.devices.id_of(glove),
-            description=message(
+            description=alert_catalogue.GLOVE_SILENT.describe(
                 "alert.glove_silent",
-                "{glove} has sent nothing for {seconds} s in the middle of a Task, which is paused until it "
-                "is back; check that it is switched on, charged and near, or complete the Task on the screen",
                 glove=glove.name,
                 seconds=f"{self._settings.silence_s:g}",
             ),
@@ -66,10 +63,8 @@ class BrokerReports:
             alert_catalogue.CALIBRATION_NEEDED,
             key=f"{glove.name} fit",
             source=self.devices.id_of(glove),
-            description=message(
+            description=alert_catalogue.CALIBRATION_NEEDED.describe(
                 "alert.calibration_needed",
-                "{glove} should be calibrated again: {why}. Put it on as usual, make a fist and open the "
-                "hand under Calibration on its page; Tasks can be completed on the screen meanwhile",
                 glove=glove.name,
                 why=reason,
             ),
@@ -107,9 +102,8 @@ class BrokerReports:
             alert_catalogue.SPECIFICATIONS_UNAVAILABLE,
             key=key,
             source=self._settings.entity_id("Device", "specification-database"),
-            description=message(
+            description=alert_catalogue.SPECIFICATIONS_UNAVAILABLE.describe(
                 "alert.specifications_away",
-                "{detail}. Only Tasks that say all themselves can be shown",
                 detail=state.detail,
             ),
         )

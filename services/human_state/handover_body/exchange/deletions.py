@@ -6,7 +6,6 @@ from handover.alerts import raise_alert
 from handover.alerts.catalogue import DELETION_REFUSED
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.broker.latest_value_writer import LatestValueWriter
-from handover.messages import message
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -39,10 +38,8 @@ class Deletions:
         except BrokerError as error:
             await self._report(
                 identifier,
-                message(
+                DELETION_REFUSED.describe(
                     "alert.entity_not_deleted",
-                    "The broker refuses to delete {entity}, whose person does not allow it there: {why}. "
-                    "Delete it in the broker",
                     entity=identifier,
                     why=str(error),
                 ),
@@ -58,10 +55,8 @@ class Deletions:
         except BrokerError as error:
             await self._report(
                 f"{identifier} history",
-                message(
+                DELETION_REFUSED.describe(
                     "alert.history_not_deleted",
-                    "The broker cannot delete the history of {entity}: {why}. Where it or a service beside "
-                    "it (such as Mintaka) has one, delete it there",
                     entity=identifier,
                     why=str(error),
                 ),

@@ -13,7 +13,7 @@ from handover.alerts.catalogue import (
     TASK_UNREADABLE,
     AlertType,
 )
-from handover.messages import message, with_code
+from handover.messages import with_code
 from handover_bpmn.model import Escalation
 from handover_processes.records.messages import MessageKind
 from handover_processes.records.processes import IncidentRecord, ProcessRecord
@@ -25,16 +25,13 @@ def raise_overdue(step: Step, task: TaskRecord) -> None:
     """Raise the Alert that no performer accepted the Task in time."""
     involved = ", ".join(link["object"].rpartition(":")[2] for link in task.entity["involves"]["value"])
     if involved:
-        description = message(
+        description = TASK_NOT_ACCEPTED.describe(
             "alert.task_overdue",
-            'No performer has accepted the Task "{task}" ({involved})',
             task=_name(task),
             involved=involved,
         )
     else:
-        description = message(
-            "alert.task_unclaimed", 'Nobody has claimed the Task "{task}" in time', task=_name(task)
-        )
+        description = TASK_NOT_ACCEPTED.describe("alert.task_unclaimed", task=_name(task))
     _raise(
         step,
         task.process,
@@ -53,23 +50,19 @@ def clear_overdue(step: Step, task: TaskRecord) -> None:
 def raise_past_due(step: Step, task: TaskRecord, level: int, escalation: Escalation | None) -> None:
     """Raise the Alert that the Task has not ended in time; `level` 0 is the due date."""
     if escalation is not None and escalation.group is not None:
-        description = message(
+        description = TASK_PAST_DUE.describe(
             "alert.task_escalated_to",
-            'The Task "{task}" has not ended in time; it was escalated to {group}',
             task=_name(task),
             group=escalation.group,
         )
     elif escalation is not None:
-        description = message(
+        description = TASK_PAST_DUE.describe(
             "alert.task_escalated",
-            'The Task "{task}" has not ended in time; the escalation "{code}" was thrown',
             task=_name(task),
             code=escalation.code,
         )
     else:
-        description = message(
-            "alert.task_past_due", 'The Task "{task}" has not ended in time', task=_name(task)
-        )
+        description = TASK_PAST_DUE.describe("alert.task_past_due", task=_name(task))
     key = _past_due_key(task, level)
     _raise(step, task.process, TASK_PAST_DUE, key=key, source=task.id, description=description)
 
@@ -88,9 +81,8 @@ def raise_performer_lost(step: Step, task: TaskRecord, holder: str) -> None:
         TASK_PERFORMER_LOST,
         key=_performer_lost_key(task),
         source=task.id,
-        description=message(
+        description=TASK_PERFORMER_LOST.describe(
             "alert.task_performer_lost",
-            'The performer of the Task "{task}" ({holder}) does not answer any more; the Task is {status}',
             task=_name(task),
             holder=holder,
             status=task.status.value,
@@ -111,10 +103,8 @@ def raise_lost(step: Step, task: TaskRecord) -> None:
         TASK_LOST,
         key=f"{_short(task)} lost",
         source=task.id,
-        description=message(
+        description=TASK_LOST.describe(
             "alert.task_lost",
-            'The broker no longer has the Task "{task}", which was {status}. Check the state of the work, '
-            "then cancel the process {process}",
             task=_name(task),
             status=task.status.value,
             process=task.process,
@@ -125,10 +115,8 @@ def raise_lost(step: Step, task: TaskRecord) -> None:
 def raise_unreadable(step: Step, task: TaskRecord, writer: str | None, rule: str) -> None:
     """Raise the Alert that a program has written the Task against the data model."""
     if writer is not None:
-        description = message(
+        description = TASK_UNREADABLE.describe(
             "alert.task_unreadable",
-            'The Task "{task}" ({id}) waits: what {writer} has written breaks a rule: {rule}. Correct '
-            "{writer} and write the Task again, or cancel the process {process}",
             task=_name(task),
             id=task.id,
             writer=writer,
@@ -136,10 +124,8 @@ def raise_unreadable(step: Step, task: TaskRecord, writer: str | None, rule: str
             process=task.process,
         )
     else:
-        description = message(
+        description = TASK_UNREADABLE.describe(
             "alert.task_unreadable_unknown",
-            'The Task "{task}" ({id}) waits: what a program without a lease has written breaks a rule: '
-            "{rule}. Correct the program and write the Task again, or cancel the process {process}",
             task=_name(task),
             id=task.id,
             rule=rule,
@@ -168,9 +154,8 @@ def raise_failed(step: Step, process: ProcessRecord, urn: str) -> None:
         PROCESS_FAILED,
         key=_failed_key(process),
         source=urn,
-        description=message(
+        description=PROCESS_FAILED.describe(
             "alert.process_failed",
-            "The process {process} has failed: {reason}",
             process=process.id,
             reason=process.reason,
         ),
@@ -185,9 +170,8 @@ def raise_incident(step: Step, process: ProcessRecord, urn: str, incident: Incid
         PROCESS_INCIDENT,
         key=_incident_key(process, incident),
         source=urn,
-        description=message(
+        description=PROCESS_INCIDENT.describe(
             "alert.process_incident",
-            "The process {process} waits for help at {element}: {reason}",
             process=process.id,
             element=incident.name,
             reason=incident.reason,

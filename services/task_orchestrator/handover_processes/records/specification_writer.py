@@ -131,10 +131,8 @@ class SpecificationWriter:
             self._alerts.put(ALERT, lambda: clear_alert(self._broker, self._settings, key=ALERT))
             return
         log.warning("specification database unavailable, tasks wait", reason=why)
-        description = message(
+        description = SPECIFICATIONS_NOT_WRITTEN.describe(
             "alert.specifications_not_written",
-            "The specification database cannot be written: {why}. Tasks that need it wait and are posted "
-            "when it is back; all others continue. Start it, or correct {setting}",
             why=why,
             setting=SETTING,
         )

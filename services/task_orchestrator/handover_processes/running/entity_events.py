@@ -22,7 +22,6 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.broker.cells import OtherCells
 from handover.broker.resync import Resync
 from handover.errors import Problem
-from handover.messages import message
 from handover.runtime.background_tasks import BackgroundTasks
 from handover.subscriptions.notifications import NotificationReceiver
 from handover.subscriptions.own_subscriptions import OwnSubscriptions
@@ -149,10 +148,8 @@ class EntityEvents:
             ENTITY_FILTER_REFUSED,
             key=_refused_key(key),
             source=source,
-            description=message(
+            description=ENTITY_FILTER_REFUSED.describe(
                 "alert.entity_filter_refused",
-                'The event "{event}" never occurs: the broker refuses its filter (type {type}, q {q}): '
-                "{why}. Correct the file and deploy it again",
                 event=event,
                 type=on.type,
                 q=on.q or "-",

@@ -12,7 +12,6 @@ from handover.alerts import clear_alert, raise_alert
 from handover.alerts.catalogue import ROBOT_STOPPED_BY_LIMIT
 from handover.alerts.reporting_writer import reporting_writer
 from handover.broker import BrokerClient
-from handover.messages import message
 from handover.settings import Settings
 from handover_datamodels.streams import SpeedLimitReport
 from handover_datamodels.times import iso
@@ -78,9 +77,8 @@ class LimitRecords:
             self._writer.put(key, lambda: clear_alert(self._broker, self._settings, key=key))
             return
         reason = "; ".join([*(f"{allowed.rule}: {allowed.reason}" for allowed in stopping), *lost])
-        description = message(
+        description = ROBOT_STOPPED_BY_LIMIT.describe(
             "robot.stopped_by_limit",
-            "{robot} is stopped and does not continue by itself: {reason}",
             robot=self._limits.name,
             reason=reason,
         )
