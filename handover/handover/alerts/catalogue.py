@@ -390,13 +390,6 @@ def as_markdown() -> str:
     ]
     for kind in CATALOGUE:
         sub_category = f"`{kind.sub_category}`" if kind.sub_category else "–"
-        cells = (
-            f"`{kind.category}`",
-            sub_category,
-            kind.severity.value,
-            kind.source,
-            kind.meaning,
-            kind.action,
-        )
-        lines.append(f"| {' | '.join(cells)} |")
+        names = (f"`{kind.category}`", sub_category, kind.severity.value, kind.source)
+        lines.append(f"| {' | '.join((*names, kind.meaning, kind.action))} |")
     return "\n".join(lines) + "\n"
