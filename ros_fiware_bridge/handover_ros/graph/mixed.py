@@ -84,11 +84,9 @@ class MixedGraph:
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> Subscription:
-        """Subscribe to a topic."""
         return await self.own.subscribe(topic, type_name, on_message, qos)
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
-        """Publish on a topic."""
         return await self.own.publisher(topic, type_name, qos)
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
@@ -154,23 +152,18 @@ class MixedGraph:
         return await self.own.serve_action(action, type_name, handler, accept=accept)
 
     def topics(self) -> Sequence[TopicInfo]:
-        """Return the topics of the graph."""
         return self.own.topics()
 
     def services(self) -> Sequence[ServiceInfo]:
-        """Return the services of the graph."""
         return self.own.services()
 
     def actions(self) -> Sequence[ActionInfo]:
-        """Return the actions of the graph."""
         return self.own.actions()
 
     def nodes(self) -> Sequence[NodeInfo]:
-        """Return the nodes of the graph."""
         return self.own.nodes()
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
-        """Return why calls of a service would fail with its present servers."""
         if self.own.server_vendors(self.own.full(service)) - {VENDOR}:
             from handover_ros.graph.ros_installed.graph import missing_type  # noqa: PLC0415 - if needed
 
@@ -178,7 +171,6 @@ class MixedGraph:
         return self.own.obstacles(service, type_name)
 
     def problems(self) -> Sequence[GraphError]:
-        """Return the present incompatibilities with peers."""
         return self.own.problems()
 
     async def close(self) -> None:
@@ -216,7 +208,6 @@ class _MixedActionClient:
     async def send_goal(
         self, goal: Message, *, on_feedback: Callable[[Message], None] | None = None, timeout_s: float = 5.0
     ) -> Goal:
-        """Send a goal."""
         clock = asyncio.get_running_loop().time
         end_s = clock() + timeout_s
         client = await self._client(timeout_s)
@@ -296,7 +287,6 @@ class _MixedServer:
         log.info("service moved to the middleware of its clients", service=self.name)
 
     async def close(self) -> None:
-        """Stop serving."""
         if self._follow_task is not None:
             self._follow_task.cancel()
             await asyncio.gather(self._follow_task, return_exceptions=True)

@@ -43,7 +43,6 @@ class CycloneGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """Return the state of the goal."""
         return self._status
 
     def set_status(self, status: GoalStatus) -> None:
@@ -52,7 +51,6 @@ class CycloneGoal:
             self._status = status
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
-        """Wait for the end of the goal."""
         if self._result is None or (self._result.done() and self._result.exception() is not None):
             self._result = asyncio.get_running_loop().create_task(self._client.ask_result(self))
         return await result_within(self._result, self._client.name, timeout_s)
@@ -115,7 +113,6 @@ class CycloneActionClient:
     async def send_goal(
         self, goal: Message, *, on_feedback: OnFeedback | None = None, timeout_s: float = 5.0
     ) -> CycloneGoal:
-        """Send a goal."""
         own = self._transport.goals
         goal_id = own.new_id()
         sent = CycloneGoal(self, goal_id)
@@ -161,7 +158,6 @@ class CycloneActionClient:
         return agreed
 
     async def close(self) -> None:
-        """Release the action."""
         for subscription in self._subscriptions:
             await subscription.close()
         for goal, _ in self._goals.values():

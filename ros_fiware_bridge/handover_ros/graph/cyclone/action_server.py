@@ -57,7 +57,6 @@ class CycloneServedGoal(CancelSignal):
         self.request_cancel()
 
     def feedback(self, feedback: Message) -> None:
-        """Send feedback to the client."""
         self._server.send_feedback(self, feedback)
 
 

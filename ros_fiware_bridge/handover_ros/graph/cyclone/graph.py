@@ -63,7 +63,6 @@ class CycloneGraph(BaseGraph):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> CycloneSubscription:
-        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = CycloneSubscription(
             self._node,
@@ -78,7 +77,6 @@ class CycloneGraph(BaseGraph):
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> CyclonePublisher:
-        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = CyclonePublisher(
             self._node,
@@ -92,7 +90,6 @@ class CycloneGraph(BaseGraph):
         return opened
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
-        """Call a service."""
         name = self._full(service)
         base = self._type(type_name, "srv", "_Request", "_Response")
         return await self.client(name, base).call(request, timeout_s)
@@ -105,7 +102,6 @@ class CycloneGraph(BaseGraph):
         return self._clients[key]
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> CycloneServer:
-        """Serve a service."""
         name = self._full(service)
         return self.server(name, self._type(type_name, "srv", "_Request", "_Response"), handler)
 
@@ -123,7 +119,6 @@ class CycloneGraph(BaseGraph):
         return opened
 
     async def action_client(self, action: str, type_name: str) -> CycloneActionClient:
-        """Send goals to an action."""
         name, full = self.require_action(action, type_name)
         opened = CycloneActionClient(self, name, full, self._unregister)
         self._register(opened)
@@ -146,7 +141,6 @@ class CycloneGraph(BaseGraph):
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> CycloneActionServer:
-        """Serve an action."""
         name, full = self.require_action(action, type_name)
         opened = CycloneActionServer(self, name, full, handler, accept=accept, closed=self._unregister)
         self._register(opened)
@@ -171,23 +165,18 @@ class CycloneGraph(BaseGraph):
         return {request.vendor for request in requests}
 
     def topics(self) -> Sequence[TopicInfo]:
-        """Return the topics of the graph."""
         return view.topics(self._node.discovery.snapshot())
 
     def services(self) -> Sequence[ServiceInfo]:
-        """Return the services of the graph."""
         return view.services(self._node.discovery.snapshot())
 
     def actions(self) -> Sequence[ActionInfo]:
-        """Return the actions of the graph."""
         return view.actions(self._node.discovery.snapshot())
 
     def nodes(self) -> Sequence[NodeInfo]:
-        """Return the nodes of the graph."""
         return view.nodes(self._node.discovery.snapshot())
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
-        """Return why calls of a service would fail with its present servers."""
         name, snapshot = self._full(service), self._node.discovery.snapshot()
         faults = (
             obstacle(self.store, name, type_name, endpoint, snapshot.node_of(endpoint))
@@ -196,11 +185,9 @@ class CycloneGraph(BaseGraph):
         return [problem for problem in faults if problem is not None]
 
     def problems(self) -> Sequence[GraphError]:
-        """Return the present incompatibilities with peers."""
         return view.problems(self._node.discovery.snapshot())
 
     async def close(self) -> None:
-        """Leave the graph."""
         if self._closed:
             return
         await self.goals.close()

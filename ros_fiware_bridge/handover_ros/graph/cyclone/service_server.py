@@ -150,7 +150,6 @@ class CycloneServer:
         self.last_error = error
 
     async def close(self) -> None:
-        """Stop serving."""
         if self._is_open:
             self._is_open = False
             self._stop()

@@ -68,15 +68,12 @@ class CycloneSubscription(Inbox):
         return verdict
 
     def publishers(self) -> int:
-        """Return how many publishers are matched."""
         return len(self._reader.get_matched_publications()) if self._open else 0
 
     async def matched(self, timeout_s: float) -> bool:
-        """Wait until a publisher is matched."""
         return await until(lambda: self.publishers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Unsubscribe."""
         if self.shut():
             self._stop()
             self._node.drop(self._reader)
@@ -108,7 +105,6 @@ class CyclonePublisher:
         self._writer = node.writer(dds_names.of_topic(topic), type_name, qos, user=user)
 
     def publish(self, message: Message) -> None:
-        """Send `message`."""
         self.publish_encoded(self._node.store.encode(self.type_name, message))
 
     def publish_encoded(self, data: bytes) -> None:
@@ -119,15 +115,12 @@ class CyclonePublisher:
         self.published += 1
 
     def subscribers(self) -> int:
-        """Return how many subscribers are matched."""
         return len(self._writer.get_matched_subscriptions()) if self._open else 0
 
     async def matched(self, timeout_s: float) -> bool:
-        """Wait until a subscriber is matched."""
         return await until(lambda: self.subscribers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop publishing."""
         if self._open:
             self._open = False
             self._node.drop(self._writer)

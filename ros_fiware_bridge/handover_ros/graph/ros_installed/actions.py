@@ -39,13 +39,11 @@ class RosGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """Return the state of the goal."""
         if self._ended is not None and self._ended.done() and self._ended.exception() is None:
             return self._ended.result().status
         return GoalStatus(self._handle.status)
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
-        """Wait for the end of the goal."""
         if self._ended is None or (self._ended.done() and self._ended.exception() is not None):
             self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self, self._handle))
         return await result_within(self._ended, self._client.name, timeout_s)
@@ -116,7 +114,6 @@ class RosActionClient:
         on_feedback: Callable[[Message], None] | None = None,
         timeout_s: float = 5.0,
     ) -> RosGoal:
-        """Send a goal."""
         from unique_identifier_msgs.msg import UUID  # noqa: PLC0415 - is only there where ROS is
 
         sent = self._node.to_ros(self._interface.Goal, f"{self.type_name}_Goal", goal)
@@ -201,7 +198,6 @@ class RosActionClient:
         return GoalResult(status, result)
 
     async def close(self) -> None:
-        """Release the action."""
         if self._open:
             self._open = False
             for goal in self._goals.values():
@@ -224,7 +220,6 @@ class RosServedGoal(CancelSignal):
             self.request_cancel()
 
     def feedback(self, feedback: Message) -> None:
-        """Send feedback to the client."""
         self._server.send_feedback(self._handle, feedback)
 
 

@@ -73,7 +73,6 @@ class RosInstalledGraph(BaseGraph):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> RosSubscription:
-        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosSubscription(
             self._node,
@@ -89,7 +88,6 @@ class RosInstalledGraph(BaseGraph):
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosPublisher:
-        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosPublisher(
             self._node,
@@ -114,21 +112,18 @@ class RosInstalledGraph(BaseGraph):
                     raise
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
-        """Call a service."""
         key = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
         if key not in self._clients:
             self._clients[key] = RosClient(self._node, *key)
         return await self._clients[key].call(request, timeout_s)
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> RosServer:
-        """Serve a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
         opened = RosServer(self._node, name, full, handler, closed=self._unregister)
         self._register(opened)
         return opened
 
     async def action_client(self, action: str, type_name: str) -> RosActionClient:
-        """Send goals to an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
         await self.goals.watch(name)
         opened = RosActionClient(self._node, name, full, own=self.goals, closed=self._unregister)
@@ -143,26 +138,21 @@ class RosInstalledGraph(BaseGraph):
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> RosActionServer:
-        """Serve an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
         opened = RosActionServer(self._node, name, full, handler, accept=accept, closed=self._unregister)
         self._register(opened)
         return opened
 
     def topics(self) -> Sequence[TopicInfo]:
-        """Return the topics of the graph."""
         return view.topics(self._node.node, self.node_name)
 
     def services(self) -> Sequence[ServiceInfo]:
-        """Return the services of the graph."""
         return view.services(self._node.node, self._node.vendor)
 
     def actions(self) -> Sequence[ActionInfo]:
-        """Return the actions of the graph."""
         return view.actions(self._node.node)
 
     def nodes(self) -> Sequence[NodeInfo]:
-        """Return the nodes of the graph."""
         return view.nodes(self._node.node, self.node_name, self._node.vendor)
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
@@ -170,11 +160,9 @@ class RosInstalledGraph(BaseGraph):
         return missing_type(type_name, self.store)
 
     def problems(self) -> Sequence[GraphError]:
-        """Return the present incompatibilities with peers."""
         return topic_problems(self.topics())
 
     async def close(self) -> None:
-        """Leave the graph."""
         if self._closed:
             return
         if self._owns_goals:

@@ -153,7 +153,6 @@ class RosServer:
         return await self._handler(request)
 
     async def close(self) -> None:
-        """Stop serving."""
         if self._open:
             self._open = False
             for work in list(self._working):

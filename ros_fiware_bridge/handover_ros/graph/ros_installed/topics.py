@@ -73,7 +73,6 @@ class RosSubscription(Inbox):
         return await until(lambda: self.publishers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Unsubscribe."""
         if self.shut():
             self._node.node.destroy_subscription(self._subscription)
             self._closed(self)
@@ -103,7 +102,6 @@ class RosPublisher:
         self._publisher = node.node.create_publisher(interface(type_name, node.store), topic, profile(qos))
 
     def publish(self, message: Message) -> None:
-        """Send `message`."""
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
         data = self._node.store.encode(self.type_name, message)
@@ -112,15 +110,12 @@ class RosPublisher:
         self.published += 1
 
     def subscribers(self) -> int:
-        """Return how many subscribers are matched."""
         return int(self._publisher.get_subscription_count()) if self._open else 0
 
     async def matched(self, timeout_s: float) -> bool:
-        """Wait until a subscriber is matched."""
         return await until(lambda: self.subscribers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop publishing."""
         if self._open:
             self._open = False
             self._node.node.destroy_publisher(self._publisher)

@@ -63,7 +63,6 @@ class RosbridgeGoal:
         return GoalStatus.EXECUTING if self.has_feedback.is_set() else GoalStatus.ACCEPTED
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
-        """Wait for the end of the goal."""
         if self._watching is None or (self._watching.done() and not self._ended.done()):
             self._watching = asyncio.get_running_loop().create_task(self._watch())
         return self._client.made(await result_within(self._watching, self._client.name, timeout_s))
@@ -154,7 +153,6 @@ class RosbridgeActionClient:
     async def send_goal(
         self, goal: Message, *, on_feedback: Callable[[Message], None] | None = None, timeout_s: float = 5.0
     ) -> RosbridgeGoal:
-        """Send a goal."""
         if not self._open:
             raise GraphClosed(f"{self.name} was closed; no goal can be sent to it")
         args, _ = self._codec.to_json(f"{self.type_name}_Goal", goal)
@@ -248,7 +246,6 @@ class RosbridgeServedGoal(CancelSignal):
         self._id = goal_id
 
     def feedback(self, feedback: Message) -> None:
-        """Send feedback to the client."""
         self._server.send_feedback(self._id, feedback)
 
 
@@ -330,7 +327,6 @@ class RosbridgeActionServer(BaseActionServer):
         self._codec.to_json(f"{self.type_name}_Result", result)
 
     async def close(self) -> None:
-        """Stop serving."""
         if self._open:
             self._open = False
             self._connection.off("send_action_goal", self._asked)

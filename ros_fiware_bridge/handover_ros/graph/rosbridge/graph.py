@@ -66,7 +66,6 @@ class RosbridgeGraph(BaseGraph):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> RosbridgeSubscription:
-        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosbridgeSubscription(
             self._topic_context,
@@ -80,7 +79,6 @@ class RosbridgeGraph(BaseGraph):
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosbridgePublisher:
-        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosbridgePublisher(
             self._topic_context,
@@ -93,19 +91,16 @@ class RosbridgeGraph(BaseGraph):
         return opened
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
-        """Call a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
         return await services.call(self._connection, self._codec, name, full, request, timeout_s=timeout_s)
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> RosbridgeServer:
-        """Serve a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
         opened = RosbridgeServer(self._connection, self._codec, name, full, handler, closed=self._unregister)
         self._register(opened)
         return opened
 
     async def action_client(self, action: str, type_name: str) -> RosbridgeActionClient:
-        """Send goals to an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
         opened = RosbridgeActionClient(
             self._connection, self._codec, self._view, name, full, closed=self._unregister
@@ -121,7 +116,6 @@ class RosbridgeGraph(BaseGraph):
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> RosbridgeActionServer:
-        """Serve an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
         opened = RosbridgeActionServer(
             self._connection, self._codec, name, full, handler, accept=accept, closed=self._unregister
@@ -130,19 +124,15 @@ class RosbridgeGraph(BaseGraph):
         return opened
 
     def topics(self) -> Sequence[TopicInfo]:
-        """Return the topics of the graph."""
         return self._view.topics()
 
     def services(self) -> Sequence[ServiceInfo]:
-        """Return the services of the graph."""
         return self._view.services()
 
     def actions(self) -> Sequence[ActionInfo]:
-        """Return the actions of the graph."""
         return self._view.actions()
 
     def nodes(self) -> Sequence[NodeInfo]:
-        """Return the nodes of the graph."""
         return self._view.nodes()
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
@@ -154,7 +144,6 @@ class RosbridgeGraph(BaseGraph):
         return self._view.problems()
 
     async def close(self) -> None:
-        """Leave the graph."""
         if self._closed:
             return
         self._closed = True

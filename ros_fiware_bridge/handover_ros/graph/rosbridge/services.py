@@ -125,7 +125,6 @@ class RosbridgeServer:
             self.last_error = str(error)
 
     async def close(self) -> None:
-        """Stop serving."""
         if self._open:
             self._open = False
             self._connection.off("call_service", self._asked)

@@ -84,7 +84,6 @@ class RosbridgeSubscription(Inbox):
         return await until(lambda: self.publishers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Unsubscribe."""
         if self.shut():
             self._connection.off("publish", self._on_publish)
             self._connection.off_opening(self._request)
@@ -132,7 +131,6 @@ class RosbridgePublisher:
             self._connection.send(op="publish", topic=self.topic, msg=self._last)
 
     def publish(self, message: Message) -> None:
-        """Send `message`."""
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
         written, size = self._codec.to_json(self.type_name, message)
@@ -154,7 +152,6 @@ class RosbridgePublisher:
         return await until(lambda: self.subscribers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop publishing."""
         if self._open:
             self._open = False
             self._connection.off_opening(self._advertise)

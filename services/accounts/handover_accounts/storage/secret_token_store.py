@@ -15,8 +15,6 @@ from handover_accounts.storage.grants import add_grant, grants_of
 from handover_accounts.storage.tables import grants, row_of_token, tokens
 
 MAX_TOKENS: Final = 10_000
-ISSUED_KINDS: Final = (CallerKind.SCRIPT, CallerKind.DEVICE)
-"""What an admin issues; tokens of services are made on the machine by `handover accounts set-up`."""
 
 
 def issue(

@@ -7,7 +7,7 @@ with the rights of the station, and the audit names the method.
 
 import json
 import time
-from typing import Any, Final
+from typing import Any
 
 from sqlalchemy import Connection, delete, insert, select, update
 
@@ -15,9 +15,6 @@ from handover.errors import Problem
 from handover_accounts.storage.changes import Change
 from handover_accounts.storage.tables import joins, stations, users
 from handover_accounts.storage.users import add_user, checked_name, find, renew_sessions_of
-
-MAX_GLOVES: Final = 10
-DEFAULT_LEAVE_AFTER_MIN: Final = 15.0
 
 
 def add_station(change: Change, name: str, gloves: list[str], leave_after_min: float) -> str:

@@ -137,11 +137,6 @@ class Triggers:
         """Return whether deleted attributes are notified."""
         return ATTRIBUTE_DELETED in self.kinds
 
-    @property
-    def reports_expiry(self) -> bool:
-        """Return whether the end of an entity can match."""
-        return ENTITY_DELETED in self.kinds or ATTRIBUTE_DELETED in self.kinds
-
 
 def read_kinds(triggers: Any) -> frozenset[str]:
     """Return the kinds of changes in `notificationTrigger`; `entityUpdated` becomes its parts.

@@ -6,15 +6,13 @@ Lines are straight in longitude and latitude (RFC 7946, section 3.1.1).
 
 import itertools
 from collections.abc import Iterator, Mapping
-from math import asin, cos, degrees, hypot, inf, pi, radians, sin, sqrt
+from math import asin, cos, degrees, hypot, inf, radians, sin, sqrt
 from typing import Any, Final
 
 from handover_broker.model.geometry import DEPTHS
 
 EARTH_RADIUS_M: Final = 6_371_008.8
 """The mean radius of the earth."""
-FARTHEST_M: Final = EARTH_RADIUS_M * pi
-"""Half the circumference of the earth: the maximum distance."""
 
 _LONGEST_PIECE_DEG: Final = 5.0
 """Lines are cut into segments of this length, in which the distance to a point has only one minimum."""

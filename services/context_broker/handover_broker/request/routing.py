@@ -4,7 +4,7 @@ The router refuses parameters that an operation does not have, and `operations.m
 list.
 """
 
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -149,10 +149,3 @@ class Router:
             if names is not None:
                 return place, names
         return None
-
-    def by_path(self) -> Mapping[str, list[Operation]]:
-        """Return the operations by their path."""
-        operations: dict[str, list[Operation]] = {}
-        for operation in self.operations:
-            operations.setdefault(operation.path, []).append(operation)
-        return operations

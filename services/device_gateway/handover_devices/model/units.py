@@ -58,8 +58,3 @@ _CODE = re.compile(r"[A-Z0-9]{2,3}")
 def is_unit_code(code: str) -> bool:
     """Return whether `code` has the form of a code."""
     return _CODE.fullmatch(code) is not None
-
-
-def symbol_of(code: str | None) -> str:
-    """Return the symbol of a unit; the code itself if the table does not have it."""
-    return "" if code is None else SYMBOLS.get(code, code)

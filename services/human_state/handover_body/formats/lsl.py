@@ -53,10 +53,6 @@ class LslClock:
         """Return a time since 1970 as a time stamp of LSL."""
         return at_s - self.offset_s
 
-    def from_lsl(self, stamp: float) -> float:
-        """Return a time stamp of LSL as s since 1970."""
-        return stamp + self.offset_s
-
 
 def signal_info(info: Any) -> tuple[SignalInfo, str]:
     """Return signal and subject of the full description (`StreamInfo`) of a numeric stream, ours or not.

@@ -37,7 +37,6 @@ from handover_body.processing.pipeline import SignalPipeline
 
 MAX_WAITING: Final = 256
 """Packets that wait for a page that does not read; the oldest are dropped."""
-BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
 CONTACT_PERIOD_S: Final = 1.0
 WORN, NOT_WORN = "worn", "notWorn"

@@ -61,7 +61,3 @@ class DepthImage:
         """Return the points in the frame of the cell: height x width x 3."""
         rotation, position = np.array(self.camera.rotation), np.array(self.camera.position)
         return np.asarray(self.camera_points @ rotation.T + position)
-
-    def seen_from(self, camera: Frame) -> "DepthImage":
-        """Return the same image of a camera that is elsewhere."""
-        return DepthImage(self.depth_m, self.intrinsics, camera)

@@ -5,7 +5,7 @@ is v = (linear and angular velocity of the base in its own frame, joints). Poses
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -308,13 +308,6 @@ class Kinematics:
         base /= math.sqrt(base.dot(base))
         motion *= dt_s
         return np.asarray(pin.integrate(self.pin_model, start, motion).take(self._from_q))
-
-    def joint_vector(self, values: Mapping[str, float]) -> Array:
-        """Return values by joint as a vector of joints. Raises `UsageError` for an unknown joint."""
-        vector = np.zeros(self.n_joints)
-        for name, value in values.items():
-            vector[self.humanoid.index(name)] = value
-        return vector
 
     def _frame_jacobian(self, link: str) -> Array:
         """Return the Jacobian of a link in the order of pinocchio."""

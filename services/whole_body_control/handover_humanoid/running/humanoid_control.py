@@ -77,7 +77,7 @@ HOLDS: Final[Mapping[int, str]] = {
     ),
 }
 
-STANDING, SINGLE_SUPPORT = 0.0, 2.0
+STANDING = 0.0
 
 
 class HumanoidControl:

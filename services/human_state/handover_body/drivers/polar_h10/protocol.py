@@ -19,7 +19,6 @@ PMD_CONTROL: Final = "fb005c81-02e7-f387-1cad-8acd2d8df0c8"
 PMD_DATA: Final = "fb005c82-02e7-f387-1cad-8acd2d8df0c8"
 ECG_RATE_HZ: Final = 130.0
 GRAVITY: Final = 9.80665
-ACCELERATION_RATES_HZ: Final = (25, 50, 100, 200)
 ALREADY_STARTED: Final = 6
 _HEADER: Final = struct.Struct("<BQB")
 _STATUS: Final = {

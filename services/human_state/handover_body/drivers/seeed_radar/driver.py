@@ -21,7 +21,6 @@ from handover_body.drivers.seeed_radar.protocol import FrameReader, read
 from handover_body.model.signals import ClockKind, LinkState, Samples, SensorReport, SignalInfo, SignalKind
 
 METHOD: Final = "radar 60 GHz"
-WAVE_POINTS: Final = ("0", "1", "2", "3", "4")
 SIGNALS: Final = {
     "presence": SignalInfo(SignalKind.PRESENCE, "C62", None, ("",), -1, 2, 1.0, METHOD),
     "movement": SignalInfo(SignalKind.MOVEMENT, "C62", None, ("",), -1, 101, 1.0, METHOD),

@@ -128,7 +128,6 @@ class SimulatedDriver(SensorDriver):
         self.person = person or SimulatedPerson(
             settings.seed, body=Physiology(settings.rest_bpm, settings.max_bpm, settings.vo2_max)
         )
-        self._has_program = bool(settings.program)
         self._tracks = [
             _EventTrack(source, EVENTS[kind], settings, number)
             if kind in EVENTS

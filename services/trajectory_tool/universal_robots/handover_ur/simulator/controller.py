@@ -20,7 +20,6 @@ SERVO_LAG_S = 0.01
 SAFETY_STOP_RAD_S2 = 30.0
 PROGRAM_STOP_RAD_S2 = 10.0
 MAX_DEVIATION_RAD = 0.35
-SPEED_MARGIN = 1.3
 JUMP_CYCLES = 10
 """A target that would need the speed limit for so many cycles counts as a jump."""
 INERTIA_KGM2 = 1.0
