@@ -48,7 +48,7 @@ def test_a_therapist_throws_stops_and_leads_a_session(
     page = open_page("/care/exercises", viewport=SMALL, forgives=("status of 409", "status of 422"))
     picture = page.get_by_role("application", name=re.compile("coman-1 in 3D"))
     expect(picture).to_be_visible()
-    expect(page.get_by_role("link", name="Humanoid")).to_have_attribute("aria-current", "page")
+    expect(page.get_by_role("link", name="Exercises")).to_have_attribute("aria-current", "page")
     page.locator("summary", has_text="left_leg").click()
     expect(page.get_by_role("rowheader", name="LHipSag")).to_be_visible()
 

@@ -2,9 +2,10 @@
 
     python -m handover_web.messages          # write the English texts to app/src/i18n/en/server.json
 
-It consists of all calls `message("code", "template", …)`, of those of a method `translated`, whose arguments
-end with both, and of the descriptions of each `AlertType`, a table of templates by code. The templates are the
-English texts. The German and Finnish texts are written by hand; a test of the page compares the languages.
+It consists of all calls `message("code", "template", …)`, of those of a method `translated`, whose
+arguments end with both, and of the descriptions of each `AlertType`, a table of templates by code. The
+templates are the English texts. The German and Finnish texts are written by hand; a test of the page compares
+the languages.
 """
 
 import ast

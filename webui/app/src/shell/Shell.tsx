@@ -58,7 +58,7 @@ export function Shell({ children }: { children: ReactNode }) {
             <strong>{PRODUCT}</strong>
             {cell !== undefined && <span className="quiet">{cell}</span>}
           </p>
-          {place !== undefined && place.pages.length > 1 && <PagesOfPlace place={place} here={here} />}
+          {place !== undefined && place.name !== "home" && <PagesOfPlace place={place} here={here} />}
           <div className="shell__aside">
             <Link href={ALERTS_PAGE.path} className="shell__alerts" aria-current={here === ALERTS_PAGE ? "page" : undefined}>
               <Bell aria-hidden size={20} />
