@@ -19,7 +19,7 @@ export const addresses = {
   process: (id: string) => `/processes/${encodeURIComponent(id)}`,
   statistics: () => "/processes/statistics",
 
-  cell: () => "/cell",
+  cell: (query: { find?: string } = {}) => withQuery("/cell", query),
   robots: () => "/cell/robots",
   robot: (name: string, tab: RobotTab = "state") => object("/cell/robots", name, tab),
   gloves: () => "/cell/gloves",
@@ -27,8 +27,11 @@ export const addresses = {
   devices: (query: { add?: "yes" } = {}) => withQuery("/cell/devices", query),
   device: (name: string, query: { part?: string; values?: string } = {}) => withQuery(`/cell/devices/${encodeURIComponent(name)}`, query),
   sensors: () => "/cell/sensors",
+  health: (query: { person?: string } = {}) => withQuery("/care/health", query),
+  cases: (query: { case?: string } = {}) => withQuery("/care/cases", query),
   humanoid: () => "/care/exercises",
   humanoidInVr: () => "/care/exercises/vr",
+  people: (query: { view?: string; person?: string; user?: string } = {}) => withQuery("/admin/people", query),
   services: () => "/admin/services",
   study: (query: { session?: string } = {}) => withQuery("/admin/studies", query),
 } as const;

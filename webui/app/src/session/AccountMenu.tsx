@@ -8,6 +8,7 @@ import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
 import { useSession } from "./session";
+import { signOut } from "./signOut";
 import { StationMenu } from "./StationMenu";
 import "~/design/ConfirmDialog.css";
 
@@ -79,9 +80,4 @@ function ChangePassword() {
 async function signOutStation(pin: string): Promise<void> {
   await request("session", { method: "DELETE", json: { pin } });
   location.replace("/");
-}
-
-async function signOut(): Promise<void> {
-  const ended = await request<{ location: string | null }>("session", { method: "DELETE" }).catch(() => null); // an ended session is signed out as well
-  location.replace(ended?.location ?? "/");
 }

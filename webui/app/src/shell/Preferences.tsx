@@ -1,5 +1,4 @@
 /** Theme, language and user name, stored on this device. */
-import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
@@ -9,13 +8,13 @@ import { languages, setLanguage, type Language } from "~/i18n";
 import { setSound, useSound } from "~/alerts/sound";
 import { Checkbox } from "~/design/Checkbox";
 import { setKeysOn, useKeysOn } from "./keys";
-import { storeTheme, storedTheme, type Theme } from "./theme";
+import { storeTheme, useStoredTheme } from "./theme";
 import { setUserName, useUserName } from "./userName";
 import "~/design/ConfirmDialog.css";
 
 export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () => void }) {
   const { t, i18n } = useTranslation("common");
-  const [theme, setTheme] = useState<Theme>(storedTheme);
+  const theme = useStoredTheme();
   const name = useUserName();
   const sound = useSound();
   const keys = useKeysOn();
@@ -34,10 +33,7 @@ export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () 
               label={t("theme.label")}
               value={theme}
               options={themes}
-              onChange={(chosen) => {
-                setTheme(chosen);
-                storeTheme(chosen);
-              }}
+              onChange={storeTheme}
             />
           </div>
           <div>

@@ -7,7 +7,7 @@ const STORAGE_KEY = "handover.theme";
 const device = matchMedia("(prefers-color-scheme: dark)");
 const listeners = new Set<() => void>();
 
-export function storedTheme(): Theme {
+function storedTheme(): Theme {
   const stored = localStorage.getItem(STORAGE_KEY);
   return stored === "light" || stored === "dark" ? stored : "system";
 }
@@ -32,10 +32,16 @@ export function initTheme(): void {
   apply();
 }
 
+export function useStoredTheme(): Theme {
+  return useSyncExternalStore(subscribe, storedTheme);
+}
+
 /** The effective theme, for drawings without CSS: plots and the 3D view. */
 export function useShownTheme(): "light" | "dark" {
-  return useSyncExternalStore((listener) => {
-    listeners.add(listener);
-    return () => listeners.delete(listener);
-  }, effectiveTheme);
+  return useSyncExternalStore(subscribe, effectiveTheme);
+}
+
+function subscribe(listener: () => void): () => void {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
 }

@@ -3,9 +3,7 @@ import { Ban, GitBranch } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
-import { cancelProcess } from "~/api/actions";
 import { RelativeTime } from "~/design/RelativeTime";
-import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
 import { StatusBadge } from "~/design/StatusBadge";
 import { processTone } from "~/design/states";
@@ -16,12 +14,11 @@ import { useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { processState } from "~/live/processState";
 import { sentence } from "~/live/readable";
-import { shortName } from "~/live/urn";
-import { useUserName } from "~/shell/userName";
 import { pathOf } from "../address";
 import { MigrateDialog } from "../migration/MigrateDialog";
-import { nameOf, shortTitle } from "../names";
+import { shortTitle } from "../names";
 import { PaceButton } from "../pause/PaceButton";
+import { CancelDialog } from "./CancelDialog";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
   const { t } = useTranslation(["processes", "common"]);
@@ -62,7 +59,6 @@ function Took({ process }: { process: ProcessView }) {
 
 function Acts({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
-  const name = useUserName();
   const [asks, setAsks] = useState(false);
   const [migrates, setMigrates] = useState(false);
   const newest = useTopic(`definition/${process.definition}`)?.version ?? process.version;
@@ -80,33 +76,7 @@ function Acts({ process }: { process: ProcessView }) {
           {t("cancel.act", { title: shortTitle(process.name) })}
         </Button>
       )}
-      <ConfirmDialog
-        isOpen={asks}
-        onClose={() => setAsks(false)}
-        title={t("cancel.ask", { title: process.name })}
-        act={t("cancel.act", { title: shortTitle(process.name) })}
-        dismiss={t("cancel.keep")}
-        kind="stop"
-        onAct={() => cancelProcess(process.id, name)}
-      >
-        <p>{t("cancel.means")}</p>
-        <OpenTasks process={process} />
-      </ConfirmDialog>
+      {asks && <CancelDialog process={process} onClose={() => setAsks(false)} />}
     </div>
-  );
-}
-
-function OpenTasks({ process }: { process: ProcessView }) {
-  const { t } = useTranslation("processes");
-  const open = process.tasks.filter((task) => task.endedAt === null && !task.cancelled);
-  if (open.length === 0) return null;
-  return (
-    <ul>
-      {open.map((task) => (
-        <li key={task.id}>
-          {t("cancel.task", { task: nameOf(task), who: task.involves.map(shortName).join(", ") })}
-        </li>
-      ))}
-    </ul>
   );
 }
