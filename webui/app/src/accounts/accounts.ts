@@ -29,7 +29,7 @@ export function useUsers(isWanted = true): Users {
   return { users: data ?? null, failure: fault === null ? null : errorText(fault), reload: () => void refetch() };
 }
 
-async function allUsers(signal: AbortSignal): Promise<UserView[]> {
+export async function allUsers(signal: AbortSignal): Promise<UserView[]> {
   const users: UserView[] = [];
   for (;;) {
     const after = users.at(-1)?.name ?? "";

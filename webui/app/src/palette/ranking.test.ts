@@ -14,7 +14,7 @@ function numbers(seed: number): (limit: number) => number {
   };
 }
 
-const LETTERS = [..."abcdefghijklmnopqrstuvwxyzäöüßéèåøñçžșıабвгдeλσς0123456789"];
+const LETTERS = Array.from("abcdefghijklmnopqrstuvwxyzäöüßéèåøñçžșıабвгдeλσς0123456789");
 const SEPARATORS = [" ", "  ", "-", "_", " · ", ", ", "/", " (", "."];
 
 function names(seed: number, count: number): string[] {

@@ -96,7 +96,7 @@ function bestMatch(words: readonly string[], typed: string, isInexact: boolean):
 
 /** Whether a word begins with what is typed but for one letter, which is not the first. */
 export function beginsAlmost(word: string, typed: string): boolean {
-  if (typed.length < MIN_INEXACT || word.charAt(0) !== typed.charAt(0)) return false;
+  if (typed.length < MIN_INEXACT || !word.startsWith(typed.charAt(0))) return false;
   let same = 1;
   while (same < typed.length && word.charAt(same) === typed.charAt(same)) same += 1;
   return (

@@ -35,7 +35,6 @@ export function remember({ id, kind, name, address }: Pick<EntryText, "id" | "ki
   const isOfPerson = kind === "person" || kind === "user" || kind === "patient";
   if (isOfPerson && currentSession().user?.isStation === true) return;
   const own = [{ id, kind, name, address }, ...recents().filter((recent) => recent.id !== id)].slice(0, MAX_RECENT);
-  const { [subject()]: _own, ...others } = stored();
-  const kept = Object.entries(others).slice(0, MAX_USERS - 1);
+  const kept = Object.entries(stored()).filter(([other]) => other !== subject()).slice(0, MAX_USERS - 1);
   localStorage.setItem(STORAGE_KEY, JSON.stringify({ [subject()]: own, ...Object.fromEntries(kept) }));
 }

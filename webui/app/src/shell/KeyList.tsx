@@ -2,6 +2,7 @@
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
+import { SHORTCUT } from "~/palette/shortcut";
 import { hasLead, LEAD, useKeysOn } from "./keys";
 import "~/design/ConfirmDialog.css";
 import "./KeyList.css";
@@ -26,7 +27,7 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
           <h3>{t("keys.here")}</h3>
           {inEffect(here).length === 0 ? <p className="quiet">{t("keys.none")}</p> : <Rows rows={inEffect(here)} />}
           <h3>{t("keys.everywhere")}</h3>
-          <Rows rows={[...inEffect(everywhere), { key: "Enter", does: t("keys.press") }]} />
+          <Rows rows={[{ key: SHORTCUT, does: t("palette") }, ...inEffect(everywhere), { key: "Enter", does: t("keys.press") }]} />
           <div className="confirm-dialog__actions">
             <Button onPress={onClose}>{t("close")}</Button>
           </div>
@@ -36,13 +37,20 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
   );
 }
 
+/** The keys of a row: with the stroke before the letter, or those that are pressed together. */
+function strokes(row: Row): string[] {
+  return hasLead(row) ? [LEAD, row.key] : row.key.split(" ");
+}
+
 function Rows({ rows }: { rows: readonly Row[] }) {
   return (
     <dl className="key-list__rows">
       {rows.map((row) => (
         <div key={row.key}>
           <dt>
-            {hasLead(row) && <kbd>{LEAD}</kbd>} <kbd>{row.key}</kbd>
+            {strokes(row).map((stroke) => (
+              <kbd key={stroke}>{stroke}</kbd>
+            ))}
           </dt>
           <dd>{row.does}</dd>
         </div>

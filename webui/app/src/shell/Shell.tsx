@@ -7,6 +7,7 @@ import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
 import { useConnectionState, useTopicSelector } from "~/live/hooks";
+import { PaletteButton } from "~/palette/PaletteButton";
 import { AccountMenu } from "~/session/AccountMenu";
 import { ALERTS_PAGE, offeredPlaces, pageAt, placeOf, type Place } from "~/places/places";
 import { useSession } from "~/session/session";
@@ -24,13 +25,15 @@ export function Shell({ children }: { children: ReactNode }) {
   const [showsKeys, setShowsKeys] = useState(false);
   const [showsPreferences, setShowsPreferences] = useState(false);
   const pageKeys = usePageKeys();
-  const places = useOfferedPlaces();
+  const services = useServices();
+  const places = useOfferedPlaces(services);
   useAlertSound();
   const here = pageAt(path);
   const placeName = placeOf(here)?.name;
   const place = places.find(({ name }) => name === placeName);
   const cell = useTopicSelector("cell", (view) => view?.factory);
 
+  const around = useMemo(() => ({ services, showPreferences: () => setShowsPreferences(true), showKeys: () => setShowsKeys(true) }), [services]);
   const everywhere = useMemo(
     () => [
       ...[...places.flatMap(({ pages }) => pages), ALERTS_PAGE].flatMap(({ key, name, path: to }) =>
@@ -60,6 +63,7 @@ export function Shell({ children }: { children: ReactNode }) {
           </p>
           {place !== undefined && place.name !== "home" && <PagesOfPlace place={place} here={here} />}
           <div className="shell__aside">
+            <PaletteButton places={places} around={around} />
             <Link href={ALERTS_PAGE.path} className="shell__alerts" aria-current={here === ALERTS_PAGE ? "page" : undefined}>
               <Bell aria-hidden size={20} />
               <span className="visually-hidden">{t("pages.alerts")}</span>
@@ -87,10 +91,15 @@ export function Shell({ children }: { children: ReactNode }) {
   );
 }
 
-function useOfferedPlaces(): readonly Place[] {
-  const { user } = useSession();
+/** The names of the services of the cell. */
+function useServices(): readonly string[] {
   const running = useTopicSelector("services", (services) => services?.map(({ name }) => name).join() ?? "");
-  return useMemo(() => offeredPlaces({ services: running.split(","), hasOwnHealth: user?.person != null }), [running, user]);
+  return useMemo(() => running.split(","), [running]);
+}
+
+function useOfferedPlaces(services: readonly string[]): readonly Place[] {
+  const { user } = useSession();
+  return useMemo(() => offeredPlaces({ services, hasOwnHealth: user?.person != null }), [services, user]);
 }
 
 function LinkBanner() {

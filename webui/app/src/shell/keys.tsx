@@ -55,7 +55,7 @@ export function usePageKeys(): readonly Key[] {
 }
 
 /** Whether keys of navigation are switched on. */
-function areKeysOn(): boolean {
+export function areKeysOn(): boolean {
   return localStorage.getItem(STORAGE_KEY) !== "off";
 }
 
@@ -97,10 +97,15 @@ export function listenForKeys(keys: readonly Pick<Key, "key" | "act">[]): () => 
 const TAKES_KEYS =
   "input, textarea, select, [contenteditable], [data-takes-keys], [role=alertdialog], [role=application], [role=combobox], [role=dialog], [role=listbox], [role=menu], [role=slider], [role=spinbutton], [role=tree]";
 
+/** Whether a dialog or the control of a robot has all keys. */
+export function isInputTaken(): boolean {
+  return document.querySelector("[data-takes-keyboard], [role=dialog], [role=alertdialog]") !== null;
+}
+
 /** Whether a key press is meant for a field, a widget, an open dialog or the control of a robot, or is a key held down. */
 function isForOtherTarget(event: KeyboardEvent): boolean {
   if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return true;
-  if (document.querySelector("[data-takes-keyboard], [role=dialog], [role=alertdialog]") !== null) return true;
+  if (isInputTaken()) return true;
   const target = event.target as Element | null;
   return target?.closest(TAKES_KEYS) != null;
 }

@@ -25,7 +25,7 @@ export function CancelDialog({ process, onClose, onDone }: CancelDialogProps) {
       act={t("cancel.act", { title: shortTitle(process.name) })}
       dismiss={t("cancel.keep")}
       kind="stop"
-      onAct={() => cancelProcess(process.id, name).then(onDone)}
+      onAct={() => cancelProcess(process.id, name).then(() => onDone?.())}
     >
       <p>{t("cancel.means")}</p>
       {open.length > 0 && (
