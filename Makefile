@@ -334,6 +334,7 @@ bench-vr: setup  ## virtual reality with an emulated headset: what the page work
 bench-screen: setup  ## the screen in Chromium: response times, and the waveforms of the page Health
 	@$(BIN)/python -m benchmarks.page.screen $(ARGS)
 	@$(BIN)/python -m benchmarks.page.waveforms
+	@$(PAGE) bench
 
 pictures: setup  ## make the pictures of the documentation from the running product (needs Chromium)
 	@$(BIN)/python -m benchmarks.page.pictures $(ARGS)

@@ -23,6 +23,7 @@ export default defineConfig({
         test: {
           name: "drawn",
           include: ["src/**/*.test.tsx"],
+          benchmark: { include: ["src/**/*.bench.tsx"] },
           environment: "jsdom",
           setupFiles: ["src/testing/setup.ts"],
         },
@@ -30,7 +31,7 @@ export default defineConfig({
       // Tests without a document share their modules instead of loading them for each file.
       {
         extends: true,
-        test: { name: "pure", include: ["src/**/*.test.ts"], environment: "node", isolate: false },
+        test: { name: "pure", include: ["src/**/*.test.ts"], benchmark: { include: ["src/**/*.bench.ts"] }, environment: "node", isolate: false },
       },
     ],
   },

@@ -1,5 +1,5 @@
 /** Shows the palette, and then what was chosen: a page, or the question of an act. */
-import { Suspense, useEffect, useState } from "react";
+import { Suspense, useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
 import type { Place } from "~/places/places";
@@ -30,6 +30,7 @@ export default function PaletteHost({ isOpen, onClose, places, around }: Palette
   const [, go] = useLocation();
   const [asked, setAsked] = useState<Asked | null>(null);
   const [done, setDone] = useState("");
+  const origin = useRef<Element | null>(null);
 
   useEffect(() => {
     if (done === "") return;
@@ -40,12 +41,24 @@ export default function PaletteHost({ isOpen, onClose, places, around }: Palette
     go(address);
     afterFocusReturned(() => document.getElementById("content")?.focus());
   };
+  const ask = (question: Asked) =>
+    afterFocusReturned(() => {
+      origin.current = document.activeElement;
+      setAsked(question);
+    });
+  const closeQuestion = () => {
+    setAsked(null);
+    // The button that confirms is disabled while it acts, so that the dialog has no focus left to return.
+    afterFocusReturned(() => {
+      if (document.activeElement === document.body && origin.current instanceof HTMLElement) origin.current.focus();
+    });
+  };
   const choose = ({ id, kind, name, address, act, subject }: Row) => {
     setDone("");
     onClose();
     const lasting = act === undefined || !isObjectAct(act) ? { id, kind, name, address: address ?? "" } : subject;
     if (lasting !== undefined) remember(lasting);
-    if (act?.question !== undefined) afterFocusReturned(() => setAsked({ act, subject, text: name }));
+    if (act?.question !== undefined) ask({ act, subject, text: name });
     else if (address !== undefined) open(address);
     else if (act !== undefined && !isObjectAct(act)) afterFocusReturned(() => void act.run?.(around));
   };
@@ -57,7 +70,7 @@ export default function PaletteHost({ isOpen, onClose, places, around }: Palette
         <Suspense fallback={null}>
           <Question
             subject={asked.subject}
-            onClose={() => setAsked(null)}
+            onClose={closeQuestion}
             onDone={(address) => {
               setDone(t("done", { act: asked.text.replace(/ …$/, "") }));
               if (address !== undefined) open(address);
