@@ -2,7 +2,7 @@
 import { Bell, Bot, ClipboardList, Cpu, Hand, LayoutPanelLeft, ListTodo, Server, SlidersHorizontal, UserRound, Workflow, Zap } from "lucide-react";
 import type { ComponentType } from "react";
 import type { Permission } from "~/session/session";
-import { candidateWords, type Candidate } from "./ranking";
+import { wordNumbers, type Candidate } from "./ranking";
 
 type Icon = ComponentType<{ size?: number; "aria-hidden"?: boolean }>;
 
@@ -45,16 +45,15 @@ export interface Entry extends Candidate {
   readonly detail: string;
   /** The address that opens it. */
   readonly address: string;
-  /** Text by which it is found as well. */
-  readonly more: string;
+  /** Texts by which it is found as well. */
+  readonly more: readonly string[];
   /** The live value, from which the acts on it are derived. */
   readonly value?: unknown;
 }
 
 export type EntryText = Pick<Entry, "id" | "kind" | "name" | "detail" | "address" | "more" | "value">;
 
-/** An entry with its words, which are those of `before` while its texts are the same. */
-export function entryOf(text: EntryText, before?: Entry): Entry {
-  if (before?.name === text.name && before.more === text.more) return { ...text, words: before.words, moreWords: before.moreWords, weight: before.weight };
-  return { ...text, ...candidateWords(text.name, text.more), weight: KINDS[text.kind].weight };
+/** An entry with its words. */
+export function entryOf(text: EntryText): Entry {
+  return { ...text, words: wordNumbers(text.name), moreWords: text.more.flatMap(wordNumbers), weight: KINDS[text.kind].weight };
 }

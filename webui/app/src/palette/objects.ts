@@ -1,6 +1,6 @@
 /**
  * The objects of the live store as entries, kept up to date by what has changed: a value that is the same object as before keeps
- * its entries, and an entry whose texts are the same keeps its words.
+ * its entries.
  */
 import i18next from "i18next";
 import { kindOf } from "~/alerts/attention";
@@ -49,6 +49,7 @@ export class ObjectIndex {
   #lists: readonly (readonly unknown[])[] = [];
   #texts = NO_TEXTS;
   #language = "";
+  readonly #said = new Map<string, string>();
 
   constructor(live: LiveStore) {
     this.#live = live;
@@ -63,6 +64,13 @@ export class ObjectIndex {
     return this.#texts;
   }
 
+  /** A text of the page, which many entries have. */
+  say(key: string): string {
+    const said = this.#said.get(key) ?? i18next.t(key);
+    this.#said.set(key, said);
+    return said;
+  }
+
   entry(id: string): Entry | undefined {
     return this.#byId.get(id);
   }
@@ -74,14 +82,14 @@ export class ObjectIndex {
     const lists = [...FAMILY_NAMES.map((family) => this.#live.list(family)), services];
     if (isSameText && lists.length === this.#lists.length && lists.every((list, nth) => list === this.#lists[nth])) return;
     this.#texts = texts;
+    if (!isSameText) this.#said.clear();
     this.#language = i18next.language;
     this.#lists = lists;
     const known = this.#byValue;
-    const before = this.#byId;
     this.#byValue = new Map();
     this.#byId = new Map();
     const add = (value: unknown, source: Source, isDependent = false) => {
-      const entries = (isSameText && !isDependent ? known.get(value) : undefined) ?? source(value as never, this).map((text) => entryOf(text, before.get(text.id)));
+      const entries = (isSameText && !isDependent ? known.get(value) : undefined) ?? source(value as never, this).map(entryOf);
       this.#byValue.set(value, entries);
       for (const entry of entries) this.#byId.set(entry.id, entry);
     };
@@ -96,19 +104,20 @@ export class ObjectIndex {
 function ofDefinition(definition: DefinitionView, { texts }: ObjectIndex): EntryText[] {
   const { name, version, title } = definition;
   const address = pathOf({ kind: "definition", name });
-  return [{ id: `definition/${name}`, kind: "definition", name: texts.of(name).say(title), detail: i18next.t("palette:version", { version }), address, more: `${name} ${title}`, value: definition }];
+  return [{ id: `definition/${name}`, kind: "definition", name: texts.of(name).say(title), detail: i18next.t("palette:version", { version }), address, more: [name, title], value: definition }];
 }
 
-function ofProcess(process: ProcessView, { texts }: ObjectIndex): EntryText[] {
+function ofProcess(process: ProcessView, index: ObjectIndex): EntryText[] {
+  const { texts } = index;
   const { id, definition, version, key } = process;
   const { name } = texts.localized({ name: process.name, title: process.title, definition, version });
   const entry: EntryText = {
     id: `process/${id}`,
     kind: "process",
     name,
-    detail: i18next.t(`common:processStatus.${processState(process)}`),
+    detail: index.say(`common:processStatus.${processState(process)}`),
     address: addresses.process(id),
-    more: `${id} ${definition} ${key ?? ""}`,
+    more: [id, definition, key ?? ""],
     value: process,
   };
   return [entry, ...process.tasks.map((task) => ofProcessTask(process, name, task, texts))];
@@ -117,7 +126,7 @@ function ofProcess(process: ProcessView, { texts }: ObjectIndex): EntryText[] {
 function ofProcessTask(process: ProcessView, processName: string, task: TaskView, texts: ProcessTexts): EntryText {
   const address = `${addresses.process(process.id)}?task=${encodeURIComponent(taskMark(task))}`;
   const name = texts.of(process.definition).say(nameOf(task));
-  return { id: `task/${shortName(task.id)}`, kind: "task", name, detail: processName, address, more: `${processName} ${shortName(task.id)}` };
+  return { id: `task/${shortName(task.id)}`, kind: "task", name, detail: processName, address, more: [processName, shortName(task.id)] };
 }
 
 /** A Task for people has a page of its own, and replaces that within its process. */
@@ -126,21 +135,21 @@ function ofTask(task: TasklistView, index: ObjectIndex): EntryText[] {
   const process = index.entry(`process/${task.process}`);
   const definition = (process?.value as ProcessView | undefined)?.definition ?? "";
   const detail = process?.name ?? "";
-  return [{ id: `task/${id}`, kind: "task", name: index.texts.of(definition).say(task.name), detail, address: addresses.tasks({ task: id }), more: `${detail} ${id} ${task.groups.join(" ")}`, value: task }];
+  return [{ id: `task/${id}`, kind: "task", name: index.texts.of(definition).say(task.name), detail, address: addresses.tasks({ task: id }), more: [detail, id, ...task.groups], value: task }];
 }
 
 function ofRobot(robot: RobotView): EntryText[] {
-  return [{ id: `robot/${robot.id}`, kind: "robot", name: robot.id, detail: robot.model, address: addresses.robot(robot.id), more: robot.model, value: robot }];
+  return [{ id: `robot/${robot.id}`, kind: "robot", name: robot.id, detail: robot.model, address: addresses.robot(robot.id), more: [robot.model], value: robot }];
 }
 
 function ofGlove({ glove, person }: GloveView): EntryText[] {
   const detail = person === null ? "" : shortName(person);
-  return [{ id: `glove/${glove}`, kind: "glove", name: glove, detail, address: addresses.glove(glove), more: detail, value: glove }];
+  return [{ id: `glove/${glove}`, kind: "glove", name: glove, detail, address: addresses.glove(glove), more: [detail], value: glove }];
 }
 
 function ofRegisteredDevice({ name, title, kind, location }: RegisteredDeviceView): EntryText[] {
   const shown = title === "" ? name : title;
-  return [{ id: `device/${name}`, kind: "device", name: shown, detail: location ?? "", address: addresses.device(name), more: `${name} ${kind} ${location ?? ""}` }];
+  return [{ id: `device/${name}`, kind: "device", name: shown, detail: location ?? "", address: addresses.device(name), more: [name, kind, location ?? ""] }];
 }
 
 /** A Device of the broker; a glove, a robot and a registered device have a page of their own. */
@@ -148,7 +157,7 @@ function ofDevice({ id, category, deviceState }: DeviceView, index: ObjectIndex)
   const name = shortName(id);
   if (["robot", "glove", "device"].some((kind) => index.entry(`${kind}/${name}`) !== undefined)) return [];
   const detail = deviceState === null ? "" : i18next.t(`common:deviceState.${deviceState}`);
-  return [{ id: `entity/${id}`, kind: "device", name, detail, address: addresses.cell({ find: name }), more: category.join(" ") }];
+  return [{ id: `entity/${id}`, kind: "device", name, detail, address: addresses.cell({ find: name }), more: category }];
 }
 
 function ofAlert(alert: AlertView, index: ObjectIndex): EntryText[] {
@@ -156,10 +165,10 @@ function ofAlert(alert: AlertView, index: ObjectIndex): EntryText[] {
   const name = kind === "other" ? (localizedText(alert, "description") ?? alert.description) : i18next.t(`common:alertKind.${kind}`);
   const source = shortName(alert.source);
   const detail = index.entry(`process/${source}`)?.name ?? index.entry(`task/${source}`)?.name ?? source;
-  return [{ id: `alert/${alert.id}`, kind: "alert", name, detail, address: addresses.alerts({ alert: alert.id }), more: `${detail} ${shortName(alert.id)}`, value: alert }];
+  return [{ id: `alert/${alert.id}`, kind: "alert", name, detail, address: addresses.alerts({ alert: alert.id }), more: [detail, shortName(alert.id)], value: alert }];
 }
 
 function ofService({ name, state }: ServiceHealth): EntryText[] {
   const detail = i18next.t(`common:health.${state}`);
-  return [{ id: `service/${name}`, kind: "service", name: i18next.t(`common:services.${name}`, { defaultValue: name }), detail, address: addresses.services(), more: name }];
+  return [{ id: `service/${name}`, kind: "service", name: i18next.t(`common:services.${name}`, { defaultValue: name }), detail, address: addresses.services(), more: [name] }];
 }

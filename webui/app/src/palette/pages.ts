@@ -37,7 +37,7 @@ export function pageEntries(places: readonly Place[]): Entry[] {
   const hasAccounts = currentSession().hasAccounts;
   const views = VIEWS.filter(({ page, permission, isOfAccounts }) => names.has(page) && (permission === undefined || mayDo(permission)) && (isOfAccounts !== true || hasAccounts));
   return [
-    ...[...pages, { ...ALERTS_PAGE, place: "" }].map(({ name, path, place }) => entryOf({ id: `page/${path}`, kind: "page", name: pageName(name), detail: place === pageName(name) ? "" : place, address: path, more: name })),
-    ...views.map(({ page, name, address }) => entryOf({ id: `page/${address}`, kind: "page", name: i18next.t(`palette:views.${name}`), detail: pageName(page), address, more: name })),
+    ...[...pages, { ...ALERTS_PAGE, place: "" }].map(({ name, path, place }) => entryOf({ id: `page/${path}`, kind: "page", name: pageName(name), detail: place === pageName(name) ? "" : place, address: path, more: [name] })),
+    ...views.map(({ page, name, address }) => entryOf({ id: `page/${address}`, kind: "page", name: i18next.t(`palette:views.${name}`), detail: pageName(page), address, more: [name] })),
   ];
 }

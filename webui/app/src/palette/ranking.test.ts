@@ -1,6 +1,6 @@
 /** Everything is found by each word of its name, however it is written; what was used lately comes first. */
 import { describe, expect, it } from "vitest";
-import { candidateWords, ranked, type Candidate } from "./ranking";
+import { ranked, wordNumbers, type Candidate } from "./ranking";
 import { folded, typedWords } from "./words";
 
 /** A generator of numbers below `limit` that is the same in each run (mulberry32). */
@@ -27,10 +27,10 @@ function names(seed: number, count: number): string[] {
 }
 
 function candidate(name: string, id = name, more = ""): Candidate {
-  return { id, name, ...candidateWords(name, more), weight: 0 };
+  return { id, name, words: wordNumbers(name), moreWords: wordNumbers(more), weight: 0 };
 }
 
-const all = names(7, 400).map((name, index) => candidate(name, `${index}`));
+const all = names(7, 150).map((name, index) => candidate(name, `${index}`));
 const idsOf = (query: string, recent: string[] = []) => ranked(all, query, recent).map(({ id }) => id);
 
 describe("each object", () => {
@@ -91,10 +91,10 @@ it("puts what was used lately first, in that order, among what matches as well",
   const found = (recent: string[]) => ranked(robots, "ur", recent).map(({ id }) => id);
   expect(found([])).toEqual(["ur10-1", "ur10-2", "ur10-3", "ur10-4"]);
   expect(found(["ur10-3", "ur10-4"])).toEqual(["ur10-3", "ur10-4", "ur10-1", "ur10-2"]);
-  for (const { id, words } of all.slice(0, 100)) {
-    const query = words[0] ?? "";
-    const best = idsOf(query)[0];
-    const isAsGood = all.find((other) => other.id === best)?.words.some((word) => word.startsWith(query)) === true;
+  for (const { id, name } of all.slice(0, 100)) {
+    const query = typedWords(name)[0] ?? "";
+    const first = idsOf(query)[0];
+    const isAsGood = all.find((other) => other.id === first)?.name.split(/[^\p{L}\p{N}]+/u).some((word) => folded(word).startsWith(query)) === true;
     if (isAsGood) expect(idsOf(query, [id])[0]).toBe(id);
   }
 });
@@ -102,6 +102,13 @@ it("puts what was used lately first, in that order, among what matches as well",
 it("puts whole words before beginnings, these before parts, and names before ids", () => {
   const objects = [candidate("Scan the bin"), candidate("Binder"), candidate("Cabin"), candidate("Empty", "x", "bin-picking-7")];
   expect(ranked(objects, "bin").map(({ name }) => name)).toEqual(["Scan the bin", "Binder", "Empty", "Cabin"]);
+});
+
+it("has the same order with a limit as without one", () => {
+  for (const { name } of all.slice(0, 100)) {
+    const query = name.slice(0, 1);
+    for (const limit of [1, 7, 50]) expect(ranked(all, query, ["3", "5"], limit)).toEqual(ranked(all, query, ["3", "5"]).slice(0, limit));
+  }
 });
 
 it("folds a text that is folded to itself", () => {

@@ -1,6 +1,6 @@
 /** What the user has opened or done lately, the last first; stored on this device for each user. */
 import { currentSession } from "~/session/session";
-import type { Entry, EntryText } from "./entries";
+import type { Entry } from "./entries";
 
 export type Recent = Pick<Entry, "id" | "kind" | "name" | "address">;
 
@@ -31,7 +31,7 @@ export function recents(): readonly Recent[] {
 }
 
 /** Remember an entry. Names of people are not stored at a station, where others may read them. */
-export function remember({ id, kind, name, address }: Pick<EntryText, "id" | "kind" | "name" | "address">): void {
+export function remember({ id, kind, name, address }: Recent): void {
   const isOfPerson = kind === "person" || kind === "user" || kind === "patient";
   if (isOfPerson && currentSession().user?.isStation === true) return;
   const own = [{ id, kind, name, address }, ...recents().filter((recent) => recent.id !== id)].slice(0, MAX_RECENT);

@@ -31,26 +31,26 @@ const SOURCES: readonly Source[] = [
   {
     service: "task-orchestrator",
     isSearch: true,
-    load: async (words, _signal, texts) => texts.localized(await processesBefore(null, MAX_PROCESSES, ALL_PROCESSES, words)).map(({ id, name, definition, key, status }) => ({ id: `process/${id}`, kind: "process", name, detail: i18next.t(`common:processStatus.${status}`), address: addresses.process(id), more: `${id} ${definition} ${key ?? ""}` })),
+    load: async (words, _signal, texts) => texts.localized(await processesBefore(null, MAX_PROCESSES, ALL_PROCESSES, words)).map(({ id, name, definition, key, status }) => ({ id: `process/${id}`, kind: "process", name, detail: i18next.t(`common:processStatus.${status}`), address: addresses.process(id), more: [id, definition, key ?? ""] })),
   },
   {
     service: "gesture-controller",
-    load: async (_words, signal) => (await requestService<PersonOfGestures[]>("gesture-controller", "people", { signal })).map(({ name, title }) => ({ id: `person/${name}`, kind: "person", name: title ?? name, detail: i18next.t("palette:gestures"), address: addresses.people({ person: name }), more: name })),
+    load: async (_words, signal) => (await requestService<PersonOfGestures[]>("gesture-controller", "people", { signal })).map(({ name, title }) => ({ id: `person/${name}`, kind: "person", name: title ?? name, detail: i18next.t("palette:gestures"), address: addresses.people({ person: name }), more: [name] })),
   },
   {
     service: "accounts",
     isOffered: () => currentSession().hasAccounts && mayDo("managePeople"),
-    load: async (_words, signal) => (await allUsers(signal)).map(({ subject, name }) => ({ id: `user/${subject}`, kind: "user", name, detail: i18next.t("palette:account"), address: addresses.people({ view: "users", user: subject }), more: "" })),
+    load: async (_words, signal) => (await allUsers(signal)).map(({ subject, name }) => ({ id: `user/${subject}`, kind: "user", name, detail: i18next.t("palette:account"), address: addresses.people({ view: "users", user: subject }), more: [] })),
   },
   {
     service: "human-state",
     isOffered: () => mayDo("readHealthData") || currentSession().user?.person != null,
-    load: async (_words, signal) => (await requestService<Patient[]>("human-state", "people", { signal })).map(({ person, pseudonym }) => ({ id: `patient/${person}`, kind: "patient", name: person, detail: i18next.t("common:pages.health"), address: addresses.health({ person }), more: pseudonym })),
+    load: async (_words, signal) => (await requestService<Patient[]>("human-state", "people", { signal })).map(({ person, pseudonym }) => ({ id: `patient/${person}`, kind: "patient", name: person, detail: i18next.t("common:pages.health"), address: addresses.health({ person }), more: [pseudonym] })),
   },
   {
     service: "assistive-devices",
     isOffered: () => mayDo("readHealthData"),
-    load: async (_words, signal) => (await requestService<MachineView[]>("assistive-devices", "machines", { signal })).map(({ case: name, robot }) => ({ id: `machine/${name}`, kind: "machine", name: i18next.t(`cases:name.${name}`, { defaultValue: name }), detail: i18next.t("common:pages.cases"), address: addresses.cases({ case: name }), more: `${name} ${robot}` })),
+    load: async (_words, signal) => (await requestService<MachineView[]>("assistive-devices", "machines", { signal })).map(({ case: name, robot }) => ({ id: `machine/${name}`, kind: "machine", name: i18next.t(`cases:name.${name}`, { defaultValue: name }), detail: i18next.t("common:pages.cases"), address: addresses.cases({ case: name }), more: [name, robot] })),
   },
 ];
 

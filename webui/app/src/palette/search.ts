@@ -2,7 +2,7 @@
 import { mayDo } from "~/session/session";
 import { allActs, isObjectAct, type Act, type ActContext, type ObjectAct, type PlainAct } from "./acts";
 import { entryOf, KINDS, permissionOf, type Entry, type Kind } from "./entries";
-import { candidateWords, ranked, type Candidate } from "./ranking";
+import { ranked, wordNumbers, type Candidate } from "./ranking";
 import type { Recent } from "./recents";
 import { typedWords, wordsOf } from "./words";
 
@@ -59,7 +59,7 @@ export function initialRows(searched: Searched): { recent: Row[]; acts: Row[]; p
       if (row !== undefined) return [row];
       // It may be archived; what the table of acts or pages does not have is not offered any more.
       const isGone = !(kind in KINDS) || kind === "act" || kind === "setting" || kind === "page" || !maySee(kind);
-      return isGone ? [] : [asRow(entryOf({ id, kind, name, address, detail: "", more: "" }))];
+      return isGone ? [] : [asRow(entryOf({ id, kind, name, address, detail: "", more: [] }))];
     })
     .slice(0, MAX_RECENT_ROWS);
   const used = new Set(recent.map(({ id }) => id));
@@ -93,7 +93,7 @@ function offeredActs(around: ActContext): { plain: PlainAct[]; ofObjects: Object
 function rowOfAct(act: PlainAct): Row {
   const name = act.text();
   const kind = act.isSetting === true ? "setting" : "act";
-  return { id: `act/${act.id}`, kind, name, ...candidateWords(name, act.more?.() ?? ""), weight: KINDS[kind].weight, detail: "", icon: act.icon, address: act.address, act };
+  return { id: `act/${act.id}`, kind, name, words: wordNumbers(name), moreWords: wordNumbers(act.more?.() ?? ""), weight: KINDS[kind].weight, detail: "", icon: act.icon, address: act.address, act };
 }
 
 /** An act on those objects that the other words name, if one of the words names the act. */
@@ -103,16 +103,15 @@ function rowsOfObjectAct(act: ObjectAct, query: string, { objects, entry }: Sear
   const others = typed.filter((word) => word.length < MIN_VERB || !verbs.some((verb) => verb.startsWith(word)));
   if (others.length === typed.length) return [];
   const subjects = objects.filter(({ kind, value }) => kind === act.of && value !== undefined && (act.isOffered?.(value as never, entry) ?? true));
-  const named = others.length > 0 ? ranked(subjects, others.join(" "), recent) : [...subjects].sort((a, b) => placeIn(recent, a.id) - placeIn(recent, b.id));
+  const named = others.length > 0 ? ranked(subjects, others.join(" "), recent, MAX_SUBJECTS) : [...subjects].sort((a, b) => placeIn(recent, a.id) - placeIn(recent, b.id));
   return named.slice(0, MAX_SUBJECTS).map((subject) => {
     const name = act.text(subject.name);
-    const words = candidateWords(name, act.more?.() ?? "");
     return {
       id: `act/${act.id}/${subject.id}`,
       kind: "act",
       name,
-      words: words.words,
-      moreWords: [...words.moreWords, ...subject.moreWords],
+      words: wordNumbers(name),
+      moreWords: [...wordNumbers(act.more?.() ?? ""), ...subject.moreWords],
       weight: OBJECT_ACT_WEIGHT,
       detail: subject.detail,
       icon: act.icon,
