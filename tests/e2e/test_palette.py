@@ -134,6 +134,8 @@ def test_the_palette_in_each_look(
     begin(quiet_screen)
     for name, look in LOOKS:
         page = open_page("/", **look)
+        page.locator(".palette-button button").wait_for()
+        keep(page, f"palette-{name}-button")
         page.locator(".palette-button button").click()
         page.get_by_role("listbox").get_by_role("option").first.wait_for()
         keep(page, f"palette-{name}-start")

@@ -12,7 +12,7 @@ import type { LiveStore } from "~/live/store";
 import type { Place } from "~/places/places";
 import { isPaletteKey } from "./shortcut";
 import type { ActContext } from "./acts";
-import { FAMILY_NAMES, ObjectIndex } from "./objects";
+import { FAMILY_NAMES, indexOf, type ObjectIndex } from "./objects";
 import { pageEntries } from "./pages";
 import { recents } from "./recents";
 import { useRemote } from "./remote";
@@ -22,8 +22,6 @@ import "./Palette.css";
 /** Changes of the live store are taken over this often at most. */
 const REFRESH_MS = 500;
 const PAGE_ROWS = 8;
-
-const indexes = new WeakMap<LiveStore, ObjectIndex>();
 
 export interface PaletteProps {
   places: readonly Place[];
@@ -175,7 +173,7 @@ function useSections(query: string, places: readonly Place[], around: ActContext
 
   const sections: Section[] =
     query.trim() === ""
-      ? (["recent", "acts", "pages"] as const).map((name) => ({ name, rows: initial[name] })).filter((section) => section.rows.length > 0)
+      ? (["recent", "pages", "acts"] as const).map((name) => ({ name, rows: initial[name] })).filter((section) => section.rows.length > 0)
       : [{ name: null, rows }];
   return { sections, isLoading: remote.isLoading, isIncomplete: remote.isIncomplete };
 }
@@ -184,11 +182,7 @@ function useSections(query: string, places: readonly Place[], around: ActContext
 function useIndex(): ObjectIndex {
   const live = useLive();
   const texts = useProcessTexts();
-  const index = useMemo(() => {
-    const made = indexes.get(live) ?? new ObjectIndex(live);
-    indexes.set(live, made);
-    return made;
-  }, [live]);
+  const index = useMemo(() => indexOf(live), [live]);
   useState(() => index.refresh(texts)); // what has changed while nobody watched
   useEffect(() => live.subscribe("registeredDevices"), [live]);
   useSyncExternalStore(

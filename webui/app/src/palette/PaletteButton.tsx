@@ -17,9 +17,9 @@ const PREFETCH_MS = 5000;
 export function PaletteButton({ places, around }: { places: readonly Place[]; around: ActContext }) {
   const { t } = useTranslation("common");
   const [isOpen, setOpen] = useState(false);
-  const [isUsed, setUsed] = useState(false);
+  const [isWanted, setWanted] = useState(false);
   const open = () => {
-    setUsed(true);
+    setWanted(true);
     setOpen(true);
   };
   useEffect(() => {
@@ -32,7 +32,8 @@ export function PaletteButton({ places, around }: { places: readonly Place[]; ar
     return () => document.removeEventListener("keydown", listen);
   }, []);
   useEffect(() => {
-    const timer = setTimeout(() => ("requestIdleCallback" in window ? requestIdleCallback(() => void load()) : void load()), PREFETCH_MS);
+    const prepare = () => void load().then(() => setWanted(true), () => undefined); // the first use tries again
+    const timer = setTimeout(() => ("requestIdleCallback" in window ? requestIdleCallback(prepare) : prepare()), PREFETCH_MS);
     return () => clearTimeout(timer);
   }, []);
   return (
@@ -42,7 +43,7 @@ export function PaletteButton({ places, around }: { places: readonly Place[]; ar
           <span className="palette-button__text">{t("palette")}</span> <kbd aria-hidden>{SHORTCUT}</kbd>
         </Button>
       </div>
-      {isUsed && (
+      {isWanted && (
         <Suspense fallback={null}>
           <PaletteHost isOpen={isOpen} onClose={() => setOpen(false)} places={places} around={around} />
         </Suspense>

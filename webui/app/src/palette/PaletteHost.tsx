@@ -2,9 +2,11 @@
 import { Suspense, useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
+import { useLive, useProcessTexts } from "~/live/hooks";
 import type { Place } from "~/places/places";
 import { isObjectAct, type Act, type ActContext } from "./acts";
 import type { Entry } from "./entries";
+import { indexOf } from "./objects";
 import { Palette } from "./Palette";
 import { remember } from "./recents";
 import type { Row } from "./search";
@@ -32,6 +34,9 @@ export default function PaletteHost({ isOpen, onClose, places, around }: Palette
   const [done, setDone] = useState("");
   const origin = useRef<Element | null>(null);
 
+  const live = useLive();
+  const texts = useProcessTexts();
+  useEffect(() => indexOf(live).refresh(texts), [live, texts]); // before the first use
   useEffect(() => {
     if (done === "") return;
     const timer = setTimeout(() => setDone(""), DONE_MS);

@@ -101,6 +101,15 @@ export class ObjectIndex {
   }
 }
 
+const indexes = new WeakMap<LiveStore, ObjectIndex>();
+
+/** The index of a live store, which is kept while the palette is closed, so that it opens at once. */
+export function indexOf(live: LiveStore): ObjectIndex {
+  const index = indexes.get(live) ?? new ObjectIndex(live);
+  indexes.set(live, index);
+  return index;
+}
+
 function ofDefinition(definition: DefinitionView, { texts }: ObjectIndex): EntryText[] {
   const { name, version, title } = definition;
   const address = pathOf({ kind: "definition", name });

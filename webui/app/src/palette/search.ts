@@ -47,7 +47,7 @@ export function rowsFor(query: string, searched: Searched): Row[] {
   return ranked(candidates, query, recent, MAX_ROWS).map(asRow);
 }
 
-/** What is listed before anything is typed: what was used lately, then acts and settings, then pages. */
+/** What is listed before anything is typed: what was used lately, then pages, then acts and settings. */
 export function initialRows(searched: Searched): { recent: Row[]; acts: Row[]; pages: Row[] } {
   const acts = offeredActs(searched.around).plain.map(rowOfAct);
   const pages = searched.pages.map(asRow);
