@@ -38,7 +38,9 @@ class VersionStatistics(TypedDict):
 
 
 class PeriodStatistics(ProcessCounts):
-    """The statistics of a period."""
+    """The statistics of a period; `since` is when the cell began where that is later than what was asked."""
+
+    since: Moment
 
     medianMs: int | None
 

@@ -12,6 +12,7 @@ from handover.http.body_limit import max_body
 from handover.security.act_recording import lowers
 from handover.security.guard import authenticated, require, require_by_handler
 from handover.security.permissions import Permission
+from handover_datamodels.times import iso
 from handover_processes.documents.document import document, json_response
 from handover_processes.documents.processes import ProcessSummary, process_summary
 from handover_processes.documents.requests import (
@@ -82,10 +83,15 @@ def add_processes(app: FastAPI, at: Components) -> None:
     )
     async def statistics(
         since: Annotated[Moment, Query(description="count processes that ended at this time or later")],
+        until: Annotated[
+            Moment | None, Query(description="count processes that ended before this time")
+        ] = None,
     ) -> Response:
-        """Return the number of running and ended processes since a time, and their median duration."""
-        counts = await orchestrator.read(store.counts_since, since, orchestrator.clock())
-        return json_response(document(PeriodStatistics, counts))
+        """Return the number of running processes and of those ended in a period, and their median duration."""
+        counts = await orchestrator.read(store.counts_since, since, orchestrator.clock(), until)
+        begins = orchestrator.state.registry.first_deployed_at()
+        shown = since if begins is None else max(since, begins)
+        return json_response(document(PeriodStatistics, counts, since=iso(shown)))
 
     @routes.get(
         "/processes/{process_id}", responses=PROCESS, dependencies=[require(Permission.READ, of_process(at))]

@@ -113,27 +113,32 @@ def count_version(connection: Connection, definition: str, version: int, now: da
     return VersionCount(running, ended[Counted.COMPLETED], ended[Counted.FAILED], elements)
 
 
-def count_period(connection: Connection, since: datetime, now: datetime) -> PeriodCount:
-    """Return the counts of processes that ended at `since` or later.
+def count_period(
+    connection: Connection, since: datetime, now: datetime, until: datetime | None = None
+) -> PeriodCount:
+    """Return the counts of processes that ended at `since` or later, and before `until` if there is one.
 
-    The rest of the hour of `since` is read from the processes, the hours after it from the statistics.
+    Whole hours are read from the statistics, the parts of hours at both ends from the processes.
     """
     running = connection.scalar(select(func.count()).where(processes.c.ended_at.is_(None))) or 0
     first = hour_of(since) if moment_of(hour_of(since)) == since else hour_of(since) + 1
+    last = hour_of(now) + 1 if until is None else hour_of(until)
+    parts = [(since, moment_of(first))]
+    if until is not None:
+        parts = [(since, until)] if last < first else [*parts, (moment_of(last), until)]
     completed: dict[int, Sums] = {}
     failed = 0
-    before = connection.execute(
-        select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(
-            processes.c.ended_at >= as_column(since), processes.c.ended_at < as_column(moment_of(first))
-        )
-    )
-    for status, started_at, ended_at in before:
-        if status == TaskStatus.FAILED.value:
-            failed += 1
-        elif status == TaskStatus.COMPLETED.value:
-            took_ms = elapsed_ms(datetime.fromisoformat(started_at), datetime.fromisoformat(ended_at))
-            completed.setdefault(bin_of(took_ms), Sums()).add(Sums(1, took_ms))
-    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), ReportScope())
+    for begins, ends in parts:
+        in_part = (processes.c.ended_at >= as_column(begins)) & (processes.c.ended_at < as_column(ends))
+        ended = select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(in_part)
+        for status, started_at, ended_at in connection.execute(ended):
+            if status == TaskStatus.FAILED.value:
+                failed += 1
+            elif status == TaskStatus.COMPLETED.value:
+                took_ms = elapsed_ms(datetime.fromisoformat(started_at), datetime.fromisoformat(ended_at))
+                completed.setdefault(bin_of(took_ms), Sums()).add(Sums(1, took_ms))
+    whole = Period(first, last)
+    counted = process_durations(connection, whole, ReportScope()) if first < last else {}
     for (_, result), distribution in counted.items():
         if result is Counted.FAILED:
             failed += distribution.total.counted

@@ -282,10 +282,10 @@ class Store:
         with self.engine.connect() as connection:
             return count_version(connection, definition, version, now)
 
-    def counts_since(self, since: datetime, now: datetime) -> PeriodCount:
-        """Return the statistics of the processes that ended at `since` or later."""
+    def counts_since(self, since: datetime, now: datetime, until: datetime | None = None) -> PeriodCount:
+        """Return the statistics of the processes that ended at `since` or later, and before `until`."""
         with self.engine.connect() as connection:
-            return count_period(connection, since, now)
+            return count_period(connection, since, now, until)
 
     def tasks(self, process: str) -> list[TaskRecord]:
         """Return the Tasks of a process in the order of their creation."""

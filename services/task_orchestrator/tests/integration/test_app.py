@@ -218,7 +218,11 @@ async def test_the_counts_of_a_day_have_ended_processes_and_their_duration(
     assert (counts["running"], counts["completed"], counts["failed"]) == (1, 2, 1)
     assert counts["medianMs"] >= 0
     later = (await api.get("/statistics", params={"since": "2999-01-01T00:00:00Z"})).json()
-    assert later == {"running": 1, "completed": 0, "failed": 0, "medianMs": None}
+    assert later == {"running": 1, "completed": 0, "failed": 0, "medianMs": None, "since": later["since"]}
+    assert later["since"].startswith("2999")
+    before = (await api.get("/statistics", params={"since": "2020-01-01T00:00:00Z", "until": began})).json()
+    assert (before["completed"], before["failed"]) == (0, 0)
+    assert before["since"] <= (await api.get("/definitions/p")).json()["deployedAt"] < began
     assert (await api.get("/statistics", params={"since": "yesterday"})).status_code == 422
 
 

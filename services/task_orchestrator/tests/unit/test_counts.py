@@ -178,4 +178,9 @@ def test_the_counts_of_a_period_begin_at_its_minute(store: Store) -> None:
     assert (counts.running, counts.completed, counts.failed) == (1, 3, 2)
     assert counts.median_ms == 60 * 60_000
     assert store.counts_since(NOW.replace(minute=0), now).completed == 4
+    for first, last in ((0, 10), (0, 11), (5, 15), (5, 61), (0, 41), (11, 301), (300, 302)):
+        counts = store.counts_since(begun + timedelta(minutes=first), now, begun + timedelta(minutes=last))
+        at = [process.ended_at for process in ended if process.status is TaskStatus.COMPLETED]
+        within = [moment for moment in at if first * 60 <= (moment - begun).total_seconds() < last * 60]
+        assert counts.completed == len(within), (first, last)
     assert store.counts_since(NOW.replace(year=2999), now) == PeriodCount(1, 0, 0, None)

@@ -13,7 +13,7 @@ export const addresses = {
   alerts: (query: { alert?: string } = {}) => withQuery("/alerts", query),
 
   work: (query: { glove?: string } = {}) => withQuery("/work", query),
-  tasks: (query: { task?: string } = {}) => withQuery("/work/tasks", query),
+  tasks: (query: { task?: string; show?: "mine" | "groups" | "free" } = {}) => withQuery("/work/tasks", query),
 
   processes: (query: { state?: string } = {}) => withQuery("/processes", query),
   process: (id: string) => `/processes/${encodeURIComponent(id)}`,

@@ -6,8 +6,8 @@
  */
 import { ClipboardCheck, Factory, HardHat, HeartHandshake, House, Workflow } from "lucide-react";
 import { lazy, type ComponentType } from "react";
+import HomePage from "~/home/HomePage";
 import { mayDo } from "~/session/session";
-import StartPage from "~/start/StartPage";
 
 /** What decides which pages are offered. */
 export interface Surroundings {
@@ -38,7 +38,7 @@ export interface Place {
 const runs = (service: string) => (around: Surroundings) => around.services.includes(service);
 
 export const PLACES: readonly Place[] = [
-  { name: "home", icon: House, pages: [{ name: "start", path: "/", key: "h", component: StartPage }] },
+  { name: "home", icon: House, pages: [{ name: "start", path: "/", key: "h", component: HomePage }] },
   {
     name: "work",
     icon: HardHat,

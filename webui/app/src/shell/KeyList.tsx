@@ -12,7 +12,16 @@ interface Row {
   does: string;
 }
 
-export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean; onClose: () => void; everywhere: readonly Row[]; here: readonly Row[] }) {
+interface KeyListProps {
+  isOpen: boolean;
+  onClose: () => void;
+  /** Bring the guide of the first steps back. */
+  onGuide: () => void;
+  everywhere: readonly Row[];
+  here: readonly Row[];
+}
+
+export function KeyList({ isOpen, onClose, onGuide, everywhere, here }: KeyListProps) {
   const { t } = useTranslation("common");
   const isOn = useKeysOn();
   const inEffect = (rows: readonly Row[]) => rows.filter((row) => isOn || !hasLead(row));
@@ -29,6 +38,7 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
           <h3>{t("keys.everywhere")}</h3>
           <Rows rows={[{ key: SHORTCUT, does: t("palette") }, ...inEffect(everywhere), { key: "Enter", does: t("keys.press") }]} />
           <div className="confirm-dialog__actions">
+            <Button onPress={onGuide}>{t("keys.guide")}</Button>
             <Button onPress={onClose}>{t("close")}</Button>
           </div>
         </Dialog>

@@ -6,9 +6,12 @@ import { Link, useLocation } from "wouter";
 import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
+import { Loading } from "~/design/Loading";
+import { setGuideState } from "~/home/guideState";
 import { useConnectionState, useTopicSelector } from "~/live/hooks";
 import { PaletteButton } from "~/palette/PaletteButton";
 import { AccountMenu } from "~/session/AccountMenu";
+import { addresses } from "~/places/addresses";
 import { ALERTS_PAGE, offeredPlaces, pageAt, placeOf, type Place } from "~/places/places";
 import { useSession } from "~/session/session";
 import { KeyList } from "./KeyList";
@@ -77,12 +80,17 @@ export function Shell({ children }: { children: ReactNode }) {
         <LinkBanner />
         {(here?.name === "start" || here?.name === "work") && <AttentionBanner large={here.name === "work"} />}
         <main id="content" className="shell__content" tabIndex={-1}>
-          <Suspense fallback={<p className="shell__loading quiet">{t("loading")}</p>}>{children}</Suspense>
+          <Suspense fallback={<Loading isPage />}>{children}</Suspense>
         </main>
       </div>
       <KeyList
         isOpen={showsKeys}
         onClose={() => setShowsKeys(false)}
+        onGuide={() => {
+          setGuideState("wanted");
+          setShowsKeys(false);
+          go(addresses.home());
+        }}
         everywhere={everywhere}
         here={pageKeys}
       />

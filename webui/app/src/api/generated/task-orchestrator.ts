@@ -582,11 +582,12 @@ export interface PausedProcesses {
   processes: string[];
 }
 
-/** The statistics of a period. */
+/** The statistics of a period; `since` is when the cell began where that is later than what was asked. */
 export interface PeriodStatistics {
   running: number;
   completed: number;
   failed: number;
+  since: string;
   medianMs: number | null;
 }
 

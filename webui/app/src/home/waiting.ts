@@ -1,7 +1,9 @@
-/** Data of the dashboard: waiting Tasks by resource, and processes that need attention. */
+/** Open Tasks and processes as Home lists them: what has waited longest first, so that new ones do not move the others. */
 import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
+import type { TasklistView } from "~/live/messages";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
+import { isFree, isInView, isLater, isMine, type Identity } from "~/tasks/list";
 
 export interface Waiting {
   process: ProcessView;
@@ -51,9 +53,20 @@ export function withIncidents(processes: readonly ProcessView[]): ProcessView[] 
   return processes.filter((process) => processState(process) === "incident").sort((a, b) => (since(a) < since(b) ? -1 : 1));
 }
 
-/** The start of the day of `now` (in ms), in the local time zone. */
-export function startOfDay(now: number): string {
-  const day = new Date(now);
-  day.setHours(0, 0, 0, 0);
-  return day.toISOString();
+/** The running processes, the longest running first. */
+export function runningProcesses(processes: readonly ProcessView[]): ProcessView[] {
+  return processes
+    .filter((process) => process.endedAt === null)
+    .sort((a, b) => (a.startedAt === b.startedAt ? (a.id < b.id ? -1 : 1) : a.startedAt < b.startedAt ? -1 : 1));
+}
+
+/** The Tasks that wait for a person: those of the person and of the person's groups, then those that anybody may claim. */
+export function tasksFor(tasks: readonly TasklistView[], who: Identity, nowMs: number): { own: TasklistView[]; free: TasklistView[] } {
+  const now = tasks.filter((task) => !isLater(task, nowMs, who)).sort((a, b) => compareText(a.since ?? "", b.since ?? "") || compareText(a.id, b.id));
+  const own = now.filter((task) => isMine(task, who) || (isFree(task) && isInView(task, "groups", who)));
+  return { own, free: now.filter((task) => !own.includes(task) && isInView(task, "free", who) && (task.groups.length === 0 || who.groups.length === 0)) };
+}
+
+function compareText(a: string, b: string): number {
+  return a < b ? -1 : a > b ? 1 : 0;
 }

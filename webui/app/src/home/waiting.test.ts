@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { at, process, task } from "~/testing/views";
-import { byPerformer, failedSince, startOfDay, waitingTasks } from "./overview";
+import { byPerformer, failedSince, waitingTasks } from "./waiting";
 
 const asked = (id: string, who: string, second: number) =>
   task({ id, involves: [`urn:ngsi-ld:Device:demo:${who}`], createdAt: at(0), history: [{ status: "pending", at: at(second) }] });
@@ -22,10 +22,4 @@ test("open tasks stand by how long they have waited, and for whom", () => {
 test("failed processes of the day, the newest first", () => {
   const failed = (id: string, second: number) => process({ id, status: "failed", endedAt: at(second) });
   expect(failedSince([failed("a", 5), failed("b", 9), failed("old", 1), process({ id: "runs" })], at(2)).map((each) => each.id)).toEqual(["b", "a"]);
-});
-
-test("a day begins at midnight where the reader is", () => {
-  const midnight = new Date(startOfDay(Date.parse(at(0))));
-  expect([midnight.getHours(), midnight.getMinutes()]).toEqual([0, 0]);
-  expect(midnight.getTime()).toBeLessThanOrEqual(Date.parse(at(0)));
 });
