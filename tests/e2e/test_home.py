@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import httpx
-import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpenPage
@@ -77,7 +76,8 @@ def test_an_engineer_sees_what_is_wrong_and_what_runs(
     process.wait_for()
     for name in ("Needs attention", "Running", "Waiting for you"):
         box = page.get_by_role("heading", name=name, exact=True).bounding_box()
-        assert box is not None and box["y"] + box["height"] <= LAPTOP["height"]
+        assert box is not None
+        assert box["y"] + box["height"] <= LAPTOP["height"]
     # A cell that is younger than the day says since when; yesterday is not compared.
     expect(page.get_by_role("heading", name="Today, since")).to_be_visible()
     expect(page.get_by_text("yesterday")).to_have_count(0)
@@ -105,7 +105,8 @@ def test_on_a_phone_what_waits_comes_first_and_opens_with_one_press(
     assert heads(page)[0] == "Waiting for you"
     row = page.get_by_role("link", name="At glove-1")
     box = row.bounding_box()
-    assert box is not None and box["y"] + box["height"] <= PHONE["height"]
+    assert box is not None
+    assert box["y"] + box["height"] <= PHONE["height"]
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     keep(page, "home-phone")
     accessible(page)

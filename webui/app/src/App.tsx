@@ -4,6 +4,7 @@ import { useTranslation } from "react-i18next";
 import { Link, Redirect, Route, Switch, useLocation, useSearch } from "wouter";
 import { RouterProvider } from "react-aria-components";
 import { EmptyState } from "~/design/EmptyState";
+import { Loading } from "~/design/Loading";
 import { useHasSnapshot } from "~/live/hooks";
 import { useGloveNames, useRobotNames } from "~/live/names";
 import { addresses } from "~/places/addresses";
@@ -58,5 +59,5 @@ function FormerOrUnknown() {
   const hasSnapshot = useHasSnapshot();
   const to = presentAddress(path, search, { robot, glove });
   if (to === null) return <EmptyState title={t("unknownPage.title")} act={<Link href={addresses.home()}>{t("unknownPage.act")}</Link>} />;
-  return hasSnapshot ? <Redirect to={to} replace /> : <p className="quiet shell__loading">{t("loading")}</p>;
+  return hasSnapshot ? <Redirect to={to} replace /> : <Loading isPage />;
 }

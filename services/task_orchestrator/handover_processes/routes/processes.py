@@ -87,7 +87,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
             Moment | None, Query(description="count processes that ended before this time")
         ] = None,
     ) -> Response:
-        """Return the number of running processes and of those ended in a period, and their median duration."""
+        """Return the number of processes that run and that ended in a period, and their median duration."""
         counts = await orchestrator.read(store.counts_since, since, orchestrator.clock(), until)
         begins = orchestrator.state.registry.first_deployed_at()
         shown = since if begins is None else max(since, begins)

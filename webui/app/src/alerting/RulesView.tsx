@@ -7,6 +7,7 @@ import { errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { Loading } from "~/design/Loading";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Select } from "~/design/Select";
 import { StatusBadge, type Tone } from "~/design/StatusBadge";
@@ -77,11 +78,10 @@ interface RuleFormProps {
 }
 
 function RuleForm(props: RuleFormProps) {
-  const { t } = useTranslation("common");
   const { value: definitions, failure } = useServiceQuery<DefinitionView[]>("task-orchestrator", "definitions");
   const wanted = props.row?.rule.startProcess?.definition;
   // Without the orchestrator the name of the definition is typed.
-  if (definitions === null && failure === null) return <p className="quiet">{t("loading")}</p>;
+  if (definitions === null && failure === null) return <Loading />;
   const known = (definitions ?? []).map(({ name }) => name);
   return <LoadedRuleForm {...props} definitions={known.length === 0 || wanted === undefined ? known : [...known, wanted]} />;
 }

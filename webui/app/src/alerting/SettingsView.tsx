@@ -7,6 +7,7 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
+import { Loading } from "~/design/Loading";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { useChoice } from "~/route/choice";
@@ -93,7 +94,7 @@ export function SettingsView<T extends Named>({ kind, icon, rows, failure, mayAd
             </DataTable>
           </>
         )}
-        {rows === null && failure === null && <p className="quiet">{t("common:loading")}</p>}
+        {rows === null && failure === null && <Loading />}
       </aside>
       <div className="alerting__place">
         {isOpen ? (

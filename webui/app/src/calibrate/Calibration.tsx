@@ -11,7 +11,7 @@ import { fingers } from "~/hand/geometry";
 import { useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
 import { useChoice } from "~/route/choice";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
 import { GuidedCard } from "./GuidedCard";

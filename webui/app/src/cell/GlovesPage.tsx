@@ -2,6 +2,7 @@
 import { lazy } from "react";
 import { useTranslation } from "react-i18next";
 import { useParams } from "wouter";
+import { Loading } from "~/design/Loading";
 import { useHasSnapshot } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
 import { addresses, GLOVE_TABS } from "~/places/addresses";
@@ -28,12 +29,11 @@ export default function GlovesPage() {
 }
 
 function GlovePage({ name }: { name: string }) {
-  const { t } = useTranslation("common");
   const gloves = useGloveNames();
   const isLoaded = useHasSnapshot();
   const { tab: asked = "state" } = useParams();
   const tab = GLOVE_TABS.find((other) => other === asked);
-  if (!gloves.includes(name)) return isLoaded ? <UnknownName thing="glove" name={name} list={addresses.gloves()} /> : <p className="quiet shell__loading">{t("loading")}</p>;
+  if (!gloves.includes(name)) return isLoaded ? <UnknownName thing="glove" name={name} list={addresses.gloves()} /> : <Loading isPage />;
   if (tab === undefined) return <UnknownName thing="page" name={asked} />;
   return (
     <ObjectPage list={{ name: "gloves", address: addresses.gloves() }} name={name} names={gloves} tab={tab} tabs={GLOVE_TABS} addressOf={addresses.glove}>

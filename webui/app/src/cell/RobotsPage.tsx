@@ -3,6 +3,7 @@ import { lazy } from "react";
 import { useTranslation } from "react-i18next";
 import { Redirect, useParams } from "wouter";
 import { useRobots } from "~/control/robots";
+import { Loading } from "~/design/Loading";
 import { useRobotNames } from "~/live/names";
 import { addresses, ROBOT_TABS } from "~/places/addresses";
 import { UnknownName } from "~/route/UnknownName";
@@ -25,13 +26,13 @@ export default function RobotsPage() {
 }
 
 function RobotPage({ name }: { name: string }) {
-  const { t } = useTranslation(["system", "control", "common"]);
+  useTranslation(["system", "control"]); // loaded with the page
   const { robots, isLoaded } = useRobots();
   const ofTool = useRobotNames();
   const { tab: asked = "state" } = useParams();
   const tab = ROBOT_TABS.find((other) => other === asked);
   const robot = robots.find((other) => other.name === name);
-  if (robot === undefined) return isLoaded ? <UnknownName thing="robot" name={name} list={addresses.robots()} /> : <p className="quiet shell__loading">{t("common:loading")}</p>;
+  if (robot === undefined) return isLoaded ? <UnknownName thing="robot" name={name} list={addresses.robots()} /> : <Loading isPage />;
   if (tab === undefined) return <UnknownName thing="page" name={asked} />;
   return (
     <ObjectPage

@@ -1,4 +1,5 @@
 import { useTranslation } from "react-i18next";
+import { Loading } from "~/design/Loading";
 import { useTopic } from "~/live/hooks";
 import { addresses } from "~/places/addresses";
 import { UnknownName } from "~/route/UnknownName";
@@ -8,7 +9,7 @@ import { RosPanel } from "./ros/RosPanel";
 export default function RosPage() {
   const { t } = useTranslation("common");
   const services = useTopic("services");
-  if (services === undefined) return <p className="quiet shell__loading">{t("loading")}</p>;
+  if (services === undefined) return <Loading isPage />;
   if (!services.some(({ name }) => name === "ros-bridge")) return <UnknownName thing="page" name={t("pages.ros")} list={addresses.cell()} />;
   return (
     <ListPage name="ros">

@@ -8,6 +8,7 @@ import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
+import { Loading } from "~/design/Loading";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { useRegisteredDevices } from "~/live/hooks";
@@ -58,7 +59,7 @@ export default function DevicesPage() {
           )}
         </header>
         {!isCurrent && <ErrorMessage act={<Link href={addresses.services()}>{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
-        {devices === null && <p className="quiet">{t("common:loading")}</p>}
+        {devices === null && <Loading />}
         {devices !== null && devices.length > 0 && (
           <DeviceTable
             devices={devices}

@@ -8,6 +8,7 @@ import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { Loading } from "~/design/Loading";
 import { Select } from "~/design/Select";
 import { useNow } from "~/live/clock";
 import { shortName } from "~/live/urn";
@@ -75,7 +76,7 @@ export default function HealthPage() {
           onCancel={() => setAdding(false)}
         />
       ) : people === null ? (
-        failure === null && <p className="quiet">{t("common:loading")}</p>
+        failure === null && <Loading />
       ) : people.length === 0 && asked === "" ? (
         <EmptyState icon={<HeartPulse aria-hidden size={32} />} title={t("none.title")}>
           {t(mayAdd ? "none.means" : "none.ask")}

@@ -9,6 +9,7 @@ import { useServiceQuery } from "~/api/useServiceQuery";
 import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { Loading } from "~/design/Loading";
 import { StatusBadge } from "~/design/StatusBadge";
 import { addresses } from "~/places/addresses";
 import { mayDo } from "~/session/session";
@@ -42,7 +43,7 @@ export default function HumanoidPage() {
       {shown === null ? (
         <>
           <h1>{t("common:pages.exercises")}</h1>
-          {humanoids === null ? failure === null && <p className="quiet">{t("common:loading")}</p> : <EmptyState icon={<Bot aria-hidden size={32} />} title={t("none")} />}
+          {humanoids === null ? failure === null && <Loading /> : <EmptyState icon={<Bot aria-hidden size={32} />} title={t("none")} />}
         </>
       ) : (
         <Humanoid key={shown.model} humanoid={shown} />
@@ -102,9 +103,9 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
           <Card className="humanoid__view" title={t(replayed === null ? "view" : "recordings.replay")}>
             <div className="humanoid__stage">
               {model === null || urdf === null ? (
-                <p className="quiet">{t("common:loading")}</p>
+                <Loading />
               ) : (
-                <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
+                <Suspense fallback={<Loading />}>
                   <Humanoid3d name={name} urdf={urdf} model={model} source={source} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
                 </Suspense>
               )}

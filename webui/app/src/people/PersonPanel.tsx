@@ -15,7 +15,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { GesturePicker } from "~/hand/GesturePicker";
 import { useGestureName } from "~/hand/Hand";
 import { useGloveNames } from "~/live/names";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { GesturePicture } from "./GesturePicture";
 import { NewGesture } from "./NewGesture";
 import {

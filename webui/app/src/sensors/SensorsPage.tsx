@@ -7,6 +7,7 @@ import { Link } from "wouter";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
+import { Loading } from "~/design/Loading";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { useUnits, type SymbolOf } from "~/devices/gateway";
 import { conditionOf } from "~/devices/values";
@@ -49,7 +50,7 @@ export default function SensorsPage() {
       </header>
       {!isCurrent && <ErrorMessage act={<Link href={addresses.services()}>{t("toSystem")}</Link>}>{t("gatewayAway")}</ErrorMessage>}
       {devices === null ? (
-        <p className="quiet">{t("common:loading")}</p>
+        <Loading />
       ) : devices.length === 0 && isCurrent ? (
         <EmptyState icon={<Thermometer aria-hidden size={32} />} title={t("none.title")} act={mayDo("configure") && <Link href={addresses.devices({ add: "yes" })}>{t("add.act")}</Link>}>
           {t("none.means")}

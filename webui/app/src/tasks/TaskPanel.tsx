@@ -9,6 +9,7 @@ import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { Loading } from "~/design/Loading";
 import { RelativeTime } from "~/design/RelativeTime";
 import { TextBox } from "~/design/TextBox";
 import { useTopicSelector } from "~/live/hooks";
@@ -53,7 +54,7 @@ export function TaskPanel({ id, live, onBack, onNews }: TaskPanelProps) {
     return (
       <article className="tasklist__task" aria-label={t("loading")}>
         <div className="tasklist__back">{back}</div>
-        {missing ? <UnknownName thing="task" name={id} parameter="task" /> : failure !== null ? <ErrorMessage>{failure}</ErrorMessage> : <p className="quiet">{t("common:loading")}</p>}
+        {missing ? <UnknownName thing="task" name={id} parameter="task" /> : failure !== null ? <ErrorMessage>{failure}</ErrorMessage> : <Loading />}
       </article>
     );
   }

@@ -10,7 +10,7 @@ import { useGestureName } from "~/hand/Hand";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { GloveView } from "~/live/messages";
 import { addresses } from "~/places/addresses";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { mayDo } from "~/session/session";
 import { startCode, waitAfter, waiting } from "./confirmation";
 import { Figure } from "./Figure";

@@ -13,7 +13,7 @@ import { Hand, useGestureName } from "~/hand/Hand";
 import { useNow } from "~/live/clock";
 import { useLive, useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { mayDo } from "~/session/session";
 import { Battery } from "../Battery";
 

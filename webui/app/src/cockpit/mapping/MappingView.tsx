@@ -16,7 +16,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { localizedText } from "~/i18n/server";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { useWithName } from "~/shell/userName";
 import { useAgents } from "../agents/AgentsView";
 import { EntryDialog } from "./EntryDialog";

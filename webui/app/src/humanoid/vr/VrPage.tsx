@@ -10,6 +10,7 @@ import { Card } from "~/design/Card";
 import { Checkbox } from "~/design/Checkbox";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { Loading } from "~/design/Loading";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { StatusBadge } from "~/design/StatusBadge";
 import { addresses } from "~/places/addresses";
@@ -49,7 +50,7 @@ export default function VrPage() {
       <h1>{t("title")}</h1>
       <p className="small quiet">{t("notSafe")}</p>
       {failure !== null && <ErrorMessage act={<Link href={addresses.services()}>{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
-      {model !== null && urdf !== null ? <PersonView model={model} urdf={urdf} /> : failure === null && <p className="quiet">{t("common:loading")}</p>}
+      {model !== null && urdf !== null ? <PersonView model={model} urdf={urdf} /> : failure === null && <Loading />}
     </div>
   );
 }

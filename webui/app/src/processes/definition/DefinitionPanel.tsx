@@ -16,7 +16,7 @@ import { useFamily, useTopic } from "~/live/hooks";
 import { UnknownAddress } from "~/route/choice";
 import { UnknownName } from "~/route/UnknownName";
 import { useQueryParameter } from "~/route/queryParameter";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { shortTitle } from "../names";

@@ -1,7 +1,7 @@
 /** Says which permission an action needs that the user does not have, and who can grant it; nothing to those who have it. */
 import { useTranslation } from "react-i18next";
-import { missingRight, useAdmins } from "./rights";
-import { mayDo, rolesWith, useSession, type Permission } from "./session";
+import { missingRight, useAdmins } from "~/session/rights";
+import { mayDo, rolesWith, useSession, type Permission } from "~/session/session";
 
 interface MayNotProps {
   permission: Permission;
