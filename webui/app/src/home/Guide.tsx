@@ -21,6 +21,7 @@ function useFacts(services: readonly string[]): Facts {
   const { users } = useUsers(hasAccounts && mayDo("managePeople"));
   return {
     services,
+    up: (useTopic("services") ?? []).filter(({ state }) => state === "up").map(({ name }) => name),
     gloves: useHomeGloves(),
     robots: useRobotNames(),
     definitions: useFamily("definition"),

@@ -3,6 +3,7 @@ import { exampleOf, nextStep, offeredSteps, STEPS, type Facts } from "./steps";
 
 const EMPTY: Facts = {
   services: ["gesture-controller", "trajectory-tool", "task-orchestrator"],
+  up: ["gesture-controller", "trajectory-tool", "task-orchestrator"],
   gloves: [],
   robots: [],
   definitions: [],
@@ -61,7 +62,7 @@ test("in each state each step that is not done has an act or a command, and each
   for (const services of [EMPTY.services, ["device-gateway"], ["task-orchestrator", "whole-body-control"]]) {
     for (const hasAccounts of [false, true]) {
       for (const definitions of [[], [definition("bin-picking")], [definition("asks", true)]]) {
-        const facts: Facts = { ...EMPTY, services, hasAccounts, definitions };
+        const facts: Facts = { ...EMPTY, services, up: services, hasAccounts, definitions };
         for (const step of offeredSteps(facts, STEPS)) {
           const acts = step.acts(facts);
           expect(acts.length > 0 || step.commandOf?.(facts) != null, step.name).toBe(true);
@@ -70,4 +71,11 @@ test("in each state each step that is not done has an act or a command, and each
       }
     }
   }
+});
+
+test("without the service of robots, the step of the robot says how to start it", () => {
+  const facts = { ...EMPTY, up: ["task-orchestrator"] };
+  const step = offeredSteps(facts).find(({ name }) => name === "robot");
+  expect(step?.commandOf?.(facts)).toBe("handover run trajectory-tool");
+  expect(step?.commandOf?.(EMPTY)).toContain("handover robot add");
 });

@@ -19,6 +19,8 @@ const EXAMPLE = { definition: "bin-picking", robot: "ur10-1" } as const;
 /** What the steps look at. */
 export interface Facts {
   services: readonly string[];
+  /** Those of `services` that answer. */
+  up: readonly string[];
   gloves: readonly { glove: string; connected: boolean }[];
   robots: readonly string[];
   definitions: readonly Pick<DefinitionView, "name" | "title" | "unusable" | "parameters">[];
@@ -92,8 +94,8 @@ export const STEPS: readonly Step[] = [
     permission: "configure",
     isOffered: (facts) => ["trajectory-tool", "device-gateway", "ros-bridge"].some((service) => has(service)(facts)),
     isDone: ({ robots }) => robots.length > 0,
-    acts: (facts) => (has("device-gateway")(facts) ? [{ name: "addRobot", permission: "configure", to: addresses.devices({ add: "yes" }) }] : []),
-    commandOf: (facts) => (has("trajectory-tool")(facts) ? "handover robot add ROBOT.urdf" : "handover run trajectory-tool"),
+    acts: ({ up }) => (up.includes("device-gateway") ? [{ name: "addRobot", permission: "configure", to: addresses.devices({ add: "yes" }) }] : []),
+    commandOf: ({ up }) => (up.includes("trajectory-tool") ? "handover robot add ROBOT.urdf" : "handover run trajectory-tool"),
     see: ({ robots: [robot] }) => (robot === undefined ? null : addresses.robot(robot)),
   },
   {
