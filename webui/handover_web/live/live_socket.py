@@ -13,15 +13,17 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.telemetry import get_logger
 from handover_datamodels.times import iso
-from handover_web.live.live_state import LiveState, Reader, Viewer
+from handover_web.live.live_state import PULSE, LiveState, Reader, Viewer
 from handover_web.live.viewers import Viewers
 from handover_web.metrics import BATCHES, COALESCED, PAGES, SLOW_PAGES
 
 log = get_logger(__name__)
 
 MIN_INTERVAL_S = 1 / 30
-HEARTBEAT_INTERVAL_S = 5.0
-"""A batch is sent at least this often, if need be an empty one. A page that gets none reconnects."""
+HEARTBEAT_INTERVAL_S = 1.0
+"""A batch is sent at least this often, if need be an empty one. A page that gets none says that it is out of date."""
+PULSE_INTERVAL_S = 0.15
+"""The same for a page that subscribes to `pulse`, as the control of a robot does."""
 SEND_TIMEOUT_S = 15.0
 MAX_SUBSCRIPTIONS = 64
 
@@ -70,7 +72,8 @@ class LiveSocket:
             BATCHES.inc()
             await asyncio.sleep(MIN_INTERVAL_S)
             with suppress(TimeoutError):
-                async with asyncio.timeout(HEARTBEAT_INTERVAL_S - MIN_INTERVAL_S):
+                interval_s = PULSE_INTERVAL_S if PULSE in viewer.subscribed else HEARTBEAT_INTERVAL_S
+                async with asyncio.timeout(interval_s - MIN_INTERVAL_S):
                     await changed.wait()
             COALESCED.inc(viewer.coalesced_count - coalesced_count)
             coalesced_count = viewer.coalesced_count

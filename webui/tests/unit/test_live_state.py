@@ -115,6 +115,15 @@ def test_one_subscription_brings_all_registered_devices() -> None:
     assert page.read()["topics"] == other.read()["topics"] == {}
 
 
+def test_a_subscription_to_the_pulse_wakes_its_sender_and_brings_no_value() -> None:
+    page = Page(LiveState())
+    page.read()
+    page.changes = 0
+    page.viewer.subscribe(["pulse"])
+    assert page.changes == 1
+    assert page.read()["topics"] == {}
+
+
 def test_a_page_receives_only_devices_that_its_user_may_read() -> None:
     state = LiveState()
     for name in ("a", "b"):

@@ -45,6 +45,23 @@ def upcoming_activities(
     return tuple(upcoming.values())[:MAX_UPCOMING]
 
 
+def activities_after_next(
+    definition: Definition, waiting: tuple[str, ...], variables: Mapping[str, Any]
+) -> tuple[Activity, ...]:
+    """Return the activities that may follow the most likely of `upcoming_activities`, the most likely first.
+
+    Scripts on the way may change variables, so with a script task in the model none counts as known.
+    """
+    upcoming = upcoming_activities(definition, waiting, variables)
+    if not upcoming:
+        return ()
+    graph = _Graph(definition)
+    has_script = any(node.kind is Kind.SCRIPT_TASK for node in graph.nodes.values())
+    here = [graph.nodes[name] for name in waiting if name in graph.nodes]
+    settled = {} if has_script else _settled(graph, here, variables)
+    return upcoming_activities(definition, (upcoming[0].id,), settled)
+
+
 def _settled(graph: "_Graph", here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the variables that keep their values until the next gateway, for every token.
 

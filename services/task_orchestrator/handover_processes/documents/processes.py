@@ -1,7 +1,7 @@
 """Documents of processes."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 from typing_extensions import TypedDict
@@ -11,7 +11,7 @@ from handover_bpmn.execution.queries import ScopeKind
 from handover_bpmn.execution.run import Run
 from handover_bpmn.execution.state import TokenState
 from handover_bpmn.languages.base import ExpressionError
-from handover_bpmn.lookahead import upcoming_activities
+from handover_bpmn.lookahead import activities_after_next, upcoming_activities
 from handover_bpmn.model import Activity, Definition
 from handover_bpmn.references import is_reference
 from handover_datamodels.entities import TaskStatus
@@ -187,12 +187,14 @@ class ScopeView(TypedDict):
 class ProcessView(ProcessSummary):
     """A process with all details; `done` of its `activities` were completed at least once.
 
-    `tokens` and `scopes` are those of a running process, the first 1000 of each.
+    `afterNext` are the activities that may follow the first of `next`, the most likely first. `tokens` and
+    `scopes` are those of a running process, the first 1000 of each.
     """
 
     parameters: Mapping[str, Any]
     variables: Mapping[str, Any]
     next: list[NextActivity]
+    afterNext: list[NextActivity]
     done: int
     activities: int
     elements: dict[str, ElementCounts]
@@ -248,11 +250,16 @@ def process_view(
         history.setdefault(move.task, []).append(move)
     counts = count_elements(tasks)
     activities = definition.activities() if definition is not None else {}
+    upcoming, following = (
+        (find(definition, record.waiting, record.variables) if definition is not None else ())
+        for find in (upcoming_activities, activities_after_next)
+    )
     return document(
         ProcessView,
         record,
         **_identity(settings, registry, record),
-        next=_next(settings, definition, record) if definition is not None else [],
+        next=_next(settings, record, upcoming),
+        afterNext=_next(settings, record, following),
         done=sum(count.completed > 0 for count in counts.values()),
         activities=len(activities),
         elements=element_views(counts),
@@ -289,11 +296,11 @@ def _definition(registry: DefinitionRegistry, record: ProcessRecord) -> Definiti
 
 
 def _next(
-    settings: OrchestratorSettings, definition: Definition, record: ProcessRecord
+    settings: OrchestratorSettings, record: ProcessRecord, activities: Iterable[Activity]
 ) -> list[NextActivity]:
     return [
         document(NextActivity, activity, involves=_involved(settings, activity, record.variables))
-        for activity in upcoming_activities(definition, record.waiting, record.variables)
+        for activity in activities
     ]
 
 

@@ -149,7 +149,7 @@ async def test_a_process_says_how_far_it_is_and_what_comes_next(
     process = (await api.post("/processes", json={"definition": "p"})).json()
     people = ["urn:ngsi-ld:Device:demo:glove-1", "urn:ngsi-ld:Person:demo:ann"]
     rest = {"element": "rest", "name": "rest", "description": None, "lane": None, "involves": people}
-    assert process["next"] == [rest]
+    assert (process["next"], process["afterNext"]) == ([rest], [])
     assert (process["title"], process["done"], process["activities"], process["acts"]) == ("p", 0, 2, [])
     running = {"running": 1, "completed": 0, "failed": 0, "lastMs": None, "medianMs": None}
     assert process["elements"] == {"work": running}

@@ -7,8 +7,10 @@ import type { LiveStore } from "./store";
 
 const MIN_RETRY_MS = 250;
 const MAX_RETRY_MS = 5000;
-/** The server sends at least every five seconds; after this time without a message the connection is broken. */
-const HEARTBEAT_TIMEOUT_MS = 12_000;
+/** The server sends at least once a second. After this time without a message the page says that it is out of date. */
+export const SILENT_AFTER_MS = 2200;
+/** After this time without a message the connection is broken. */
+const BROKEN_AFTER_MS = 12_000;
 
 export interface LiveConnectionOptions {
   url: string;
@@ -24,6 +26,7 @@ export class LiveConnection {
   #socket: WebSocket | null = null;
   #retryMs = MIN_RETRY_MS;
   #retry: ReturnType<typeof setTimeout> | undefined;
+  #silence: ReturnType<typeof setTimeout> | undefined;
   #timeout: ReturnType<typeof setTimeout> | undefined;
   #isClosed = false;
 
@@ -41,6 +44,7 @@ export class LiveConnection {
     removeEventListener("online", this.#reconnect);
     document.removeEventListener("visibilitychange", this.#reconnect);
     clearTimeout(this.#retry);
+    clearTimeout(this.#silence);
     clearTimeout(this.#timeout);
     this.#socket?.close();
   }
@@ -71,18 +75,29 @@ export class LiveConnection {
   }
 
   #restartTimeout(socket: WebSocket): void {
+    clearTimeout(this.#silence);
     clearTimeout(this.#timeout);
+    this.#silence = setTimeout(() => {
+      // Messages that arrived while this page itself was busy are read first.
+      this.#silence = setTimeout(() => this.#onSilence(), 0);
+    }, SILENT_AFTER_MS);
     this.#timeout = setTimeout(() => {
       // After an unplugged cable no close frame arrives, so do not wait for it.
       socket.onclose = null;
       socket.close();
       this.#onClose(socket);
-    }, HEARTBEAT_TIMEOUT_MS);
+    }, BROKEN_AFTER_MS);
+  }
+
+  /** The server does not send. It may be slow only, so the connection stays: the next message makes it `open` again. */
+  #onSilence(): void {
+    if (this.#store.link === "open") this.#store.setLink("lost");
   }
 
   #onClose(socket: WebSocket): void {
     if (this.#socket !== socket) return;
     this.#socket = null;
+    clearTimeout(this.#silence);
     clearTimeout(this.#timeout);
     if (this.#isClosed) return;
     this.#store.setLink("lost");

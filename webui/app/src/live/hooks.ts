@@ -1,6 +1,6 @@
 /** Hooks for live values. */
 import i18next from "i18next";
-import { createContext, useContext, useEffect, useMemo, useSyncExternalStore } from "react";
+import { createContext, useContext, useEffect, useMemo, useState, useSyncExternalStore } from "react";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import type { AlertView, DeviceView, GloveView, LiveEvent, RegisteredDeviceView, RegisteredDevicesView, RobotView, TasklistView, TopicValues } from "./messages";
 import { processTextsOf, type ProcessTexts } from "./processTexts";
@@ -131,4 +131,32 @@ export function useEvents(): readonly LiveEvent[] {
 export function useConnectionState(): ConnectionState {
   const live = useLive();
   return useSyncExternalStore((listener) => live.watch("link", listener), () => live.link);
+}
+
+const LOOK_EVERY_MS = 50;
+
+/**
+ * Whether the server has sent nothing for `limitMs`. While a component with this hook is shown, the server sends every 150 ms.
+ *
+ * After a pause of this page itself, the messages that have arrived meanwhile are read first.
+ */
+export function useIsOld(limitMs: number): boolean {
+  const live = useLive();
+  const [isOld, setOld] = useState(false);
+  useEffect(() => {
+    const release = live.subscribe("pulse");
+    const since = performance.now();
+    let lookedAt = since;
+    const timer = setInterval(() => {
+      const now = performance.now();
+      const wasPaused = now - lookedAt > 4 * LOOK_EVERY_MS;
+      lookedAt = now;
+      if (!wasPaused) setOld(now - Math.max(live.receivedAtMs, since) > limitMs);
+    }, LOOK_EVERY_MS);
+    return () => {
+      clearInterval(timer);
+      release();
+    };
+  }, [live, limitMs]);
+  return isOld;
 }

@@ -22,6 +22,7 @@ export class LiveStore {
   #events: LiveEvent[] = [];
   #link: ConnectionState = "connecting";
   #hasSnapshot = false;
+  #receivedAtMs = 0;
   /** Called when the set of requested topics has changed. */
   onSubscriptionsChange: () => void = () => undefined;
 
@@ -32,6 +33,11 @@ export class LiveStore {
   /** Whether a snapshot was received since the page was opened. */
   get hasSnapshot(): boolean {
     return this.#hasSnapshot;
+  }
+
+  /** When the last batch was received, on the clock of `performance.now()`. */
+  get receivedAtMs(): number {
+    return this.#receivedAtMs;
   }
 
   get events(): readonly LiveEvent[] {
@@ -67,6 +73,7 @@ export class LiveStore {
   }
 
   apply(batch: Batch): void {
+    this.#receivedAtMs = performance.now();
     const changed = new Set<string>();
     if (batch.type === "snapshot") {
       for (const topic of this.#topics.keys()) {

@@ -117,7 +117,7 @@ function LinkBanner() {
   useEffect(() => {
     if (link === "open") return;
     // A short reconnection is not shown, so that the bar does not flicker.
-    const timer = setTimeout(() => setLate(true), 1000);
+    const timer = setTimeout(() => setLate(true), 500);
     return () => {
       clearTimeout(timer);
       setLate(false);

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from handover_bpmn.execution.graph import Plan
 from handover_bpmn.execution.run import Run
-from handover_bpmn.lookahead import MAX_UPCOMING, upcoming_activities
+from handover_bpmn.lookahead import MAX_UPCOMING, activities_after_next, upcoming_activities
 from handover_bpmn.model import Definition
 from services.task_orchestrator.tests.unit.drawing import (
     NOW,
@@ -67,6 +67,23 @@ def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
 )
 def test_lookahead_of_bin_picking_has_the_main_path_first(waiting: list[str], ahead: list[str]) -> None:
     assert after(only_process(BIN_PICKING.read_bytes()), *waiting) == ahead
+
+
+@pytest.mark.parametrize(
+    ("waiting", "following"),
+    [(["confirm_clear"], ["scan"]), (["confirm_pick"], ["confirm_grip", "free_part"]), (["home_after"], [])],
+)
+def test_the_second_step_of_bin_picking_follows_the_first(waiting: list[str], following: list[str]) -> None:
+    definition = only_process(BIN_PICKING.read_bytes())
+    assert [activity.id for activity in activities_after_next(definition, tuple(waiting), {})] == following
+
+
+def test_the_second_step_is_decided_only_by_what_the_first_does_not_set() -> None:
+    body = FORK.replace(flow("start", "work"), "") + activity("before") + path("start", "before", "work")
+    fork = only_process(drawing(body))
+    second = {"speed": 5, "work": {"slow": True}}
+    assert [node.id for node in activities_after_next(fork, ("before",), second)] == ["calm", "slow"]
+    assert [node.id for node in activities_after_next(fork, ("before",), {"speed": 6})] == ["fast"]
 
 
 def test_what_the_variables_decide_already_is_decided() -> None:

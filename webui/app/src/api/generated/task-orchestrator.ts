@@ -639,7 +639,8 @@ export interface ProcessSummary {
 /**
  * A process with all details; `done` of its `activities` were completed at least once.
  *
- * `tokens` and `scopes` are those of a running process, the first 1000 of each.
+ * `afterNext` are the activities that may follow the first of `next`, the most likely first. `tokens` and
+ * `scopes` are those of a running process, the first 1000 of each.
  */
 export interface ProcessView {
   reason: string | null;
@@ -665,6 +666,7 @@ export interface ProcessView {
   parameters: Record<string, unknown>;
   variables: Record<string, unknown>;
   next: NextActivity[];
+  afterNext: NextActivity[];
   done: number;
   activities: number;
   elements: Record<string, ElementCounts>;
