@@ -1,11 +1,14 @@
 """A person moves robots on the page Control, and every way to let go stops them."""
 
 import math
+import os
 import re
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 import pytest
@@ -23,6 +26,7 @@ const buttons = Array.from({length: 17}, () => ({pressed: false}));
 window.pad = {connected: true, axes: [0, 0, 0, 0], buttons};
 navigator.getGamepads = () => [window.pad];
 """
+CONTROL = "/cell/robots/ur10-1/control"
 RELEASE = "Release the control once, then hold it again."
 
 
@@ -31,8 +35,7 @@ def control(cell: Cell) -> Cell:
     cell.run("context_broker")
     cell.run("trajectory_tool", "device_gateway", "webui")
     # Without a graphics card the 3D view takes the time in which inputs have to be sent.
-    without_3d = {"order": ["view", "jog", "joints", "devices", "latency"], "hidden": ["view"]}
-    httpx.put(stored_panels(cell), json=without_3d, timeout=120, trust_env=False).raise_for_status()
+    store_layout(cell, {"side": "joints", "isViewFolded": True})
     return cell
 
 
@@ -42,8 +45,12 @@ def gateway(control: Cell) -> Iterator[httpx.Client]:
         yield made
 
 
-def stored_panels(cell: Cell) -> str:
-    return f"{cell.url('webui')}/api/user-settings/control.panels"
+def layout_of(cell: Cell) -> str:
+    return f"{cell.url('webui')}/api/user-settings/control.layout"
+
+
+def store_layout(cell: Cell, layout: dict[str, object]) -> None:
+    httpx.put(layout_of(cell), json=layout, timeout=120, trust_env=False).raise_for_status()
 
 
 def joints(cell: Cell) -> dict[str, list[float]]:
@@ -82,7 +89,7 @@ def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[]
 
 
 def test_each_way_to_let_go_stops_the_robot(control: Cell, open_page: OpenPage) -> None:
-    page = open_page("/cell/robots/ur10-1/control")
+    page = open_page(CONTROL)
     page.add_init_script(FAKE_PAD)
     page.reload()
     taken(page)
@@ -138,10 +145,7 @@ def test_each_way_to_let_go_stops_the_robot(control: Cell, open_page: OpenPage) 
 
 
 def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: OpenPage) -> None:
-    anna, ben = (
-        taken(open_page("/cell/robots/ur10-1/control")),
-        open_page("/cell/robots/ur10-1/control", who="Ben"),
-    )
+    anna, ben = taken(open_page(CONTROL)), open_page(CONTROL, who="Ben")
     ben.get_by_role("button", name="Ask for control").click()
     anna.get_by_role("button", name=re.compile("Hand over to")).click()
     expect(ben.get_by_role("heading", name="You control ur10-1")).to_be_visible()
@@ -153,25 +157,99 @@ def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: Ope
     wait_for(lambda: rests(control))
 
 
-def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_page: OpenPage) -> None:
-    page = open_page("/cell/robots/ur10-1/control")
-    page.get_by_role("button", name="Hide Latency").click()
-    page.get_by_role("button", name="Move Joints forward").click()
+def test_what_is_shown_beside_the_joints_is_kept_for_the_user(control: Cell, open_page: OpenPage) -> None:
+    page = open_page(CONTROL)
+    page.get_by_role("tab", name="Positions").click()
+    page.get_by_role("button", name="Show", exact=True).click()
 
     def is_stored() -> bool:
-        kept = httpx.get(stored_panels(control), timeout=120, trust_env=False).json()
-        order = kept.get("order", ["jog", "joints"])
-        return kept.get("hidden") == ["view", "latency"] and order.index("joints") < order.index("jog")
+        kept = httpx.get(layout_of(control), timeout=120, trust_env=False).json()
+        return bool(kept == {"side": "presets", "isViewFolded": False})
 
     wait_for(is_stored, 180)
-    other = open_page("/cell/robots/ur10-1/control")  # another browser
-    expect(other.get_by_role("heading", name="Joints")).to_be_visible()
-    expect(other.get_by_role("heading", name="Latency")).to_have_count(0)
-    titles = other.locator(".control__panels h2").all_inner_texts()
-    assert titles.index("Joints") < titles.index("Tool")
-    other.get_by_text("Arrange panels").click()
-    other.get_by_role("button", name="Restore the standard arrangement").click()
-    expect(other.get_by_role("heading", name="Latency")).to_be_visible()
+    other = open_page(CONTROL)  # another browser
+    expect(other.get_by_role("button", name="Save position")).to_be_visible()
+    other.get_by_role("tab", name="Joints").click()
+    expect(other.locator(".joint-jog li")).to_have_count(6)
+
+
+IS_ON_SCREEN = """(selectors) => selectors.flatMap((selector) => [...document.querySelectorAll(selector)].flatMap((element) => {
+  const box = element.getBoundingClientRect();
+  const isWithin = Math.min(box.left, box.top) >= -1 && box.right <= innerWidth + 1 && box.bottom <= innerHeight + 1;
+  const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
+  return isWithin && box.width > 0 && element.contains(top) ? [] : [`${selector} ${element.textContent.slice(0, 20)}`];
+}))"""
+"""Those of some elements that are not as a whole on the screen, or covered."""
+
+ON_ONE_SCREEN = [
+    ".control__notice",
+    ".lease .button",
+    ".control__view",
+    ".jog .joystick",
+    ".jog .slider input",
+    ".jog .button",
+    ".joint-jog .hold-button",
+    ".state__stops",
+    ".delay__chart",
+    ".delay dd",
+    ".hold-bar__button",
+    ".hold-bar p",
+]
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(1366, 768), (1920, 1080), (3840, 2160), (820, 1180), (390, 844), (844, 390)]
+)
+@pytest.mark.parametrize(("language", "theme"), [("en", "light"), ("de", "dark"), ("fi", "light")])
+def test_the_control_is_on_one_screen_and_nothing_is_covered(
+    control: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+    width: int,
+    height: int,
+    language: str,
+    theme: str,
+) -> None:
+    """From 1366 x 768 all of it is; a smaller screen scrolls its panels above the dead-man control."""
+    store_layout(control, {"side": "joints", "isViewFolded": False})
+    page = open_page(
+        CONTROL, viewport={"width": width, "height": height}, language=language, theme=theme
+    )
+    page.locator(".joint-jog li").nth(5).wait_for()
+    accessible(page)
+    keep(page, f"control-{width}-{language}-{theme}")
+    always = [".control__notice", ".hold-bar__button", ".hold-bar p"]
+    assert page.evaluate(IS_ON_SCREEN, ON_ONE_SCREEN if width >= 1366 else always) == []
+    for selector in ON_ONE_SCREEN:
+        for part in page.locator(selector).all():
+            part.scroll_into_view_if_needed()
+        assert page.evaluate(IS_ON_SCREEN, always) == []
+    scrolls = "document.documentElement.scrollHeight - innerHeight"
+    assert page.evaluate(scrolls) <= 1
+    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+    page.locator(".delay dd").last.scroll_into_view_if_needed()
+    keep(page, f"control-{width}-{language}-{theme}-end")
+
+
+def test_a_server_that_hangs_is_named_on_the_control_and_on_every_page(
+    control: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path]
+) -> None:
+    page, home = taken(open_page(CONTROL)), open_page("/cell/robots")
+    old = page.get_by_text("No answer from the server. What is shown is old.")
+    banner = home.get_by_text("The data shown may be out of date")
+    expect(old).to_have_count(0)
+    expect(banner).to_have_count(0)
+    server = control.processes["webui"].pid
+    os.kill(server, signal.SIGSTOP)
+    try:
+        expect(old).to_be_visible()
+        keep(page, "control-old")
+        expect(banner).to_be_visible()
+    finally:
+        os.kill(server, signal.SIGCONT)
+    expect(old).to_have_count(0)
+    expect(banner).to_have_count(0)
 
 
 @contextmanager
@@ -208,7 +286,8 @@ def test_the_position_of_a_hand_moves_the_tool(
         client.human_input({"handX": 0.4, "handY": 0.1, "handZ": 1.2 + height}, held.is_set())
 
     with repeated(client, wave):
-        page = open_page("/cell/robots/ur10-1/control")
+        page = open_page(CONTROL)
+        page.get_by_role("tab", name="Input devices").click()
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
         page.get_by_role("radio", name="Positions of the hand").click()
@@ -228,6 +307,7 @@ def test_the_position_of_a_hand_moves_the_tool(
         page.get_by_role("button", name="End the control with mocap-1").click()
         expect(page.get_by_text("The last control has ended")).to_be_visible()
         page.reload()
+        page.get_by_role("tab", name="Input devices").click()
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
         expect(page.get_by_role("radio", name="Positions of the hand")).to_be_checked()
@@ -246,7 +326,8 @@ def test_a_glove_and_the_tilt_of_a_phone_move_the_tool(
         client.human_input({"thumbBend": 0.0, "indexBend": 0.8 if held.is_set() else 0.0}, held.is_set())
 
     with repeated(client, bend):
-        page = open_page("/cell/robots/ur10-1/control")
+        page = open_page(CONTROL)
+        page.get_by_role("tab", name="Input devices").click()
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
         page.get_by_label("Up", exact=True).select_option(label="indexBend")
@@ -266,6 +347,7 @@ def test_a_glove_and_the_tilt_of_a_phone_move_the_tool(
         phone.send("DeviceOrientation.setDeviceOrientationOverride", angles)
 
     tilt(40)
+    page.get_by_role("tab", name="Input devices").click()
     page.get_by_role("radio", name="Tilt of this phone").click()
     page.get_by_role("button", name="Use the tilt of this device").click()
     expect(page.get_by_role("button", name="No longer use the tilt")).to_be_visible()

@@ -1,5 +1,5 @@
 /** Input devices: their mapping and their scaling gamma, which the user keeps. */
-import { useEffect, useRef, useState, type KeyboardEvent } from "react";
+import { useRef, useState, type KeyboardEvent } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { SegmentedControl } from "~/design/SegmentedControl";
@@ -8,28 +8,20 @@ import { SCAN_GAP_MS } from "~/shell/scans";
 import type { DeviceName } from "./driver";
 import { InputDevicePanel } from "./InputDevicePanel";
 import { keyName } from "./keyName";
-import { BUTTONS, DIRECTIONS, GAMEPAD, isLike, KEYBOARD, MAX_GAMMA, MIN_GAMMA, type ButtonUse, type Direction, type GamepadMapping, type KeyboardMapping } from "./mapping";
+import { BUTTONS, DIRECTIONS, GAMEPAD, KEYBOARD, MAX_GAMMA, MIN_GAMMA, type ButtonUse, type Direction, type GamepadMapping, type KeyboardMapping } from "./mapping";
 import { Slider } from "./Slider";
-import { TILT } from "./tilt";
 import { TiltPanel } from "./TiltPanel";
 import type { Control } from "./useControl";
-import { useUserSetting } from "./useUserSetting";
+import type { DeviceSettings } from "./useDeviceSettings";
 
-const SCREEN = { gamma: 1 };
 const AXES = 6;
 const PAD_BUTTONS = 17;
 
-export function DevicesPanel({ robot, control }: { robot: string; control: Control }) {
+export function DevicesPanel({ robot, control, settings }: { robot: string; control: Control; settings: DeviceSettings }) {
   const { driver } = control;
   const { t, i18n } = useTranslation("control");
   const [device, setDevice] = useState<DeviceName | "other">("keyboard");
-  const [keyboard, setKeyboard] = useUserSetting("control.keyboard", KEYBOARD, (value): value is KeyboardMapping => isLike(value, KEYBOARD));
-  const [gamepad, setGamepad] = useUserSetting("control.gamepad", GAMEPAD, (value): value is GamepadMapping => isLike(value, GAMEPAD));
-  const [screen, setScreen] = useUserSetting("control.screen", SCREEN, (value): value is typeof SCREEN => isLike(value, SCREEN));
-  const [tilt, setTilt] = useUserSetting("control.tilt", TILT, (value): value is typeof TILT => isLike(value, TILT));
-  useEffect(() => {
-    driver.set({ keyboard, gamepad, screenGamma: screen.gamma, tiltGamma: tilt.gamma });
-  }, [driver, keyboard, gamepad, screen, tilt]);
+  const { keyboard, setKeyboard, gamepad, setGamepad, screen, setScreen, tilt, setTilt } = settings;
   const choice = (
     <SegmentedControl
       label={t("devices.device")}

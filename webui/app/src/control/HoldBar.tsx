@@ -1,21 +1,20 @@
-/** The dead-man control: always in sight while this person controls the robot. */
+/** The dead-man control: always in sight, a part of the page that covers nothing. */
 import { Hand } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { HoldButton } from "./HoldButton";
 import { keyName } from "./keyName";
 import type { Control } from "./useControl";
 
-export function HoldBar({ control: { connection, driver, now } }: { control: Control }) {
+export function HoldBar({ control: { connection, driver, now }, isOld }: { control: Control; isOld: boolean }) {
   const { t } = useTranslation("control");
-  if (now.phase !== "on") return null;
+  const isOn = now.phase === "on";
   const state = now.state;
   const why = now.stopped === null ? "" : t(`stopped.${now.stopped}`);
-  const text =
-    state?.needsRelease === true ? t("hold.release") : state?.limit != null && !state.moves ? t("hold.limit", { limit: state.limit }) : state?.moves === true ? t("hold.moves") : t("hold.hold", { key: keyName(driver.keyboard.keys.hold) });
   return (
-    <div className="hold-bar" data-takes-keyboard data-moves={state?.moves === true || undefined}>
+    <div className="hold-bar" data-takes-keyboard={isOn || undefined} data-moves={(isOn && state?.moves === true) || undefined}>
       <HoldButton
         className="hold-bar__button"
+        isDisabled={!isOn}
         onHold={(isHeld) => {
           driver.hold(isHeld);
           connection.send();
@@ -25,9 +24,17 @@ export function HoldBar({ control: { connection, driver, now } }: { control: Con
         <span>{t("hold.button")}</span>
       </HoldButton>
       <p role="status">
-        {why !== "" && <strong>{why} </strong>}
-        {text}
+        {isOn && !isOld && why !== "" && <strong>{why} </strong>}
+        {text()}
       </p>
     </div>
   );
+
+  function text(): string {
+    if (isOld) return t("hold.old");
+    if (!isOn) return t("hold.off");
+    if (state?.needsRelease === true) return t("hold.release");
+    if (state?.limit != null && !state.moves) return t("hold.limit", { limit: state.limit });
+    return state?.moves === true ? t("hold.moves") : t("hold.hold", { key: keyName(driver.keyboard.keys.hold) });
+  }
 }

@@ -1,5 +1,5 @@
 /** A button that acts while it is held, with a pointer or with the keyboard, and not a moment longer. */
-import { useRef, type ReactNode } from "react";
+import { useEffect, useRef, type ReactNode } from "react";
 
 export interface HoldButtonProps {
   className?: string;
@@ -16,6 +16,19 @@ export function HoldButton({ className = "", label, isDisabled = false, onHold, 
     isHeld.current = held;
     onHold(held);
   };
+  const latest = useRef(onHold);
+  useEffect(() => {
+    latest.current = onHold;
+  });
+  // A button that goes away or can no longer be held is released.
+  useEffect(
+    () => () => {
+      if (!isHeld.current) return;
+      isHeld.current = false;
+      latest.current(false);
+    },
+    [isDisabled],
+  );
   return (
     <button
       type="button"

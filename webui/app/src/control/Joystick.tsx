@@ -1,5 +1,5 @@
 /** A joystick for a finger or a mouse: it moves two directions while it is dragged, and returns to rest. */
-import { useRef, useState, type PointerEvent } from "react";
+import { useEffect, useRef, useState, type PointerEvent } from "react";
 
 export interface JoystickProps {
   label: string;
@@ -11,6 +11,11 @@ export interface JoystickProps {
 export function Joystick({ label, onMove, vertical = false }: JoystickProps) {
   const pad = useRef<HTMLDivElement>(null);
   const [place, setPlace] = useState<readonly [number, number]>([0, 0]);
+  const latest = useRef(onMove);
+  useEffect(() => {
+    latest.current = onMove;
+  });
+  useEffect(() => () => latest.current(0, 0), []); // a joystick that goes away returns to rest
   const move = (x: number, y: number) => {
     setPlace([x, y]);
     onMove(x, y);

@@ -4,25 +4,31 @@ import { useTranslation } from "react-i18next";
 import { errorText, requestService } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Checkbox } from "~/design/Checkbox";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { mayDo } from "~/session/session";
 import type { ControlledRobot, Lease } from "./robots";
-import type { Stopped } from "./connection";
 import type { Control } from "./useControl";
 
-export function LeaseCard({ robot, lease, control: { connection, now } }: { robot: ControlledRobot; lease: Lease; control: Control }) {
+interface LeaseCardProps {
+  robot: ControlledRobot;
+  lease: Lease;
+  control: Control;
+  /** Whether the next control is recorded. */
+  isRecorded: boolean;
+  isOld: boolean;
+}
+
+export function LeaseCard({ robot, lease, control: { connection, now }, isRecorded, isOld }: LeaseCardProps) {
   const { t } = useTranslation("control");
-  const [isRecorded, setRecorded] = useState(false);
   const { holder } = lease;
   const isMine = now.phase === "on";
-  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot.service, robot.name, mode, isRecorded && robot.service === "trajectory-tool");
+  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot.service, robot.name, mode, isRecorded);
   return (
     <Card
       className="lease"
       title={isMine ? t("lease.mine", { robot: robot.name }) : now.phase === "waiting" ? t("lease.waiting", { name: now.holder ?? "" }) : holder === null ? t("lease.free", { robot: robot.name }) : t("lease.taken", { name: holder, robot: robot.name })}
-      aside={isMine ? <StatusBadge tone={now.state?.moves === true || isUnwanted(now.stopped) ? "attention" : "ok"}>{now.state?.moves === true ? t("state.moves") : now.stopped === null ? t("state.rests") : t(`stopped.${now.stopped}`)}</StatusBadge> : undefined}
+      aside={isOld ? <StatusBadge tone="stop">{t("lease.old")}</StatusBadge> : undefined}
     >
       <div className="lease__acts">
         {now.phase === "off" && holder === null && (
@@ -45,13 +51,7 @@ export function LeaseCard({ robot, lease, control: { connection, now } }: { robo
         {now.phase === "connecting" && <p className="quiet">{t("lease.connecting")}</p>}
         {now.phase === "waiting" && <Button onPress={() => connection.close()}>{t("lease.stopWaiting")}</Button>}
         {isMine && <Button onPress={() => connection.close()}>{t("lease.end")}</Button>}
-        {now.phase === "off" && robot.service === "trajectory-tool" ? (
-          <Checkbox isSelected={isRecorded} onChange={setRecorded}>
-            {t("lease.record")}
-          </Checkbox>
-        ) : (
-          now.state?.isRecorded === true && <p className="quiet">{t("lease.recorded")}</p>
-        )}
+        {now.phase === "off" ? isRecorded && <p className="quiet">{t("lease.willRecord")}</p> : now.state?.isRecorded === true && <p className="quiet">{t("lease.recorded")}</p>}
         {isMine && <HandOver robot={robot} waiting={lease.waiting} />}
       </div>
       <Ended ended={now.ended} />
@@ -59,11 +59,6 @@ export function LeaseCard({ robot, lease, control: { connection, now } }: { robo
       {now.state?.fault != null && <ErrorMessage>{now.state.fault}</ErrorMessage>}
     </Card>
   );
-}
-
-/** Whether the motion ended although the person held the control. */
-function isUnwanted(stopped: Stopped | null): boolean {
-  return stopped === "slow" || stopped === "limit" || stopped === "fault";
 }
 
 const KNOWN_CODES = [4401, 4403, 4404, 4408, 4409, 4410, 4502, 4503];

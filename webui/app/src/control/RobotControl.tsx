@@ -1,24 +1,28 @@
 /** The control of a robot: one person moves one robot by hand, alone or together with it. */
 import { TriangleAlert } from "lucide-react";
-import { useEffect, type ReactNode } from "react";
+import { useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
+import { Checkbox } from "~/design/Checkbox";
 import { EmptyState } from "~/design/EmptyState";
-import { useTopic, useTopicSelector } from "~/live/hooks";
+import { useIsOld, useTopic, useTopicSelector } from "~/live/hooks";
 import { useRobotDescription, type JointDescription } from "~/robot/description";
 import { mayDo } from "~/session/session";
-import { ArrangeMenu, PanelActions } from "./Arrange";
+import { OLD_AFTER_MS } from "./connection";
 import { DevicesPanel } from "./DevicesPanel";
 import { HoldBar } from "./HoldBar";
 import { JogPanel } from "./JogPanel";
 import { JointsPanel } from "./JointsPanel";
-import { LatencyPanel } from "./LatencyPanel";
+import { isLayout, STANDARD, type SidePanel } from "./layout";
 import { LeaseCard } from "./LeaseCard";
-import { isArrangement, ordered, STANDARD, type PanelId } from "./panels";
 import { PresetsPanel } from "./PresetsPanel";
 import { useGatewayLease, useRegistered, useToolLease, type ControlledRobot, type Lease } from "./robots";
 import { SharedPanel } from "./SharedPanel";
+import { SidePanels } from "./SidePanels";
+import { StatePanel } from "./StatePanel";
 import type { Driver } from "./driver";
+import { useDeviceSettings } from "./useDeviceSettings";
 import { useControl, type Control } from "./useControl";
 import { useUserSetting } from "./useUserSetting";
 import { ViewPanel } from "./ViewPanel";
@@ -64,14 +68,12 @@ function ControlOf({ robot }: { robot: string }) {
       robot={{ service: "trajectory-tool", name: robot }}
       lease={lease}
       control={control}
-      panels={{
-        view: <ViewPanel robot={robot} query={query} />,
-        jog: <JogPanel driver={driver} isOn={isOn} />,
+      view={<ViewPanel robot={robot} query={query} />}
+      jog={<JogPanel driver={driver} isOn={isOn} />}
+      side={{
         joints: <JointsPanel driver={driver} isOn={isOn} joints={joints ?? []} position={position ?? []} />,
-        shared: <SharedPanel driver={driver} state={now.state} />,
         presets: <PresetsPanel robot={robot} driver={driver} isOn={isOn} home={query.description?.home ?? null} position={position ?? []} />,
-        devices: <DevicesPanel robot={robot} control={control} />,
-        latency: <LatencyPanel now={now} />,
+        shared: <SharedPanel driver={driver} state={now.state} />,
       }}
     />
   );
@@ -92,13 +94,9 @@ function ControlRegistered({ robot }: { robot: string }) {
       robot={{ service: "device-gateway", name: robot }}
       lease={lease}
       control={control}
-      panels={{
-        view: <ViewPanel robot={robot} query={null} />,
-        ...(walks ? { jog: <JogPanel driver={driver} isOn={isOn} isBase /> } : {}),
-        joints: joints.length === 0 ? <p className="quiet">{t("joints.none")}</p> : <JointsPanel driver={driver} isOn={isOn} joints={joints} position={position ?? []} />,
-        devices: <DevicesPanel robot={robot} control={control} />,
-        latency: <LatencyPanel now={now} />,
-      }}
+      view={<ViewPanel robot={robot} query={null} />}
+      {...(walks ? { jog: <JogPanel driver={driver} isOn={isOn} isBase /> } : {})}
+      side={{ joints: joints.length === 0 ? <p className="quiet">{t("joints.none")}</p> : <JointsPanel driver={driver} isOn={isOn} joints={joints} position={position ?? []} /> }}
     />
   );
 }
@@ -113,30 +111,67 @@ interface PanelsProps {
   robot: ControlledRobot;
   lease: Lease;
   control: Control;
-  panels: Partial<Record<PanelId, ReactNode>>;
+  view: ReactNode;
+  jog?: ReactNode;
+  side: Partial<Record<SidePanel, ReactNode>>;
 }
 
-function Panels({ robot, lease, control, panels }: PanelsProps) {
+function Panels({ robot, lease, control, view, jog, side }: PanelsProps) {
   const { t } = useTranslation("control");
-  const [arrangement, arrange, isLoaded] = useUserSetting("control.panels", STANDARD, isArrangement);
-  const shown = ordered(arrangement).filter((panel) => isLoaded && panels[panel] !== undefined && !arrangement.hidden.includes(panel));
+  const [layout, change, isLoaded] = useUserSetting("control.layout", STANDARD, isLayout);
+  const [isRecorded, setRecorded] = useState(false);
+  const devices = useDeviceSettings(control.driver);
+  const isServerOld = useIsOld(OLD_AFTER_MS);
+  const isOld = isServerOld || control.now.isOld;
+  const isOfTool = robot.service === "trajectory-tool";
   return (
     <>
-      <LeaseCard robot={robot} lease={lease} control={control} />
-      <div className="control__panels">
-        {shown.map((panel) => (
-          <Card
-            key={panel}
-            className={`control__panel control__panel--${panel}`}
-            title={t(panel === "jog" && robot.service === "device-gateway" ? "panel.base" : `panel.${panel}`)}
-            aside={<PanelActions panel={panel} arrangement={arrangement} onArrange={arrange} />}
-          >
-            {panels[panel]}
+      <LeaseCard robot={robot} lease={lease} control={control} isRecorded={isRecorded && isOfTool} isOld={isOld} />
+      <div className="control__panels" data-old={isOld || undefined}>
+        <Card
+          className="control__panel control__panel--view"
+          title={t("panel.view")}
+          aside={
+            <Button kind="quiet" onPress={() => change({ ...layout, isViewFolded: !layout.isViewFolded })}>
+              {t(layout.isViewFolded ? "view.show" : "view.hide")}
+            </Button>
+          }
+        >
+          {isLoaded && !layout.isViewFolded && view}
+        </Card>
+        <StatePanel control={control} isOld={isOld} />
+        {jog !== undefined && (
+          <Card className="control__panel control__panel--jog" title={t(isOfTool ? "panel.jog" : "panel.base")}>
+            {jog}
           </Card>
-        ))}
+        )}
+        <SidePanels
+          panels={{
+            ...side,
+            devices: <DevicesPanel robot={robot.name} control={control} settings={devices} />,
+            ...(isOfTool ? { recording: <RecordingPanel control={control} isRecorded={isRecorded} onChange={setRecorded} /> } : {}),
+          }}
+          shown={layout.side}
+          onShow={(panel) => change({ ...layout, side: panel })}
+        />
       </div>
-      {isLoaded && <ArrangeMenu arrangement={arrangement} onArrange={arrange} />}
-      <HoldBar control={control} />
+      <HoldBar control={control} isOld={isOld} />
     </>
+  );
+}
+
+function RecordingPanel({ control: { now }, isRecorded, onChange }: { control: Control; isRecorded: boolean; onChange: (isRecorded: boolean) => void }) {
+  const { t } = useTranslation("control");
+  return (
+    <div className="recording">
+      {now.phase === "off" ? (
+        <Checkbox isSelected={isRecorded} onChange={onChange}>
+          {t("lease.record")}
+        </Checkbox>
+      ) : (
+        <p>{t(now.state?.isRecorded === true ? "lease.recorded" : "lease.notRecorded")}</p>
+      )}
+      <p className="quiet">{t("lease.recordMeans")}</p>
+    </div>
   );
 }

@@ -4,9 +4,12 @@
  * The service of the robot stops it when nothing arrives for 100 ms. So this sends nothing that is old: an input is
  * made when it is sent, and while the socket does not take it, nothing is added.
  */
-import { RoundTrips, type Latency } from "./latency";
+import { DelayHistory, RoundTrips, type Latency } from "./latency";
 
 const SEND_EVERY_MS = 20;
+/** After this time without a state, which comes 20 times a second, what is shown is old. */
+export const OLD_AFTER_MS = 400;
+const KEPT_STOPS = 5;
 
 export interface ControlInput {
   held: boolean;
@@ -45,6 +48,13 @@ export type Phase = "off" | "connecting" | "waiting" | "on";
 /** Why a motion ended: released, held without a direction, or by the service, although it was held. */
 export type Stopped = "released" | "still" | "slow" | "limit" | "fault";
 
+/** The end of a motion; `ended`: the control itself ended. */
+export interface Stop {
+  /** In ms since 1970. */
+  at: number;
+  why: Stopped | "ended";
+}
+
 /** Why the motion before `state` ended, while the person holds the control or not. */
 export function stoppedBy(state: Pick<ControlState, "fault" | "limit" | "needsRelease">, isHeld: boolean): Stopped {
   if (state.fault !== null) return "fault";
@@ -57,6 +67,10 @@ export function stoppedBy(state: Pick<ControlState, "fault" | "limit" | "needsRe
 export interface ControlSnapshot {
   /** Why the last motion ended; null while the robot moves, and before it has. */
   stopped: Stopped | null;
+  /** The last stops, the newest first. */
+  stops: readonly Stop[];
+  /** Whether the last state is older than `OLD_AFTER_MS` while this page has the control. */
+  isOld: boolean;
   phase: Phase;
   /** Who has the control while this page waits. */
   holder: string | null;
@@ -73,8 +87,12 @@ export type RobotService = "trajectory-tool" | "device-gateway";
 export type Mode = "refuse" | "wait" | "takeOver";
 
 const OFF: ControlSnapshot = {
-  stopped: null, phase: "off", holder: null, state: null, error: null, latency: { networkMs: null, networkMaxMs: null }, ended: null,
+  stopped: null, stops: [], isOld: false, phase: "off", holder: null, state: null, error: null, latency: { networkMs: null, networkMaxMs: null }, ended: null,
 };
+
+function withStop(stops: readonly Stop[], why: Stop["why"]): readonly Stop[] {
+  return [{ at: Date.now(), why }, ...stops].slice(0, KEPT_STOPS);
+}
 
 export class ControlConnection {
   #snapshot = OFF;
@@ -82,7 +100,9 @@ export class ControlConnection {
   #timer: ReturnType<typeof setInterval> | undefined;
   #seq = 0;
   #isHeld = false;
+  #receivedAtMs = 0;
   #trips = new RoundTrips();
+  readonly delays = new DelayHistory();
   readonly #listeners = new Set<() => void>();
   readonly #input: () => ControlInput;
 
@@ -106,11 +126,14 @@ export class ControlConnection {
     this.#socket = socket;
     this.#seq = 0;
     this.#trips = new RoundTrips();
-    this.#set({ ...OFF, phase: "connecting" });
+    this.#set({ ...OFF, stops: this.#snapshot.stops, phase: "connecting" });
     socket.onmessage = ({ data }) => this.#receive(JSON.parse(String(data)) as Record<string, unknown>);
     socket.onclose = ({ code, reason }) => this.#end({ code, reason });
     socket.onopen = () => {
-      this.#timer = setInterval(() => this.send(), SEND_EVERY_MS);
+      this.#timer = setInterval(() => {
+        this.send();
+        setTimeout(() => this.#look(), 0); // what arrived while this page itself was busy is read first
+      }, SEND_EVERY_MS);
     };
   }
 
@@ -140,17 +163,34 @@ export class ControlConnection {
       this.#set({ ...this.#snapshot, error: String(message["reason"]) });
     } else {
       const state = message as unknown as ControlState;
-      this.#trips.receive(state.seq, state.inputAgeMs, performance.now());
-      const { state: before, stopped: last } = this.#snapshot;
+      this.#receivedAtMs = performance.now();
+      this.delays.push(this.#receivedAtMs, this.#trips.receive(state.seq, state.inputAgeMs, this.#receivedAtMs), state.latencyMs);
+      const { state: before, stopped: last, stops } = this.#snapshot;
       const ended = before?.moves === true ? stoppedBy(state, this.#isHeld) : last;
-      this.#set({ ...this.#snapshot, stopped: state.moves ? null : ended, phase: "on", state, latency: this.#trips.now(), error: state.moves ? null : this.#snapshot.error });
+      const stopsNow = before?.moves === true && !state.moves && ended !== null ? withStop(stops, ended) : stops;
+      this.#set({
+        ...this.#snapshot,
+        stopped: state.moves ? null : ended,
+        stops: stopsNow,
+        isOld: false,
+        phase: "on",
+        state,
+        latency: this.#trips.now(),
+        error: state.moves ? null : this.#snapshot.error,
+      });
     }
+  }
+
+  #look(): void {
+    if (this.#snapshot.phase !== "on" || this.#snapshot.isOld) return;
+    if (performance.now() - this.#receivedAtMs > OLD_AFTER_MS) this.#set({ ...this.#snapshot, isOld: true });
   }
 
   #end(ended: ControlSnapshot["ended"]): void {
     clearInterval(this.#timer);
     this.#socket = null;
-    this.#set({ ...OFF, ended });
+    const { state, stops } = this.#snapshot;
+    this.#set({ ...OFF, stops: state?.moves === true ? withStop(stops, "ended") : stops, ended });
   }
 
   #set(snapshot: ControlSnapshot): void {

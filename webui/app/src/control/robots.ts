@@ -6,7 +6,6 @@ import { useHasSnapshot, useTopic } from "~/live/hooks";
 import { useRobotNames } from "~/live/names";
 import type { JointDescription } from "~/robot/description";
 import type { RobotService } from "./connection";
-import type { PanelId } from "./panels";
 
 export interface ControlledRobot {
   service: RobotService;
@@ -23,8 +22,6 @@ const ROBOT_KINDS = ["robotArm", "mobileRobot", "humanoid"];
 const ROBOTS_QUERY = `devices?${ROBOT_KINDS.map((kind) => `kind=${kind}`).join("&")}`;
 const DEVICES_EVERY_MS = 5000;
 const LEASE_EVERY_MS = 1000;
-/** The panels that make sense for a robot without a model of its motion. */
-export const GATEWAY_PANELS: readonly PanelId[] = ["jog", "joints", "devices", "latency"];
 const NOBODY: Lease = { holder: null, waiting: [] };
 
 /** All robots, those of the trajectory tool first; a name counts once. `isLoaded`: both services were asked. */

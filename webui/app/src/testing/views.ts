@@ -56,6 +56,7 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     variables: {},
     waiting: [],
     next: [],
+    afterNext: [],
     done: 0,
     activities: 11,
     elements: {},
