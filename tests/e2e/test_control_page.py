@@ -173,12 +173,19 @@ def test_what_is_shown_beside_the_joints_is_kept_for_the_user(control: Cell, ope
     expect(other.locator(".joint-jog li")).to_have_count(6)
 
 
-IS_ON_SCREEN = """(selectors) => selectors.flatMap((selector) => [...document.querySelectorAll(selector)].flatMap((element) => {
-  const box = element.getBoundingClientRect();
-  const isWithin = Math.min(box.left, box.top) >= -1 && box.right <= innerWidth + 1 && box.bottom <= innerHeight + 1;
-  const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
-  return isWithin && box.width > 0 && element.contains(top) ? [] : [`${selector} ${element.textContent.slice(0, 20)}`];
-}))"""
+IS_ON_SCREEN = """(selectors) => selectors.flatMap((selector) => {
+  const all = [...document.querySelectorAll(selector)];
+  const isSeen = (element) => {
+    const { left, right, top, bottom } = element.getBoundingClientRect();
+    const [x, y] = [(left + right) / 2, (top + bottom) / 2];
+    const edges = [[x, y], [left + 2, y], [right - 2, y], [x, top + 2], [x, bottom - 2]];
+    return edges.every(([atX, atY]) => {
+      const above = document.elementFromPoint(atX, atY);
+      return above !== null && element.contains(above);
+    });
+  };
+  return all.length === 0 ? [selector] : all.filter((one) => !isSeen(one)).map((one) => `${selector} ${one.textContent}`);
+})"""
 """Those of some elements that are not as a whole on the screen, or covered."""
 
 ON_ONE_SCREEN = [

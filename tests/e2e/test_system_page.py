@@ -260,8 +260,8 @@ def test_a_person_moves_the_robot_while_the_control_is_held(
         return not any(httpx.get(robot, timeout=120).json()["joints"]["velocity"])
 
     # Without the 3D view, which a machine without a graphics card draws too slowly for inputs every 20 ms.
-    panels = {"order": ["jog", "latency"], "hidden": ["view"]}
-    httpx.put(f"{cell.url('webui')}/api/user-settings/control.panels", json=panels, timeout=120)
+    panels = {"side": "joints", "isViewFolded": True}
+    httpx.put(f"{cell.url('webui')}/api/user-settings/control.layout", json=panels, timeout=120)
     page = open_page("/cell/robots/ur10-1/control")
     expect(page.get_by_text("No safety function and no emergency stop.")).to_be_visible()
     page.get_by_role("button", name="Take control").click()
@@ -293,7 +293,7 @@ def test_a_person_moves_the_robot_while_the_control_is_held(
         page.keyboard.up("Space")
         page.keyboard.up("r")
         page.evaluate("delete document.hidden")
-    expect(page.locator(".control__panel--latency")).to_contain_text(re.compile(r"rest\s*\d+"))
+    expect(page.locator(".control__panel--state")).to_contain_text(re.compile(r"rest\s*\d+"))
     keep(page, "control")
     page.get_by_role("button", name="End control").click()
     expect(page.get_by_role("heading", name="Nobody controls ur10-1")).to_be_visible()

@@ -55,7 +55,7 @@ function optionsOf(host: HTMLElement, language: string, seconds: string): uPlot.
         splits: Array.from({ length: KEPT_S / STEP_S + 1 }, (_, index) => index * STEP_S - KEPT_S),
         values: (_, splits) => splits.map((at) => `${number(at, language)} ${seconds}`),
       },
-      { ...axis, size: 56, splits: (_, __, ___, most) => [0, most / 2, most], values: (_, splits) => splits.map((value) => `${number(value, language)} ms`) },
+      { ...axis, size: 68, splits: (_, __, ___, most) => [0, most / 2, most], values: (_, splits) => splits.map((value) => `${number(value, language)} ms`) },
     ],
     series: [{}, line("--accent", []), line("--attention", [6, 4])],
   };

@@ -1,5 +1,5 @@
 import { afterEach, expect, test, vi } from "vitest";
-import rolesOf from "~/session/roles.json";
+import roleTable from "~/session/roles.json";
 import { loadSession } from "~/session/session";
 import { columnsOf, homeRole, type SectionName } from "./roles";
 
@@ -7,7 +7,7 @@ const ALL = ["task-orchestrator", "gesture-controller", "trajectory-tool", "huma
 
 /** Sign in with the grants of some roles; without any, there are no accounts. */
 async function signIn(...roles: string[]) {
-  const permissions = Object.entries(rolesOf).flatMap(([permission, having]) => (having.some((role) => roles.includes(role)) ? [permission] : []));
+  const permissions = Object.entries(roleTable.having).flatMap(([permission, having]) => (having.some((role) => roles.includes(role)) ? [permission] : []));
   const user = { subject: "u", name: "Anna", person: null, permissions, isLocal: false, isStation: false };
   const session = { hasAccounts: roles.length > 0, user: roles.length > 0 ? user : null, csrf: null, provider: null };
   vi.stubGlobal("fetch", () => Promise.resolve(new Response(JSON.stringify(session))));

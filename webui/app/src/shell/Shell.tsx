@@ -14,6 +14,7 @@ import { AccountMenu } from "~/session/AccountMenu";
 import { addresses } from "~/places/addresses";
 import { ALERTS_PAGE, offeredPlaces, pageAt, placeOf, type Place } from "~/places/places";
 import { useSession } from "~/session/session";
+import { useKiosk } from "./kiosk";
 import { KeyList } from "./KeyList";
 import { listenForKeys, usePageKeys } from "./keys";
 import { Preferences } from "./Preferences";
@@ -34,6 +35,7 @@ export function Shell({ children }: { children: ReactNode }) {
   const here = pageAt(path);
   const placeName = placeOf(here)?.name;
   const place = places.find(({ name }) => name === placeName);
+  const isKiosk = useKiosk() && here?.name === "work";
   const cell = useTopicSelector("cell", (view) => view?.factory);
 
   const around = useMemo(() => ({ services, showPreferences: () => setShowsPreferences(true), showKeys: () => setShowsKeys(true) }), [services]);
@@ -46,20 +48,20 @@ export function Shell({ children }: { children: ReactNode }) {
     ],
     [places, go, t],
   );
-  useEffect(() => listenForKeys([...pageKeys, ...everywhere]), [pageKeys, everywhere]);
+  useEffect(() => listenForKeys(isKiosk ? pageKeys : [...pageKeys, ...everywhere]), [pageKeys, everywhere, isKiosk]);
 
   useEffect(() => {
     document.title = here === undefined ? "Handover" : `${t(`pages.${here.name}`)} · Handover`;
   }, [here, t]);
 
   return (
-    <div className="shell">
+    <div className="shell" data-kiosk={isKiosk || undefined}>
       <a className="shell__skip" href="#content">
         {t("skip")}
       </a>
-      <Rail places={places} here={place} />
+      {!isKiosk && <Rail places={places} here={place} />}
       <div className="shell__side">
-        <header className="shell__bar">
+        {!isKiosk && <header className="shell__bar">
           <p className="shell__cell">
             <strong>{PRODUCT}</strong>
             {cell !== undefined && <span className="quiet">{cell}</span>}
@@ -76,7 +78,7 @@ export function Shell({ children }: { children: ReactNode }) {
             <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
             <Button kind="quiet" label={t("settings")} icon={<Settings2 aria-hidden size={20} />} onPress={() => setShowsPreferences(true)} />
           </div>
-        </header>
+        </header>}
         <LinkBanner />
         {(here?.name === "start" || here?.name === "work") && <AttentionBanner large={here.name === "work"} />}
         <main id="content" className="shell__content" tabIndex={-1}>

@@ -153,6 +153,7 @@ const HANDLERS: Readonly<Record<string, string>> = {
   "shell/scans.ts": "discards scans",
   "study/TlxForm.tsx": "Space and Enter mark a focused scale",
   "tasks/ResultForm.tsx": "Ctrl+Enter in the form",
+  "work/Kiosk.tsx": "Escape asks whether the navigation is shown",
 };
 
 test("every handler of keys is known", () => {

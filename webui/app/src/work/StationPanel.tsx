@@ -4,8 +4,11 @@ import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
+import { Checkbox } from "~/design/Checkbox";
 import "~/design/ConfirmDialog.css";
 import { number } from "~/design/numbers";
+import { setKiosk, useKiosk } from "~/shell/kiosk";
+import { useParticipantMode } from "~/study/participantMode";
 import { bounds, keepStation, minFontPx, useStation, type Station } from "./station";
 import "./StationPanel.css";
 
@@ -13,6 +16,9 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
   const { t, i18n } = useTranslation(["work", "common"]);
   const { station } = useStation();
   const [draft, setDraft] = useState<Station>(station);
+  const kiosk = useKiosk();
+  const [hidesNavigation, setHidesNavigation] = useState(kiosk);
+  const isParticipant = useParticipantMode() !== null;
   const { width, height } = window.screen;
   const formatted = (value: number) => number(value, i18n.language, { maximumFractionDigits: 1 });
   const px = Math.round(minFontPx(draft, { width, height }));
@@ -41,6 +47,14 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
           <p className="quiet" role="status">
             {t("station.result", { px: formatted(px) })}
           </p>
+          {!isParticipant && (
+            <div className="station__kiosk">
+              <Checkbox size="large" isSelected={hidesNavigation} onChange={setHidesNavigation}>
+                {t("kiosk.hide")}
+              </Checkbox>
+              <p className="quiet">{t("kiosk.means")}</p>
+            </div>
+          )}
           <div className="confirm-dialog__actions">
             <Button
               size="large"
@@ -56,6 +70,7 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
               kind="main"
               onPress={() => {
                 keepStation(draft);
+                if (!isParticipant) setKiosk(hidesNavigation);
                 onClose();
               }}
             >

@@ -1,5 +1,6 @@
 /** The status bar of the operator's page: glove, robot, process and the pause button. */
 import { Bot, Hand as HandIcon, Pause, Play, Users, Workflow } from "lucide-react";
+import type { ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { StatusBadge } from "~/design/StatusBadge";
@@ -17,11 +18,13 @@ export interface StatusStripProps {
   busy: boolean;
   /** The connection is lost: old states are not shown as present ones. */
   unknown: boolean;
+  /** Who has joined the station, where no header shows it. */
+  account: ReactNode;
   /** Opens the choice of another glove, if there are several. */
   onChange: (() => void) | null;
 }
 
-export function StatusStrip({ glove, robot, process, pause, busy, unknown, onChange }: StatusStripProps) {
+export function StatusStrip({ glove, robot, process, pause, busy, unknown, account, onChange }: StatusStripProps) {
   const { t } = useTranslation(["work", "common"]);
   return (
     <section className="work__strip" aria-label={t("strip.label")}>
@@ -50,6 +53,7 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
         )}
       </div>
       <div className="work__strip-acts">
+        {account}
         {onChange !== null && (
           <Button size="large" label={t("strip.change")} icon={<Users aria-hidden size="1em" />} onPress={onChange} />
         )}

@@ -1,5 +1,5 @@
 /** The operator's page: the present situation and its actions. */
-import { MonitorCog, OctagonAlert } from "lucide-react";
+import { History, MonitorCog, OctagonAlert } from "lucide-react";
 import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
@@ -10,11 +10,17 @@ import type { NextActivity, ProcessView } from "~/api/generated/task-orchestrato
 import type { RobotView } from "~/live/messages";
 import { isSame } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
+import { AccountMenu } from "~/session/AccountMenu";
+import { useSession } from "~/session/session";
+import { useKiosk } from "~/shell/kiosk";
 import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
 import { givePin } from "./actions";
 import { PromptStage, DoneStage } from "./PromptStage";
 import { ActionBar } from "./ActionBar";
+import { isAsked, mayRest, useDimmed, useWakeLock } from "./awake";
+import { KioskExit } from "./Kiosk";
+import { PastSteps } from "./PastSteps";
 import { StartStage } from "./StartStage";
 import { BetweenStage, RobotStage } from "./RobotStage";
 import { ReportPanel, type ReportedOutcome } from "./ReportPanel";
@@ -47,6 +53,14 @@ export default function WorkPage() {
   const step = answered === null ? stepOf(situation) : `done ${answered.task.id}`;
   const [reporting, report] = useState<ReportedOutcome | null>(null);
   const [showsStation, setShowsStation] = useState(false);
+  /** The step that ran when the finished ones were opened: they close when another begins. */
+  const [looksBackFrom, lookBackFrom] = useState<string | null>(null);
+  const process = shownProcess(situation, scene);
+  const hasPast = process?.tasks.some(({ endedAt }) => endedAt !== null) === true;
+  const isKiosk = useKiosk() && !isParticipant;
+  const isStation = useSession().user?.isStation === true;
+  useWakeLock(isKiosk || isAsked(situation));
+  const isDimmed = useDimmed(isKiosk && mayRest(situation), handOf(scene));
   const { minPx } = useStation();
   useLayoutEffect(() => {
     // On the root element, because dialogs are outside of the page.
@@ -63,10 +77,11 @@ export default function WorkPage() {
         <StatusStrip
           glove={"glove" in situation ? situation.glove : null}
           robot={robotOf(situation, scene)}
-          process={shownProcess(situation, scene)}
+          process={process}
           pause={acts.pause}
           busy={acting.busy}
           unknown={situation.kind === "linkLost" || situation.kind === "connecting"}
+          account={isKiosk && isStation ? <AccountMenu /> : null}
           onChange={!isParticipant && scene.gloves.length > 1 && chosen !== "" ? () => choose("") : null}
         />
         <section className="work__stage" key={step}>
@@ -80,6 +95,11 @@ export default function WorkPage() {
           </div>
           <div className="work__base">
             <Safety />
+            {process !== null && hasPast && (
+              <Button size="large" label={t("past.title")} icon={<History aria-hidden size="1em" />} onPress={() => lookBackFrom(step)}>
+                <span className="work__word">{t("past.open")}</span>
+              </Button>
+            )}
             <Button kind="quiet" size="large" label={t("station.title")} icon={<MonitorCog aria-hidden size="1em" />} onPress={() => setShowsStation(true)} />
           </div>
         </section>
@@ -91,6 +111,15 @@ export default function WorkPage() {
         <PinDialog onClose={() => setAsksPin(false)} onPin={(pin) => givePin(situation.glove.glove, situation.glove.task?.id, pin)}>
           <p>{situation.glove.task.description}</p>
         </PinDialog>
+      )}
+      {process !== null && looksBackFrom === step && (
+        <PastSteps process={process} present={"task" in situation ? (situation.task?.description ?? null) : null} onClose={() => lookBackFrom(null)} />
+      )}
+      {isKiosk && <KioskExit />}
+      {isDimmed && (
+        <div className="work__dim" role="status" onPointerDown={(event) => event.stopPropagation()}>
+          <p>{t("kiosk.wake")}</p>
+        </div>
       )}
       {showsStation && <StationPanel onClose={() => setShowsStation(false)} />}
       {question}
@@ -147,12 +176,23 @@ function Next({ situation }: { situation: Situation }) {
   const { t } = useTranslation("work");
   const texts = useProcessTexts();
   if (!("next" in situation) || !("process" in situation) || situation.process === null) return <span />;
-  return <p className="work__next">{wordsOfNext(situation.next)}</p>;
+  const { next } = situation;
+  const [following] = situation.process.afterNext;
+  return (
+    <p className="work__next">
+      <span>{next === null ? t("nextUnknown") : words(next, "next")}</span>
+      {next !== null && following !== undefined && <span className="work__then">{words(following, "then")}</span>}
+    </p>
+  );
 
-  function wordsOfNext(next: NextActivity | null): string {
-    if (next === null) return t("nextUnknown");
-    return next.lane === null ? t("next", { name: next.name }) : t("nextBy", { name: next.name, lane: texts.say(next.lane) });
+  function words({ name, lane }: NextActivity, when: "next" | "then"): string {
+    return lane === null ? t(when, { name }) : t(`${when}By`, { name, lane: texts.say(lane) });
   }
+}
+
+/** What a worn glove shows: it changes when a hand moves. */
+function handOf({ gloves, chosen }: Scene): string {
+  return gloves.filter(({ glove }) => chosen === null || glove === chosen).map(({ glove, connected, states }) => `${glove} ${connected} ${states}`).join();
 }
 
 function robotOf(situation: Situation, scene: Scene): RobotView | null {

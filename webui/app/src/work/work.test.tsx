@@ -6,8 +6,10 @@ import { setLanguage, initI18n } from "~/i18n";
 import { Live } from "~/live/hooks";
 import type { GloveView } from "~/live/messages";
 import { LiveStore } from "~/live/store";
+import { setKiosk } from "~/shell/kiosk";
 import { setUserName } from "~/shell/userName";
 import { incident } from "~/testing/views";
+import { REST_AFTER_MS } from "./awake";
 import { startRequest } from "./confirmation";
 import { completed, definition, failed, glove, process, robot, robotTask, service, stopped, task, userTask } from "./scene.fixture";
 import WorkPage from "./WorkPage";
@@ -60,6 +62,67 @@ describe("the operator's page", () => {
     expect(screen.getByText("Next (Robot): Scan the bin")).toBeTruthy();
     expect(screen.getByText("Emergency stop: the red button on the cell, never a gesture.")).toBeTruthy();
     expect(screen.getByRole("button", { name: "Complete by hand" })).toBeTruthy();
+  });
+
+  it("says the next two steps, and who does each", async () => {
+    const next = [{ element: "scan", name: "Scan the bin", description: null, lane: "Robot", involves: [] }];
+    const afterNext = [{ element: "grip", name: "Confirm the grip", description: null, lane: "Operator", involves: [] }];
+    await open(asks(), ["process/1", process({ tasks: [userTask], next, afterNext })]);
+    expect(screen.getByText("Next (Robot): Scan the bin")).toBeTruthy();
+    expect(screen.getByText("Then (Operator): Confirm the grip")).toBeTruthy();
+  });
+
+  it("shows a finished step again, and closes it when another question comes", async () => {
+    const over = { ...userTask, id: "urn:ngsi-ld:Task:demo:bin-picking-1-clear-1", description: "Clear the bin", status: "completed", endedAt: "2026-01-01T10:00:30Z", outputParameters: { by: "gesture" } } as const;
+    const live = await open(asks(), ["process/1", process({ tasks: [over, userTask] })]);
+    await userEvent.click(screen.getByRole("button", { name: "Finished steps" }));
+    const dialog = screen.getByRole("dialog");
+    expect(within(dialog).getByText("Clear the bin")).toBeTruthy();
+    expect(within(dialog).getByText("Confirmed with Thumbs up")).toBeTruthy();
+    expect(within(dialog).getByText(`Running: ${task.description}`)).toBeTruthy();
+    const following = { ...task, id: `${task.id}-2`, description: "And now the next thing" };
+    act(() => publish(live, Object.fromEntries([asks({ task: following })])));
+    await waitFor(() => expect(screen.queryByRole("dialog")).toBeNull());
+  });
+
+  it("dims an idle kiosk, wakes it when the hand moves, and leaves other screens alone", async () => {
+    vi.useFakeTimers();
+    try {
+      const live = await open(["glove/glove-1", glove()]);
+      await act(() => vi.advanceTimersByTimeAsync(2 * REST_AFTER_MS));
+      expect(screen.queryByText("Move the glove or touch the screen.")).toBeNull();
+      act(() => setKiosk(true));
+      await act(() => vi.advanceTimersByTimeAsync(REST_AFTER_MS + 1));
+      expect(screen.getByText("Move the glove or touch the screen.")).toBeTruthy();
+      act(() => publish(live, { "glove/glove-1": glove({ states: "02222" }) }));
+      expect(screen.queryByText("Move the glove or touch the screen.")).toBeNull();
+      await act(() => vi.advanceTimersByTimeAsync(REST_AFTER_MS + 1));
+      expect(screen.getByText("Move the glove or touch the screen.")).toBeTruthy();
+      act(() => publish(live, Object.fromEntries([asks()])));
+      expect(screen.queryByText("Move the glove or touch the screen.")).toBeNull();
+    } finally {
+      act(() => setKiosk(false));
+      vi.useRealTimers();
+    }
+  });
+
+  it("keeps the screen on while somebody is asked, and no longer", async () => {
+    const release = vi.fn(() => Promise.resolve());
+    const request = vi.fn(() => Promise.resolve({ release }));
+    Object.defineProperty(navigator, "wakeLock", { value: { request }, configurable: true });
+    try {
+      const live = await open(["glove/glove-1", glove()]);
+      expect(request).not.toHaveBeenCalled();
+      await act(async () => {
+        publish(live, Object.fromEntries([asks()]));
+        await Promise.resolve();
+      });
+      expect(request).toHaveBeenCalledWith("screen");
+      act(() => publish(live, { "glove/glove-1": glove() }));
+      await waitFor(() => expect(release).toHaveBeenCalled());
+    } finally {
+      Reflect.deleteProperty(navigator, "wakeLock");
+    }
   });
 
   it("names the finger that differs, in the language of the page", async () => {
