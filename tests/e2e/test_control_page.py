@@ -184,7 +184,8 @@ IS_ON_SCREEN = """(selectors) => selectors.flatMap((selector) => {
       return above !== null && element.contains(above);
     });
   };
-  return all.length === 0 ? [selector] : all.filter((one) => !isSeen(one)).map((one) => `${selector} ${one.textContent}`);
+  const unseen = all.filter((element) => !isSeen(element));
+  return all.length === 0 ? [selector] : unseen.map((element) => `${selector} ${element.textContent}`);
 })"""
 """Those of some elements that are not as a whole on the screen, or covered."""
 
@@ -209,6 +210,7 @@ ON_ONE_SCREEN = [
 )
 @pytest.mark.parametrize(("language", "theme"), [("en", "light"), ("de", "dark"), ("fi", "light")])
 def test_the_control_is_on_one_screen_and_nothing_is_covered(
+    *,
     control: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -220,9 +222,7 @@ def test_the_control_is_on_one_screen_and_nothing_is_covered(
 ) -> None:
     """From 1366 x 768 all of it is; a smaller screen scrolls its panels above the dead-man control."""
     store_layout(control, {"side": "joints", "isViewFolded": False})
-    page = open_page(
-        CONTROL, viewport={"width": width, "height": height}, language=language, theme=theme
-    )
+    page = open_page(CONTROL, viewport={"width": width, "height": height}, language=language, theme=theme)
     page.locator(".joint-jog li").nth(5).wait_for()
     accessible(page)
     keep(page, f"control-{width}-{language}-{theme}")
