@@ -1,10 +1,10 @@
 import { ListPage } from "./ListPage";
-import { DevicesPanel } from "./devices/DevicesPanel";
+import { Overview } from "./overview/Overview";
 
 export default function OverviewPage() {
   return (
     <ListPage name="overview">
-      <DevicesPanel />
+      <Overview />
     </ListPage>
   );
 }

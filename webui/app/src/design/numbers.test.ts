@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { valueInWords } from "~/cell/devices/value";
+import { valueInWords } from "~/cell/objects/value";
 import { number, percent, typedNumber } from "./numbers";
 
 test("numbers are grouped and have the decimal sign of the language, never a mix", () => {
@@ -20,7 +20,7 @@ test.each(["en", "de", "fi"])("a number that was typed is read as %s writes it, 
 test("the value of a device is written in the language too, lists without commas between", () => {
   expect(valueInWords(937.73, "de")).toBe("937,73");
   expect(valueInWords([1000, 937.73], "de")).toBe("1.000 · 937,73");
-  expect(valueInWords({ x: 1.5 }, "de")).toBe('{"x":1.5}');
+  expect(valueInWords({ x: 1.5, pose: { at: [1, 2] }, by: "urn:ngsi-ld:Device:demo:arm" }, "de")).toBe("x 1,5; pose at 1 · 2; by arm");
   expect(valueInWords("on", "de")).toBe("on");
   expect(valueInWords(null, "de")).toBeNull();
 });

@@ -23,7 +23,7 @@ export function useTopic<T extends keyof TopicValues>(topic: T): TopicValues[T] 
   return OF_PROCESSES.has(topic.split("/")[0] ?? "") ? texts.localized(value) : value;
 }
 
-interface Families {
+export interface Families {
   glove: GloveView;
   robot: RobotView;
   process: ProcessView;

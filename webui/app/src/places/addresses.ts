@@ -1,9 +1,9 @@
 /** The addresses of the page. A link takes its address from here, so that one that does not exist is no program. */
 
-export const ROBOT_TABS = ["state", "control"] as const;
+export const ROBOT_TABS = ["state", "control", "limits", "history", "settings"] as const;
 export type RobotTab = (typeof ROBOT_TABS)[number];
 
-export const GLOVE_TABS = ["state", "calibrate", "test"] as const;
+export const GLOVE_TABS = ["state", "calibrate", "test", "history"] as const;
 export type GloveTab = (typeof GLOVE_TABS)[number];
 
 type Query = Readonly<Record<string, string | undefined>>;
@@ -19,7 +19,7 @@ export const addresses = {
   process: (id: string) => `/processes/${encodeURIComponent(id)}`,
   statistics: () => "/processes/statistics",
 
-  cell: (query: { find?: string } = {}) => withQuery("/cell", query),
+  cell: (query: { find?: string; show?: "attention"; kind?: string } = {}) => withQuery("/cell", query),
   robots: () => "/cell/robots",
   robot: (name: string, tab: RobotTab = "state") => object("/cell/robots", name, tab),
   gloves: () => "/cell/gloves",
@@ -33,6 +33,7 @@ export const addresses = {
   humanoidInVr: () => "/care/exercises/vr",
   people: (query: { view?: string; person?: string; user?: string } = {}) => withQuery("/admin/people", query),
   services: () => "/admin/services",
+  service: (name: string) => `/admin/services/${encodeURIComponent(name)}`,
   study: (query: { session?: string } = {}) => withQuery("/admin/studies", query),
 } as const;
 

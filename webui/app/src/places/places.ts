@@ -101,7 +101,7 @@ export const PLACES: readonly Place[] = [
     icon: ClipboardCheck,
     pages: [
       { name: "people", path: "/admin/people", key: "e", component: lazy(() => import("~/people/PeoplePage")) },
-      { name: "services", path: "/admin/services", key: "s", component: lazy(() => import("~/cell/ServicesPage")) },
+      { name: "services", path: "/admin/services", below: "/:name?", key: "s", component: lazy(() => import("~/cell/ServicesPage")) },
       { name: "alerting", path: "/admin/alerts", component: lazy(() => import("~/alerting/AlertingPage")) },
       { name: "study", path: "/admin/studies", key: "u", component: lazy(() => import("~/study/StudyPage")) },
     ],

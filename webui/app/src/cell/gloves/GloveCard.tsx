@@ -16,6 +16,7 @@ import { shortName } from "~/live/urn";
 import { MayNot } from "~/design/MayNot";
 import { mayDo } from "~/session/session";
 import { Battery } from "../Battery";
+import "./GloveCard.css";
 
 const BendStrip = lazy(() => import("./BendStrip"));
 

@@ -1,6 +1,6 @@
-/** Gloves: one card each. */
+/** The gloves of the cell, as a list. */
 import { Hand } from "lucide-react";
-import { useState } from "react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { startOperator } from "~/api/actions";
 import { errorText } from "~/api/http";
@@ -8,22 +8,17 @@ import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { useTopic } from "~/live/hooks";
-import { useGloveNames } from "~/live/names";
-import { GloveCard } from "./GloveCard";
-import "./GlovesPanel.css";
+import { ObjectTable } from "../objects/ObjectTable";
+import { useCellObjects } from "../objects/useCellObjects";
 
 const DEFAULT_GLOVE = "glove-1";
 
 export function GlovesPanel() {
-  const gloves = useGloveNames();
-  if (gloves.length === 0) return <NoGlove />;
-  return (
-    <div className="gloves">
-      {gloves.map((glove) => (
-        <GloveCard key={glove} glove={glove} />
-      ))}
-    </div>
-  );
+  const { t } = useTranslation(["cell", "common"]);
+  const { objects, isLoaded } = useCellObjects();
+  const gloves = useMemo(() => objects.filter(({ kind }) => kind === "glove"), [objects]);
+  if (gloves.length === 0) return isLoaded ? <NoGlove /> : <p className="quiet">{t("common:loading")}</p>;
+  return <ObjectTable label={t("kinds.glove")} objects={gloves} view="" />;
 }
 
 function NoGlove() {

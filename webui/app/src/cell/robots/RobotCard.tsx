@@ -12,6 +12,7 @@ import { HandOver } from "~/robot/HandOver";
 import { Gripper } from "./Gripper";
 import { JointTable } from "./JointTable";
 import { Limits } from "./Limits";
+import "./RobotCard.css";
 
 const Robot3d = lazy(() => import("~/robot3d/Robot3d"));
 
