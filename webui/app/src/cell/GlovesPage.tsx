@@ -1,4 +1,4 @@
-/** The gloves of the cell, or one of them: its state, its calibration, and a test of what it recognizes. */
+/** The gloves of the cell, or one of them: its state, its calibration, a test of what it recognizes, and its history. */
 import { lazy } from "react";
 import { useTranslation } from "react-i18next";
 import { useParams } from "wouter";
@@ -11,13 +11,16 @@ import { GloveCard } from "./gloves/GloveCard";
 import { GlovesPanel } from "./gloves/GlovesPanel";
 import { ListPage } from "./ListPage";
 import { ObjectPage } from "./ObjectPage";
+import { OpenAlerts } from "./objects/ObjectAlerts";
 
 const Calibration = lazy(() => import("~/calibrate/Calibration"));
+const GloveTests = lazy(() => import("./gloves/GloveTests"));
+const ObjectHistory = lazy(() => import("./objects/ObjectHistory"));
 const GloveTest = lazy(() => import("~/test/GloveTest"));
 
 export default function GlovesPage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
-  useTranslation(["system", "hand", "calibrate", "test"]);
+  useTranslation(["system", "hand", "calibrate", "test", "cell", "devices", "processes"]);
   const { name } = useParams();
   return name === undefined ? (
     <ListPage name="gloves">
@@ -37,7 +40,19 @@ function GlovePage({ name }: { name: string }) {
   if (tab === undefined) return <UnknownName thing="page" name={asked} />;
   return (
     <ObjectPage list={{ name: "gloves", address: addresses.gloves() }} name={name} names={gloves} tab={tab} tabs={GLOVE_TABS} addressOf={addresses.glove}>
-      {tab === "state" ? <GloveCard glove={name} /> : tab === "calibrate" ? <Calibration key={name} glove={name} /> : <GloveTest key={name} glove={name} />}
+      {tab === "state" && (
+        <>
+          <OpenAlerts entity={null} name={name} />
+          <GloveCard glove={name} />
+        </>
+      )}
+      {tab === "calibrate" && <Calibration key={name} glove={name} />}
+      {tab === "test" && <GloveTest key={name} glove={name} />}
+      {tab === "history" && (
+        <ObjectHistory entity={null} name={name}>
+          <GloveTests glove={name} />
+        </ObjectHistory>
+      )}
     </ObjectPage>
   );
 }

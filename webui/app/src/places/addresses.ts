@@ -27,6 +27,7 @@ export const addresses = {
   devices: (query: { add?: "yes" } = {}) => withQuery("/cell/devices", query),
   device: (name: string, query: { part?: string; values?: string } = {}) => withQuery(`/cell/devices/${encodeURIComponent(name)}`, query),
   sensors: () => "/cell/sensors",
+  events: (query: { source?: string } = {}) => withQuery("/cell/events", query),
   health: (query: { person?: string } = {}) => withQuery("/care/health", query),
   cases: (query: { case?: string } = {}) => withQuery("/care/cases", query),
   humanoid: () => "/care/exercises",

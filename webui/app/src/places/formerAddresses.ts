@@ -21,7 +21,7 @@ const TABS_OF_SYSTEM: Readonly<Record<string, string>> = {
   devices: addresses.cell(),
   ros: "/cell/ros",
   alerts: addresses.alerts(),
-  events: "/cell/events",
+  events: addresses.events(),
 };
 
 export interface FirstOf {

@@ -9,7 +9,7 @@ import { Card } from "~/design/Card";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
-import { StatusBadge, type Tone } from "~/design/StatusBadge";
+import { StatusBadge } from "~/design/StatusBadge";
 import { Checkbox } from "~/design/Checkbox";
 import { useGestureName } from "~/hand/Hand";
 import { useTopicSelector } from "~/live/hooks";
@@ -21,10 +21,9 @@ import { Trial } from "./Trial";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { exactTime } from "~/design/times";
-import { beginTest, deleteTest, isPlain, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
+import { beginTest, deleteTest, isPlain, leadTest, phaseTone, type Gesture, type TestSummary } from "./tests";
 
 const rounds = ["1", "3", "5", "10"] as const;
-const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "attention", stopped: "neutral" };
 
 export function Accuracy({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
@@ -133,7 +132,7 @@ function Earlier({ tests, selected, show, reload }: EarlierProps) {
       },
       {
         id: "state", name: t("earlier.column.state"), width: "minmax(120px, 1fr)", sortBy: (test) => t(`phase.${test.phase}`),
-        cell: (test) => <StatusBadge tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</StatusBadge>,
+        cell: (test) => <StatusBadge tone={phaseTone[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</StatusBadge>,
       },
       {
         id: "acts", name: t("earlier.column.acts"), width: "minmax(160px, 1.4fr)",

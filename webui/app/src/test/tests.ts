@@ -1,6 +1,7 @@
 /** The types and requests of accuracy tests. */
-import type { CompositeSiteGesture, NewTest, PlainSiteGesture, TestState } from "~/api/generated/gesture-controller";
+import type { CompositeSiteGesture, NewTest, Phase, PlainSiteGesture, TestState } from "~/api/generated/gesture-controller";
 import { requestService } from "~/api/http";
+import type { Tone } from "~/design/StatusBadge";
 
 export type {
   Figures, Phase, TestReport as Report, TestSummary,
@@ -11,6 +12,8 @@ export type Gesture = PlainSiteGesture | CompositeSiteGesture;
 export function isPlain(gesture: Gesture): gesture is PlainSiteGesture {
   return "code" in gesture;
 }
+
+export const phaseTone: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "attention", stopped: "neutral" };
 
 export const reportPath = (test: string): string => `tests/${encodeURIComponent(test)}/report`;
 export const fileUrl = (test: string, kind: "csv" | "json"): string =>
