@@ -33,9 +33,10 @@ class LastMessage(TypedDict):
 
 
 class ServiceHealth(TypedDict):
-    """A row of the topic `services`: `rates` are per second."""
+    """A row of the topic `services`: `rates` are per second; `url` is null for callers of some resources only."""
 
     name: str
+    url: str | None
     state: Literal["up", "degraded", "down"]
     detail: str | None
     since: str

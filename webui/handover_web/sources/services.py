@@ -102,6 +102,7 @@ class ServiceRow:
         """Return the row as sent to pages."""
         return {
             "name": self.name,
+            "url": self.url,
             "state": self.state or "down",
             "detail": self.detail,
             "since": self.since,
@@ -161,7 +162,7 @@ class ServiceMonitor(Source):
 
     def _publish(self) -> None:
         views = [row.view() for row in self._rows.values() if row.state is not None]
-        states = [{**view, "detail": None, "lastMessage": None} for view in views]
+        states = [{**view, "url": None, "detail": None, "lastMessage": None} for view in views]
         self._state.publish("services", views, partial=states)
 
     async def _check(self, row: ServiceRow) -> None:

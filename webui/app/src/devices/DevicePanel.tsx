@@ -2,6 +2,7 @@
 import { ArrowLeft } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
+import { Link } from "wouter";
 import type { CertificateView, DeviceDetails, TokenView } from "~/api/generated/device-gateway";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
@@ -11,6 +12,10 @@ import type { RegisteredDeviceView } from "~/live/messages";
 import { useChoice } from "~/route/choice";
 import { mayDo } from "~/session/session";
 import { Battery } from "~/cell/Battery";
+import { ROBOT_KINDS } from "~/cell/objects/cellObjects";
+import { OpenAlerts } from "~/cell/objects/ObjectAlerts";
+import { useRobotNames } from "~/live/names";
+import { addresses } from "~/places/addresses";
 import { CommandsPart } from "./commands/CommandsPart";
 import { ConditionBadge } from "./ConditionBadge";
 import { EditDevice } from "./form/DeviceForm";
@@ -36,8 +41,9 @@ export interface DevicePanelProps {
 }
 
 export function DevicePanel({ device, units, symbolOf, onToken, onCertificate, onClose }: DevicePanelProps) {
-  const { t } = useTranslation("devices");
+  const { t } = useTranslation(["devices", "common"]);
   const [wanted, setPart] = useChoice<Part>("part", PARTS, "overview");
+  const ofTool = useRobotNames().includes(device.name);
   const [changes, setChanges] = useState(0);
   const { value: details, failure, reload } = useServiceQuery<DeviceDetails>(SERVICE, pathOf(device.name), { revision: `${device.updatedAt} ${changes}` });
   const changed = () => setChanges((before) => before + 1);
@@ -71,7 +77,13 @@ export function DevicePanel({ device, units, symbolOf, onToken, onCertificate, o
         <h2>{titleOf(device)}</h2>
         <ConditionBadge device={device} />
         {device.batteryLevel !== null && <Battery level={device.batteryLevel} />}
+        {(ofTool || (device.connected && ROBOT_KINDS.includes(device.kind))) && (
+          <Link href={addresses.robot(device.name, "control")} className="device__control">
+            {t("common:objectTab.control")}
+          </Link>
+        )}
       </header>
+      <OpenAlerts entity={device.entity} name={device.name} />
       <SegmentedControl label={t("parts")} value={part} options={parts.map((each) => ({ value: each, name: t(`part.${each}`) }))} onChange={setPart} />
       {failure !== null && <ErrorMessage act={<Button onPress={reload}>{t("again")}</Button>}>{failure}</ErrorMessage>}
       {details !== null && show(details)}

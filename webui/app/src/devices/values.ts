@@ -72,3 +72,9 @@ export function titleOf(device: { name: string; title: string }): string {
 export function isoOf(seconds: number): string {
   return new Date(seconds * 1000).toISOString();
 }
+
+/** The kind of the device gateway that a category of a Device entity stands for; undefined for one that says nothing. */
+export function kindOfCategory(category: readonly string[]): string | undefined {
+  const kinds: Readonly<Record<string, string>> = { robot: "robotArm", sensor: "sensor", actuator: "actuator", wearable: "wearable", camera: "camera", gripper: "gripper" };
+  return category.flatMap((word) => kinds[word] ?? [])[0];
+}

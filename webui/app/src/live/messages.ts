@@ -23,9 +23,10 @@ export interface LastMessage {
   text: string;
 }
 
-/** A row of the topic `services`: `rates` are per second. */
+/** A row of the topic `services`: `rates` are per second; `url` is null for callers of some resources only. */
 export interface ServiceHealth {
   name: string;
+  url: string | null;
   state: "up" | "degraded" | "down";
   detail: string | null;
   since: string;

@@ -5,6 +5,7 @@ const MOVED: Readonly<Record<string, string>> = {
   "/tasks": addresses.tasks(),
   "/cockpit": addresses.statistics(),
   "/sensors": addresses.sensors(),
+  "/cell/sensors": addresses.sensors(),
   "/health": addresses.health(),
   "/cases": addresses.cases(),
   "/humanoid": addresses.humanoid(),

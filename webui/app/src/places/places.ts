@@ -63,7 +63,6 @@ export const PLACES: readonly Place[] = [
       { name: "robots", path: "/cell/robots", below: "/:name?/:tab?", key: "r", component: lazy(() => import("~/cell/RobotsPage")) },
       { name: "gloves", path: "/cell/gloves", below: "/:name?/:tab?", key: "l", component: lazy(() => import("~/cell/GlovesPage")) },
       { name: "devices", path: "/cell/devices", below: "/:name?", key: "d", component: lazy(() => import("~/devices/DevicesPage")) },
-      { name: "sensors", path: "/cell/sensors", key: "m", component: lazy(() => import("~/sensors/SensorsPage")) },
       { name: "ros", path: "/cell/ros", component: lazy(() => import("~/cell/RosPage")), isOffered: runs("ros-bridge") },
       { name: "events", path: "/cell/events", key: "v", component: lazy(() => import("~/cell/EventsPage")) },
     ],

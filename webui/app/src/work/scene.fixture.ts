@@ -110,7 +110,7 @@ export function definition(part: Partial<DefinitionView> = {}): DefinitionView {
 }
 
 export function service(name: string, state: ServiceHealth["state"]): ServiceHealth {
-  return { name, state, detail: null, since: at, rates: {}, lastMessage: null };
+  return { name, url: null, state, detail: null, since: at, rates: {}, lastMessage: null };
 }
 
 export function scene(part: Partial<Scene> = {}): Scene {

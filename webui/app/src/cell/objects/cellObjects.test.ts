@@ -21,7 +21,7 @@ function glove(name: string, over: Partial<GloveView> = {}): GloveView {
 }
 
 function service(name: string, state: ServiceHealth["state"] = "up"): ServiceHealth {
-  return { name, state, detail: null, since: "2026-01-01T08:00:00Z", rates: {}, lastMessage: null };
+  return { name, url: null, state, detail: null, since: "2026-01-01T08:00:00Z", rates: {}, lastMessage: null };
 }
 
 function listed(over: Partial<Sources>): CellObject[] {

@@ -2,6 +2,7 @@
 import { Activity } from "lucide-react";
 import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
+import { Link, useLocation } from "wouter";
 import { RelativeTime } from "~/design/RelativeTime";
 import { EmptyState } from "~/design/EmptyState";
 import { StatusBadge } from "~/design/StatusBadge";
@@ -10,6 +11,7 @@ import { rate } from "~/design/times";
 import { useTopic } from "~/live/hooks";
 import { readable } from "~/live/readable";
 import type { ServiceHealth } from "~/live/messages";
+import { addresses } from "~/places/addresses";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import "./ServicesPanel.css";
@@ -21,6 +23,7 @@ export function ServicesPanel() {
   const { t } = useTranslation(["system", "common"]);
   const services = useTopic("services") ?? NONE;
   const [sorting, setSorting] = useSorting("");
+  const [, go] = useLocation();
   const columns = useColumns();
   if (services.length === 0) {
     return <EmptyState icon={<Activity aria-hidden size={32} />} title={t("service.none.title")}>{t("service.none.means")}</EmptyState>;
@@ -36,6 +39,7 @@ export function ServicesPanel() {
       isLabelled
       sorting={sorting}
       onSort={setSorting}
+      onOpen={(service) => go(addresses.service(service.name))}
     />
   );
 }
@@ -45,7 +49,7 @@ function useColumns(): readonly Column<ServiceHealth>[] {
   return useMemo(() => {
     const nameOf = (service: ServiceHealth) => t(`common:services.${service.name}`, { defaultValue: service.name });
     return [
-      { id: "service", name: t("service.service"), width: "minmax(150px, 1.8fr)", sortBy: nameOf, cell: (service) => <span className="cell__name">{nameOf(service)}</span> },
+      { id: "service", name: t("service.service"), width: "minmax(150px, 1.8fr)", sortBy: nameOf, cell: (service) => <Link href={addresses.service(service.name)} tabIndex={-1} className="cell__name">{nameOf(service)}</Link> },
       {
         id: "state", name: t("service.state"), width: "minmax(190px, 2.4fr)", sortBy: (service) => BY_HEALTH.indexOf(service.state),
         cell: (service) => (
@@ -78,7 +82,7 @@ function useColumns(): readonly Column<ServiceHealth>[] {
   }, [t, i18n.language]);
 }
 
-function Rates({ service, language }: { service: ServiceHealth; language: string }) {
+export function Rates({ service, language }: { service: ServiceHealth; language: string }) {
   const { t } = useTranslation("system");
   const rates = Object.entries(service.rates);
   if (rates.length === 0) return null;

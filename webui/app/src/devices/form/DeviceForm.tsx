@@ -82,13 +82,22 @@ function DescriptionForm({ initial, units, act, onSave, onClose }: DescriptionFo
 
 const NEW: DeviceDescription = { kind: "sensor" };
 
-export function AddDevice({ units, onClose, onAdded }: { units: Units; onClose: () => void; onAdded: (made: TokenView) => void }) {
+interface AddDeviceProps {
+  units: Units;
+  /** The name and the kind of a device that was found. */
+  found: { name: string; kind: string };
+  onClose: () => void;
+  onAdded: (made: TokenView) => void;
+}
+
+export function AddDevice({ units, found, onClose, onAdded }: AddDeviceProps) {
   const { t } = useTranslation("devices");
+  const kind = KINDS.find((other) => other === found.kind) ?? NEW.kind;
   const { value: templates, failure } = useServiceQuery<Record<string, DeviceDescription>>(SERVICE, "templates");
-  const [name, setName] = useState("");
+  const [name, setName] = useState(found.name);
   const [fault, setFault] = useState<string | undefined>();
   const [template, setTemplate] = useState("");
-  const initial = templates?.[template] ?? NEW;
+  const initial = templates?.[template] ?? { ...NEW, kind };
   const options = Object.entries(templates ?? {}).map(([value, { manufacturer, model }]) => ({ value, name: [manufacturer, model].filter((part) => part !== "").join(" ") || value }));
   return (
     <Card title={t("add.title")} className="device-add">

@@ -1,7 +1,7 @@
-/** The Sensors page: the rooms of the site and the live values of their devices. */
+/** The Devices page as a board: the rooms of the site and the live values of their devices. */
 import { useWindowVirtualizer } from "@tanstack/react-virtual";
 import { MapPin, SearchX, Thermometer } from "lucide-react";
-import { useLayoutEffect, useMemo, useRef, useState } from "react";
+import { useLayoutEffect, useMemo, useRef, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { EmptyState } from "~/design/EmptyState";
@@ -19,30 +19,32 @@ import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { linesOf, matching } from "./rooms";
 import { SensorCard } from "./SensorCard";
-import "./SensorsPage.css";
+import "./SensorsBoard.css";
 
 const CARD_PX = 380;
 const GAP_PX = 16;
 
-export default function SensorsPage() {
+/** `head` chooses between the list and the board; `kind` is that of the devices shown, "" for all. */
+export default function SensorsBoard({ head, kind }: { head: ReactNode; kind: string }) {
   const { t } = useTranslation(["devices", "system"]);
   const { devices, isCurrent } = useRegisteredDevices();
   const isLinked = useConnectionState() === "open";
   const { symbolOf } = useUnits();
   const [find, setFind] = useQueryParameter("find");
   const [show, setShow] = useChoice("show", ["all", "attention"], "all");
-  const shown = useMemo(() => matching(devices ?? [], find, show === "attention"), [devices, find, show]);
-  const attention = useMemo(() => (devices ?? []).filter((device) => conditionOf(device) !== "ok").length, [devices]);
+  const ofKind = useMemo(() => (devices ?? []).filter((device) => kind === "" || device.kind === kind), [devices, kind]);
+  const shown = useMemo(() => matching(ofKind, find, show === "attention"), [ofKind, find, show]);
+  const attention = useMemo(() => ofKind.filter((device) => conditionOf(device) !== "ok").length, [ofKind]);
   return (
     <div className="sensors" data-old={!isLinked || undefined}>
       <header className="sensors__head">
-        <h1>{t("sensors.title")}</h1>
+        {head}
         <Field label={t("list.find")} value={find} onChange={setFind} type="search" />
         <SegmentedControl
           label={t("sensors.show")}
           value={show}
           options={[
-            { value: "all", name: t("sensors.all", { count: devices?.length ?? 0 }) },
+            { value: "all", name: t("sensors.all", { count: ofKind.length }) },
             { value: "attention", name: t("sensors.attention", { count: attention }) },
           ]}
           onChange={setShow}
