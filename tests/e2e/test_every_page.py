@@ -312,21 +312,6 @@ def test_table_rows_are_tab_stops_and_their_times_are_not(open_page: OpenPage) -
 
 @pytest.mark.nightly
 @pytest.mark.usefixtures("screen")
-def test_first_steps_are_dismissed_and_shown_on_request(open_page: OpenPage) -> None:
-    page = open_page("/")
-    steps = page.get_by_role("heading", name="Connect a glove")
-    expect(steps).to_be_visible()
-    page.get_by_role("button", name="Hide").click()
-    expect(steps).to_have_count(0)
-    page.reload()
-    expect(page.get_by_role("region", name="Open tasks")).to_be_visible()
-    expect(steps).to_have_count(0)
-    page.get_by_role("button", name="Show first steps").click()
-    expect(steps).to_be_visible()
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("screen")
 def test_language_theme_and_name_are_stored(open_page: OpenPage) -> None:
     page = open_page("/", who="")
     page.get_by_role("button", name="Appearance, language and name").click()

@@ -105,9 +105,8 @@ def test_with_the_keyboard_only(
 def test_with_the_mouse_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/")
+    page = open_page("/work")
     page.get_by_role("button", name="Start bin picking").click()
-    page.wait_for_url("**/work*")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("heading", name="Paused").wait_for()

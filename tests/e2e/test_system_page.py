@@ -232,8 +232,8 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
     open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     page = open_page("/")
-    page.get_by_role("button", name="Start the simulated operator").click()
-    page.goto("/cell/gloves")
+    page.get_by_role("button", name="Try with a simulated hand").click()
+    page.goto("/cell/gloves/glove-1")
     expect(page.get_by_role("main")).to_contain_text(" frames")
     expect(page.get_by_text("Connected", exact=True)).to_be_visible()
     accessible(page)

@@ -54,7 +54,7 @@ export function WrongSection() {
         )}
         {services.map((service) => (
           <li key={service.name}>
-            <Link href={addresses.services()}>{t(`common:services.${service.name}`, { defaultValue: service.name })}</Link>
+            <Link href={addresses.service(service.name)}>{t(`common:services.${service.name}`, { defaultValue: service.name })}</Link>
             <StatusBadge tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</StatusBadge>
             <span className="quiet small">
               <RelativeTime at={service.since} />

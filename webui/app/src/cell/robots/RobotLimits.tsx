@@ -12,7 +12,7 @@ import { RelativeTime } from "~/design/RelativeTime";
 import { useTopicSelector } from "~/live/hooks";
 import { sentence } from "~/live/readable";
 import { addresses } from "~/places/addresses";
-import { MayNot } from "~/session/MayNot";
+import { MayNot } from "~/design/MayNot";
 import { mayDo } from "~/session/session";
 import { Limits } from "./Limits";
 import "../objects/ObjectHistory.css";
