@@ -69,7 +69,7 @@ describe("acts", () => {
     await signIn("read");
     const index = cell();
     for (const query of ["start bin", "cancel", "pause", "resume", "acknowledge", "upload", "claim", "calibrate glove", "migrate", "add device"]) {
-      expect(rowsFor(query, searched(index)).flatMap(({ act }) => (act === undefined || act.permission === undefined ? [] : [act.id])), query).toEqual([]);
+      expect(rowsFor(query, searched(index)).flatMap(({ act }) => (act?.permission === undefined ? [] : [act.id])), query).toEqual([]);
     }
     expect(names("order-7", index)).toEqual(["Bin picking · order-7", "Pick the part"]);
   });
