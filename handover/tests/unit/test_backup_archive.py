@@ -103,8 +103,9 @@ def test_a_backup_that_was_cut_or_changed_restores_nothing(
     whole = tmp_path / "whole"
     backup_of(cell, whole, passphrase)
     content = whole.read_bytes()
+    changed = content[:200] + bytes([content[200] ^ 1]) + content[201:]
     for number, damaged in enumerate(
-        (content[: len(content) // 2], content[:-1], content[:200] + b"\0" + content[201:], b"", b"no backup")
+        (content[: len(content) // 2], content[:-1], changed, b"", b"no backup")
     ):
         file = tmp_path / f"damaged-{number}"
         file.write_bytes(damaged)
