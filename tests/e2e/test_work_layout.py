@@ -390,7 +390,6 @@ def test_station_settings_are_stored(
 @pytest.mark.parametrize("size", SIZES)
 def test_a_finished_step_is_looked_at_again_until_the_next_question(
     *,
-    cell: Cell,
     asked: Callable[[], str],
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],

@@ -12,7 +12,7 @@ export function StatePanel({ control: { connection, now }, isOld }: { control: C
   const language = i18n.language;
   const ms = (value: number | null | undefined) => (value == null ? "–" : `${number(value, language, { maximumFractionDigits: 1 })} ms`);
   const { state, latency, stops } = now;
-  const clock = new Intl.DateTimeFormat(language, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+  const clock = new Intl.DateTimeFormat(language, { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" });
   const network = ms(latency.networkMs);
   const most = ms(latency.networkMaxMs);
   return (

@@ -20,7 +20,7 @@ interface PastStepsProps {
 
 export function PastSteps({ process, present, onClose }: PastStepsProps) {
   const { t, i18n } = useTranslation("work");
-  const clock = new Intl.DateTimeFormat(i18n.language, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+  const clock = new Intl.DateTimeFormat(i18n.language, { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" });
   return (
     <ModalOverlay className="confirm-dialog__overlay" isOpen onOpenChange={(isOpen) => !isOpen && onClose()} isDismissable>
       <Modal className="confirm-dialog confirm-dialog--large past-steps">
