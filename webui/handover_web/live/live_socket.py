@@ -21,7 +21,7 @@ log = get_logger(__name__)
 
 MIN_INTERVAL_S = 1 / 30
 HEARTBEAT_INTERVAL_S = 1.0
-"""A batch is sent at least this often, if need be an empty one. A page without one says that it is out of date."""
+"""A batch is sent at least this often, if need be an empty one; a page without one says that it is old."""
 PULSE_INTERVAL_S = 0.15
 """The same for a page that subscribes to `pulse`, as the control of a robot does."""
 SEND_TIMEOUT_S = 15.0

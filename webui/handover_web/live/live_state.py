@@ -39,7 +39,7 @@ class EncodedValue:
 REGISTERED_DEVICES: Final = "registeredDevices"
 """A page that subscribes to this topic receives all topics that begin with `REGISTERED_DEVICE` as well."""
 PULSE: Final = "pulse"
-"""A topic without a value: a page that subscribes to it gets batches more often, and notices a halt sooner."""
+"""A topic without a value: a page that subscribes to it gets batches more often, to notice a halt sooner."""
 REGISTERED_DEVICE: Final = "registeredDevice/"
 _DEVICE_FAMILIES: Final = ("device/", REGISTERED_DEVICE)
 
