@@ -159,8 +159,8 @@ def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: Ope
 
 def test_what_is_shown_beside_the_joints_is_kept_for_the_user(control: Cell, open_page: OpenPage) -> None:
     page = open_page(CONTROL)
-    page.get_by_role("tab", name="Positions").click()
     page.get_by_role("button", name="Show", exact=True).click()
+    page.get_by_role("tab", name="Positions").click()
 
     def is_stored() -> bool:
         kept = httpx.get(layout_of(control), timeout=120, trust_env=False).json()

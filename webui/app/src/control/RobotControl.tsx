@@ -148,6 +148,7 @@ function Panels({ robot, lease, control, view, jog, side }: PanelsProps) {
             ...(isOfTool ? { recording: <RecordingPanel control={control} isRecorded={isRecorded} onChange={setRecorded} /> } : {}),
           }}
           shown={layout.side}
+          isDisabled={!isLoaded}
           onShow={(panel) => change({ ...layout, side: panel })}
         />
       </div>
