@@ -1,10 +1,11 @@
 /** A Device that exists only in the context broker: no service of this cell has registered it. */
-import { Box } from "lucide-react";
+import { ArrowLeft, Box } from "lucide-react";
 import { useTranslation } from "react-i18next";
-import { Link } from "wouter";
+import { Link, useLocation } from "wouter";
 import { Battery } from "~/cell/Battery";
 import { OpenAlerts } from "~/cell/objects/ObjectAlerts";
 import { valueInWords } from "~/cell/objects/value";
+import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { RelativeTime } from "~/design/RelativeTime";
 import { StatusBadge } from "~/design/StatusBadge";
@@ -17,10 +18,12 @@ import { kindOfCategory } from "./values";
 
 export function OtherDevicePanel({ device }: { device: DeviceView }) {
   const { t, i18n } = useTranslation(["cell", "devices", "system", "common"]);
+  const [, go] = useLocation();
   const name = shortName(device.id);
   return (
     <section className="device" aria-label={name}>
       <header className="device__head">
+        <Button kind="quiet" label={t("devices:back")} icon={<ArrowLeft aria-hidden size={20} />} onPress={() => go(addresses.devices())} />
         <Box aria-hidden size={24} />
         <h2>{name}</h2>
         {device.deviceState !== null && <StatusBadge tone={deviceTone[device.deviceState]}>{t(`common:deviceState.${device.deviceState}`)}</StatusBadge>}

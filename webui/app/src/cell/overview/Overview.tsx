@@ -16,6 +16,7 @@ import { matches, OBJECT_KINDS, type ObjectKind } from "../objects/cellObjects";
 import { ObjectTable } from "../objects/ObjectTable";
 import { GATEWAY, useCellObjects } from "../objects/useCellObjects";
 import { CellMap } from "./CellMap";
+import { Found } from "./Found";
 import "./Overview.css";
 
 export function Overview() {
@@ -35,6 +36,7 @@ export function Overview() {
     <div className="overview">
       <CellMap />
       <div className="overview__list">
+        <Found objects={objects} hasGateway={objects.some((object) => object.kind === "service" && object.name === GATEWAY)} />
         <div className="overview__bar">
           <Field label={t("find")} value={find} onChange={setFind} type="search" />
           <Select label={t("kind")} value={kind} options={[{ value: "", name: t("allKinds") }, ...kinds.map((value) => ({ value, name: t(`kinds.${value}`) }))]} onChange={setKind} />
