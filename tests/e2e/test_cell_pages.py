@@ -55,7 +55,12 @@ def test_from_the_overview_to_the_control_of_a_robot_and_back(
     table.get_by_role("link", name="ur10-1").click()
     expect(page).to_have_url(re.compile("/cell/robots/ur10-1$"))
     tabs = page.get_by_role("navigation", name="ur10-1")
-    for tab, address in (("Limits", "limits"), ("History", "history"), ("Settings", "settings"), ("Control", "control")):
+    for tab, address in (
+        ("Limits", "limits"),
+        ("History", "history"),
+        ("Settings", "settings"),
+        ("Control", "control"),
+    ):
         tabs.get_by_role("link", name=tab).click()
         expect(page).to_have_url(re.compile(f"/cell/robots/ur10-1/{address}$"))
         expect(tabs.get_by_role("link", name=tab)).to_have_attribute("aria-current", "page")
@@ -68,7 +73,9 @@ def test_from_the_overview_to_the_control_of_a_robot_and_back(
     expect(page).to_have_url(re.compile("find=gateway"))
     table.get_by_role("link", name="Device gateway").click()
     expect(page).to_have_url(re.compile("/admin/services/device-gateway$"))
-    expect(page.get_by_role("link", name="REST interface")).to_have_attribute("href", "/api/device-gateway/docs")
+    expect(page.get_by_role("link", name="REST interface")).to_have_attribute(
+        "href", "/api/device-gateway/docs"
+    )
     accessible(page)
 
 

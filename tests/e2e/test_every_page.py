@@ -540,7 +540,7 @@ UNKNOWN = {
     "cockpit/statistics/StatisticsView.tsx": ["/processes/statistics?of=bin-picking&element=nope"],
     "cell/RobotsPage.tsx": ["/cell/robots/nope", "/cell/robots/ur10-1/nope"],
     "devices/DevicePanel.tsx": ["/cell/devices/page-arm?part=nope"],
-    "devices/DevicesPage.tsx": ["/cell/devices/nope", "/cell/devices?add=nope"],
+    "devices/DevicesPage.tsx": ["/cell/devices/nope", "/cell/devices?add=nope", "/cell/devices?view=nope"],
     "devices/history/HistoryPart.tsx": [
         f"/cell/devices/page-arm?part=history&{name}=nope" for name in ("values", "span", "time", "forecast")
     ],
@@ -568,7 +568,7 @@ UNKNOWN = {
     ],
     "processes/process/ProcessPanel.tsx": ["/processes/PROCESS?view=nope", "/processes/PROCESS?task=nope"],
     "processes/timeline/chosen.ts": ["/processes/PROCESS?status=nope", "/processes/PROCESS?who=nope"],
-    "sensors/SensorsPage.tsx": ["/cell/sensors?show=nope"],
+    "sensors/SensorsBoard.tsx": ["/cell/devices?view=board&show=nope"],
     "study/StudyPage.tsx": ["/admin/studies?session=nope"],
     "alerts/list/AlertsPanel.tsx": [
         f"/alerts?{name}=nope" for name in ("alert", "group", "state", "severity", "category", "from")

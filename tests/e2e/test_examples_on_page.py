@@ -48,7 +48,7 @@ def move(cell: Cell, name: str, joints: list[float]) -> None:
 def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package(
     rail_cell: Cell, open_page: OpenPage, keep: Keep, accessible: Callable[[Page], None]
 ) -> None:
-    page = open_page("/cell/robots")
+    page = open_page("/cell/robots/rail-1")
     expect(page.get_by_role("heading", name="rail-1 (Rail arm)")).to_be_visible()
     joints = page.get_by_role("table", name="Joints")
     rows = joints.get_by_role("row")
@@ -72,7 +72,7 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
     keep(page, "example-robot-moved")
     assert drawing.screenshot() != before
 
-    in_german = open_page("/cell/robots", language="de")
+    in_german = open_page("/cell/robots/rail-1", language="de")
     expect(in_german.get_by_role("rowheader", name="Linearachse")).to_be_visible()
     facts = in_german.locator(".robot__facts")
     assert facts.evaluate("facts => facts.scrollWidth <= facts.clientWidth")

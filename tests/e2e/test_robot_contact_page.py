@@ -71,7 +71,7 @@ def move_away(cell: Cell) -> None:
 def test_a_contact_stops_the_arm_until_a_person_resets_it_on_the_page(
     screen: Cell, open_page: OpenPage, controller: RunningController
 ) -> None:
-    page = open_page("/cell/robots")
+    page = open_page("/cell/robots/ur10-1")
     limits = page.locator(".limits")
     expect(limits).to_contain_text("20 N")
 

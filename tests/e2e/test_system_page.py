@@ -115,7 +115,7 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     start_process(cell)
-    page = open_page("/cell/robots")
+    page = open_page("/cell/robots/ur10-1")
     drawing = page.get_by_role("application", name=re.compile("^Live 3D view of ur10-1"))
     expect(drawing.locator("canvas")).to_be_visible()
     before = drawing.screenshot()
@@ -145,7 +145,7 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
 def test_a_hand_over_is_confirmed_with_a_button_that_is_large_enough_for_gloves(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/cell/robots")
+    page = open_page("/cell/robots/ur10-1")
     expect(page.get_by_role("heading", name="No task")).to_be_visible()
     entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
     task = "urn:ngsi-ld:Task:demo:hand-over-1"
@@ -186,7 +186,7 @@ def test_a_hand_over_is_confirmed_with_a_button_that_is_large_enough_for_gloves(
 def test_the_stop_of_a_robot_for_a_body_signal_is_reset_by_a_person(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    page = open_page("/cell/robots")
+    page = open_page("/cell/robots/ur10-1")
     limits = page.locator(".limits")
     expect(limits).to_contain_text("Nothing limits the speed")
     expect(limits).to_contain_text("not a safety-rated function")
