@@ -1,4 +1,4 @@
-"""The place Cell: from the overview to a robot, its tabs and back, on a laptop and a phone; what is found is adopted."""
+"""The place Cell: from the overview to a robot and back, on a laptop and a phone; a device is adopted."""
 
 import re
 from collections.abc import Callable
@@ -65,7 +65,7 @@ def test_from_the_overview_to_the_control_of_a_robot_and_back(
         expect(page).to_have_url(re.compile(f"/cell/robots/ur10-1/{address}$"))
         expect(tabs.get_by_role("link", name=tab)).to_have_attribute("aria-current", "page")
     expect(page.get_by_role("button", name="Take control")).to_be_visible()
-    for _ in range(6):
+    for _ in range(5):
         page.go_back()
     expect(page).to_have_url(re.compile("/cell$"))
 

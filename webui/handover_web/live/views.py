@@ -33,7 +33,7 @@ class LastMessage(TypedDict):
 
 
 class ServiceHealth(TypedDict):
-    """A row of the topic `services`: `rates` are per second; `url` is null for callers of some resources only."""
+    """A row of the topic `services`: `rates` are per second; `url` is for callers who may read everything."""
 
     name: str
     url: str | None

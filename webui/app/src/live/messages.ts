@@ -23,7 +23,7 @@ export interface LastMessage {
   text: string;
 }
 
-/** A row of the topic `services`: `rates` are per second; `url` is null for callers of some resources only. */
+/** A row of the topic `services`: `rates` are per second; `url` is for callers who may read everything. */
 export interface ServiceHealth {
   name: string;
   url: string | null;

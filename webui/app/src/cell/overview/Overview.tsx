@@ -34,9 +34,9 @@ export function Overview() {
   const hasOnlyServices = objects.every((object) => object.kind === "service");
   return (
     <div className="overview">
+      <Found objects={objects} hasGateway={objects.some((object) => object.kind === "service" && object.name === GATEWAY)} />
       <CellMap />
       <div className="overview__list">
-        <Found objects={objects} hasGateway={objects.some((object) => object.kind === "service" && object.name === GATEWAY)} />
         <div className="overview__bar">
           <Field label={t("find")} value={find} onChange={setFind} type="search" />
           <Select label={t("kind")} value={kind} options={[{ value: "", name: t("allKinds") }, ...kinds.map((value) => ({ value, name: t(`kinds.${value}`) }))]} onChange={setKind} />
