@@ -107,7 +107,7 @@ function useColumns(): readonly Column<CellObject>[] {
   return useMemo(
     () => [
       {
-        id: "object", name: t("column.object"), width: "minmax(190px, 1.6fr)", sortBy: titleOf,
+        id: "object", name: t("column.object"), width: "minmax(160px, 1.6fr)", sortBy: titleOf,
         cell: (object) => (
           <span className="object-name">
             <ObjectIcon object={object} />
@@ -120,10 +120,10 @@ function useColumns(): readonly Column<CellObject>[] {
           </span>
         ),
       },
-      { id: "state", name: t("column.state"), width: "minmax(150px, 1fr)", sortBy: ({ tone }) => TONES.indexOf(tone), cell: (object) => <ObjectState object={object} /> },
-      { id: "now", name: t("column.now"), width: "minmax(180px, 2.4fr)", cell: (object) => <Now object={object} /> },
+      { id: "state", name: t("column.state"), width: "minmax(140px, 1fr)", sortBy: ({ tone }) => TONES.indexOf(tone), cell: (object) => <ObjectState object={object} /> },
+      { id: "now", name: t("column.now"), width: "minmax(120px, 2.4fr)", cell: (object) => <Now object={object} /> },
       {
-        id: "battery", name: t("column.battery"), width: "minmax(96px, 0.7fr)", sortBy: ({ battery }) => battery,
+        id: "battery", name: t("column.battery"), width: "minmax(172px, 0.9fr)", sortBy: ({ battery }) => battery,
         cell: ({ battery }) => battery !== null && <Battery level={battery} />,
       },
       {
