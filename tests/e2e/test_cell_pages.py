@@ -1,4 +1,4 @@
-"""The place Cell: from the overview to a robot and back, on a laptop and a phone; a device is adopted."""
+"""The place Cell: from the overview to a robot, its tabs and back; what is found is adopted."""
 
 import re
 from collections.abc import Callable

@@ -52,7 +52,7 @@ test("what waits for a person: claimed, personal and of the person's groups; wha
     listed("group", { groups: ["packing"], since: at(5) }),
     listed("declined", { groups: ["packing"], declinedBy: ["Anna"] }),
     listed("of others", { groups: ["packing"], claimedBy: "Bert" }),
-    listed("other group", { groups: ["office"] }),
+    listed("other group", { groups: ["quality"] }),
     listed("free", { since: at(2) }),
     listed("later", { followUpDate: at(100) }),
     listed("by a robot", { isClaimable: false }),

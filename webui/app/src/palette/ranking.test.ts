@@ -72,10 +72,10 @@ it.each([
   ["bin-picking", "bin-pick"],
   ["ur10-1", "ur10 1"],
   ["ur10-1", "ur101"],
-  ["Temperature", "temprature"],
-  ["Temperature", "tempreature"],
-  ["Temperature", "temperatrue"],
-  ["Temperature", "temperazur"],
+  ["Temperature", "temprature"], // typos: ignore
+  ["Temperature", "tempreature"], // typos: ignore
+  ["Temperature", "temperatrue"], // typos: ignore
+  ["Temperature", "temperazur"], // typos: ignore
 ])("finds %s by %s", (name, query) => {
   expect(ranked([candidate(name), candidate("Something else")], query).map((match) => match.name)).toEqual([name]);
 });

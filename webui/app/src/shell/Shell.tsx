@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import { Bell, CircleHelp, Settings2 } from "lucide-react";
-import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
+import { lazy, Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
 import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
@@ -17,9 +17,10 @@ import { useSession } from "~/session/session";
 import { useKiosk } from "./kiosk";
 import { KeyList } from "./KeyList";
 import { listenForKeys, usePageKeys } from "./keys";
-import { Preferences } from "./Preferences";
 import { PagesOfPlace, Rail } from "./Rail";
 import "./Shell.css";
+
+const Preferences = lazy(() => import("./Preferences").then((module) => ({ default: module.Preferences })));
 
 const PRODUCT = "Handover";
 
@@ -96,7 +97,11 @@ export function Shell({ children }: { children: ReactNode }) {
         everywhere={everywhere}
         here={pageKeys}
       />
-      <Preferences isOpen={showsPreferences} onClose={() => setShowsPreferences(false)} />
+      {showsPreferences && (
+        <Suspense fallback={null}>
+          <Preferences isOpen onClose={() => setShowsPreferences(false)} />
+        </Suspense>
+      )}
     </div>
   );
 }

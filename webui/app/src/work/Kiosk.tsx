@@ -64,7 +64,7 @@ export function KioskExit() {
   );
 }
 
-/** Whoever shows the navigation of a station has joined it, so that the station knows who acts. */
+/** A person who shows the navigation of a station has joined it, so that the station knows who acts. */
 async function joinAndLeave(pin: string): Promise<void> {
   await requestService("accounts", "me/station/person", { method: "PUT", json: { method: "pin", value: pin } });
   await loadSession();
