@@ -52,7 +52,7 @@ def begin(cell: Cell) -> str:
 
 def palette(page: Page) -> Locator:
     """Open the palette with its keys; return its field."""
-    page.get_by_role("button", name="Search and commands (Ctrl K)").wait_for()
+    page.get_by_role("button", name="Search and commands Ctrl K").wait_for()
     page.keyboard.press("Control+k")
     field = page.get_by_role("combobox", name="Search and commands")
     expect(field).to_be_focused()

@@ -39,7 +39,7 @@ export function PaletteButton({ places, around }: { places: readonly Place[]; ar
   return (
     <>
       <div className="palette-button">
-        <Button label={`${t("palette")} (${SHORTCUT})`} icon={<Search aria-hidden size={18} />} onPress={open}>
+        <Button label={`${t("palette")} ${SHORTCUT}`} icon={<Search aria-hidden size={18} />} onPress={open}>
           <span className="palette-button__text">{t("palette")}</span> <kbd aria-hidden>{SHORTCUT}</kbd>
         </Button>
       </div>

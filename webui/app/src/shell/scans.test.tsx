@@ -144,6 +144,8 @@ const HANDLERS: Readonly<Record<string, string>> = {
   "hand/GesturePicker.tsx": "Enter in the search chooses the only match",
   "humanoid/Humanoid3d.tsx": "turns the view",
   "humanoid/vr/VrPage.tsx": "the focused view: arrows, Space closes the hand, Enter presses the button at the pointer",
+  "palette/Palette.tsx": "the field of the search: arrows choose, Enter opens what is chosen or its question",
+  "palette/PaletteButton.tsx": "Ctrl or Cmd with K opens the search",
   "processes/diagram/Diagram.tsx": "moves the view",
   "processes/incidents/Incidents.tsx": "Escape leaves a choice",
   "robot3d/Robot3d.tsx": "turns the view",
