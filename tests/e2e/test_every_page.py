@@ -540,7 +540,11 @@ UNKNOWN = {
     "cockpit/statistics/StatisticsView.tsx": ["/processes/statistics?of=bin-picking&element=nope"],
     "cell/RobotsPage.tsx": ["/cell/robots/nope", "/cell/robots/ur10-1/nope"],
     "devices/DevicePanel.tsx": ["/cell/devices/page-arm?part=nope"],
-    "devices/DevicesPage.tsx": ["/cell/devices/nope", "/cell/devices?add=nope", "/cell/devices?view=nope"],
+    "cell/overview/Overview.tsx": ["/cell?show=nope", "/cell?kind=nope"],
+    "devices/DevicesPage.tsx": [
+        "/cell/devices/nope",
+        *(f"/cell/devices?{name}=nope" for name in ("add", "view", "kind")),
+    ],
     "devices/history/HistoryPart.tsx": [
         f"/cell/devices/page-arm?part=history&{name}=nope" for name in ("values", "span", "time", "forecast")
     ],
@@ -595,6 +599,7 @@ NEEDS_ACCOUNTS = {
     "accounts/AuditView.tsx:action",
 }
 NEEDS_ACCOUNTS |= {f"accounts/AuditView.tsx:{name}" for name in ("resource", "from", "to")}
+NEEDS_ACCOUNTS |= {f"devices/DevicesPage.tsx:{name}" for name in ("as", "name")}
 """Fields that show what they are asked for, and the users of a cell with accounts."""
 
 

@@ -2,6 +2,7 @@
 import type { CertificateView, CommandView, DeviceDescription, DeviceDetails, NewCommand, NewDevice, TokenView } from "~/api/generated/device-gateway";
 import { requestService } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
+import { useTopicSelector } from "~/live/hooks";
 
 export const SERVICE = "device-gateway";
 
@@ -11,7 +12,8 @@ export type SymbolOf = (unit: string | null | undefined) => string;
 
 /** The symbols of units by their codes, and a function that writes an unknown code as it is. */
 export function useUnits(): { units: Record<string, string>; symbolOf: SymbolOf } {
-  const { value } = useServiceQuery<Record<string, string>>(SERVICE, "units");
+  const isUp = useTopicSelector("services", (services) => services?.some(({ name, state }) => name === SERVICE && state === "up") ?? false);
+  const { value } = useServiceQuery<Record<string, string>>(SERVICE, isUp ? "units" : null);
   const units = value ?? NO_UNITS;
   return { units, symbolOf: (unit) => (unit == null ? "" : (units[unit] ?? unit)) };
 }
