@@ -7,7 +7,7 @@ from pathlib import Path
 import handover_robots
 
 PACKAGE = Path(handover_robots.__file__).parent
-REGISTRIES = {"drivers/__init__.py", "robots/__init__.py"}
+REGISTRIES = {"drivers/__init__.py"}
 """They name modules for `ExtensionPoint`, which loads them as those of other packages."""
 
 
